@@ -1,0 +1,1 @@
+"""Types and mechanisms that every other package stands on."""

@@ -1,0 +1,125 @@
+"""Algorithms as files: a folder of modules is a registry of methods.
+
+A *method* is one algorithm: one module holding one frozen pydantic model whose fields are its
+parameters and whose ``__call__`` runs it. A *family* is the package the modules lie in. In a config
+a method is written by its module's name, ``census``, or with parameters,
+``{method: census, window: [9, 7]}``. Adding a method is adding a file; nothing else is edited.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import pkgutil
+from functools import cache
+from typing import Any
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    SerializeAsAny,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+)
+from pydantic_core import PydanticCustomError
+
+
+class Method(BaseModel):
+    """Base of every algorithm; subclasses define fields and ``__call__``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def method_name(cls) -> str:
+        """Name of the method in a config: the name of its module."""
+        return cls.__module__.rpartition(".")[2]
+
+    @model_serializer(mode="wrap")
+    def _with_method_name(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        package = self.__class__.__module__.rpartition(".")[0]
+        return {Family.of(package).key: self.method_name(), **handler(self)}
+
+
+class Family:
+    """The methods found in one package.
+
+    Parameters
+    ----------
+    package : dotted name of the package whose public modules are the methods
+    key : the config key that names the method
+    """
+
+    _known: dict[str, Family] = {}
+
+    def __init__(self, package: str, key: str = "method") -> None:
+        self.package = package
+        self.key = key
+        Family._known[package] = self
+
+    @classmethod
+    def of(cls, package: str) -> Family:
+        """The family declared for ``package`` (with the default key if none was)."""
+        return cls._known.get(package) or cls(package)
+
+    def names(self) -> list[str]:
+        """All method names, sorted."""
+        path = importlib.import_module(self.package).__path__
+        return sorted(m.name for m in pkgutil.iter_modules(path) if not m.name.startswith("_"))
+
+    def load(self, name: str) -> type[Method]:
+        """Import the model class of method ``name``; KeyError where there is none."""
+        return _load(self.package, name)
+
+    def parse(self, value: Any) -> Method:
+        """Build a method from its name, a mapping, or itself.
+
+        Raises
+        ------
+        PydanticCustomError, pydantic.ValidationError
+            With a location below the family's field, so that errors point at the line in the file.
+        """
+        if isinstance(value, Method):
+            return value
+        if isinstance(value, str):
+            value = {self.key: value}
+        if not isinstance(value, dict):
+            raise PydanticCustomError(
+                "method_type",
+                "want a name or a mapping with '{key}'; one of: {names}",
+                {"key": self.key, "names": ", ".join(self.names())},
+            )
+        fields = dict(value)
+        name = fields.pop(self.key, None)
+        if not isinstance(name, str) or name not in self.names():
+            hint = difflib.get_close_matches(str(name), self.names(), 1)
+            raise PydanticCustomError(
+                "method_name",
+                "no {key} called {name}{hint}; one of: {names}",
+                {
+                    "key": self.key,
+                    "name": repr(name),
+                    "hint": f"; did you mean {hint[0]!r}?" if hint else "",
+                    "names": ", ".join(self.names()),
+                },
+            )
+        return self.load(name).model_validate(fields)
+
+
+@cache
+def _load(package: str, name: str) -> type[Method]:
+    module = importlib.import_module(f"{package}.{name}")
+    for value in vars(module).values():
+        if isinstance(value, type) and issubclass(value, Method) and value.__module__ == module.__name__:
+            if any("__call__" in vars(base) for base in value.__mro__[:-1]):
+                return value
+    raise KeyError(f"{package}.{name} defines no Method")
+
+
+def method_of(package: str, key: str = "method") -> Any:
+    """Pydantic metadata for a field that holds a method of ``package``.
+
+    >>> class Config(BaseModel):
+    ...     cost: Annotated[CostMeasure, *method_of("depthcli.stereo.cost")]
+    """
+    return (BeforeValidator(Family(package, key).parse), SerializeAsAny())

@@ -1,0 +1,1 @@
+"""Numba kernels on plain arrays that two or more packages share."""

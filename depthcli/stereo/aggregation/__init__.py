@@ -1,0 +1,20 @@
+"""Aggregation: averaging costs over a support window. One file a method."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated
+
+from depthcli.core.method import Method, method_of
+from depthcli.stereo.volume import CostVolume, StereoPair
+
+
+class Aggregator(Method):
+    """Averages the costs of a support window, disparity by disparity."""
+
+    @abstractmethod
+    def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
+        """A new volume of the same shape; the input is not modified."""
+
+
+Aggregation = Annotated[Aggregator, *method_of("depthcli.stereo.aggregation")]

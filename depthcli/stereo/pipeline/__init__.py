@@ -1,0 +1,24 @@
+"""Stereo pipelines: the data flow from image pair to disparity map. One file a pipeline, one page each."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated
+
+from depthcli.core.method import Method, method_of
+from depthcli.stereo.volume import StereoPair, StereoResult
+
+
+class StereoPipeline(Method):
+    """A complete stereo method; in a config its name stands under ``pipeline``."""
+
+    @abstractmethod
+    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+        """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive."""
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Estimate of the peak working memory for images of ``shape``, in bytes."""
+        raise NotImplementedError
+
+
+Pipeline = Annotated[StereoPipeline, *method_of("depthcli.stereo.pipeline", key="pipeline")]
