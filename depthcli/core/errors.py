@@ -1,0 +1,19 @@
+"""Errors whose message is meant for the user: one line saying what, where, and what to do."""
+
+from __future__ import annotations
+
+
+class DepthcliError(Exception):
+    """Base of the errors a command reports without a traceback."""
+
+
+class InputError(DepthcliError):
+    """An image or data file is missing, damaged, or of the wrong kind."""
+
+
+class ConfigError(DepthcliError):
+    """A config file or option is wrong."""
+
+
+class OutputError(DepthcliError):
+    """A result cannot be written."""

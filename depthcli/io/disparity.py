@@ -1,0 +1,170 @@
+"""Disparity maps and other float maps as files: PFM, KITTI PNG, scaled 8-bit images, npy."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError, OutputError
+from depthcli.io.atomic import write_bytes
+from depthcli.io.images import IMAGE_SUFFIXES, read_bytes, read_grey
+
+MAP_SUFFIXES = (".pfm", ".npy", *IMAGE_SUFFIXES)
+"""File name endings of disparity maps, most exact first."""
+
+KITTI_SCALE = 256.0
+"""Codes per pixel of 16-bit disparity PNGs (KITTI, DSEC)."""
+
+_PFM_HEADER = re.compile(rb"(P[fF])\s+(\d{1,9})\s+(\d{1,9})\s+([-+0-9.eE]{1,40})(?:\r\n|\s)")
+
+
+def read_disparity(
+    path: Path | str, scale: float | None = None, scale_8bit: float | None = None
+) -> NDArray[np.float32]:
+    """Read a disparity map in pixels.
+
+    PFM and float npy hold pixels (+-inf and NaN: unknown). Integer codes (PNG, PGM, integer npy) are
+    divided by ``scale``; a code of 0 or less is unknown.
+
+    Parameters
+    ----------
+    path : the file; its kind is told by the content
+    scale : codes per pixel; None: 1 for PFM and float npy, 256 for 16-bit codes (KITTI)
+    scale_8bit : codes per pixel of 8-bit files where ``scale`` is None; such a file has no scale of its own
+
+    Returns
+    -------
+    (H, W) float32, pixels, NaN = unknown
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
+    """
+    path = Path(path)
+    kind = path.suffix.lower()
+    values: NDArray[Any]
+    if kind == ".pfm":
+        values = read_pfm(path)
+    elif kind == ".npy":
+        values = _read_npy(path)
+    else:
+        values = read_grey(path)
+    if np.issubdtype(values.dtype, np.integer):
+        if scale is None:
+            scale = scale_8bit if values.dtype.itemsize == 1 else KITTI_SCALE
+        if scale is None:
+            raise InputError(
+                f"{path}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale"
+            )
+        disparity = (values / np.float64(scale)).astype(np.float32)
+        disparity[values <= 0] = np.nan
+        return disparity
+    with np.errstate(over="ignore"):
+        disparity = values.astype(np.float32)
+    if scale is not None and scale != 1:
+        disparity = disparity / np.float32(scale)
+    disparity[~np.isfinite(disparity)] = np.nan
+    return disparity
+
+
+def read_pfm(path: Path | str) -> NDArray[np.float32]:
+    """Read a one-channel PFM file of either byte order, top row first.
+
+    Rows are stored bottom to top; a negative scale in the header means little endian, its size is
+    ignored, as by the Middlebury SDK. A colour PFM is accepted where its channels are equal.
+
+    Returns
+    -------
+    (H, W) float32 with the values as stored (+inf: unknown)
+
+    Raises
+    ------
+    InputError
+        Bad header, or the data are not exactly as long as the header says.
+    """
+    data = read_bytes(path)
+    header = _PFM_HEADER.match(data)
+    if header is None:
+        raise InputError(f"{path}: not a PFM file (bad header)")
+    width, height = int(header[2]), int(header[3])
+    channels = 3 if header[1] == b"PF" else 1
+    try:
+        order = float(header[4])
+    except ValueError:
+        order = 0.0
+    if not (width and height) or order == 0 or not np.isfinite(order):
+        raise InputError(f"{path}: bad PFM header ({width} x {height}, scale {header[4].decode('latin-1')})")
+    want, got = width * height * channels * 4, len(data) - header.end()
+    if want != got:
+        raise InputError(f"{path}: damaged PFM ({width} x {height} needs {want} bytes of data, the file has {got})")
+    values = np.frombuffer(data, "<f4" if order < 0 else ">f4", offset=header.end())
+    values = values.reshape(height, width, channels)[::-1]
+    if channels == 3 and not all(np.array_equal(values[..., 0], values[..., c], equal_nan=True) for c in (1, 2)):
+        raise InputError(f"{path}: a colour PFM, want one channel")
+    plane: NDArray[np.float32] = values[..., 0].astype(np.float32, order="C")
+    return plane
+
+
+def write_pfm(path: Path | str, values: NDArray[np.floating[Any]]) -> None:
+    """Write (H, W) float values as little-endian PFM, atomically; NaN becomes +inf (unknown).
+
+    Raises
+    ------
+    ValueError
+        Not two-dimensional.
+    OutputError
+        The file cannot be written.
+    """
+    if values.ndim != 2:
+        raise ValueError(f"want (H, W), got {values.shape}")
+    plane = values.astype("<f4")
+    plane[np.isnan(plane)] = np.inf
+    header = f"Pf\n{plane.shape[1]} {plane.shape[0]}\n-1\n".encode()
+    write_bytes(path, header + plane[::-1].tobytes())
+
+
+def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) -> None:
+    """Write a KITTI disparity PNG: uint16, disparity x 256, 0 = unknown, atomically.
+
+    Known values are kept within the codes 1..65535 (1/256 to just under 256 pixels): the format has
+    no code for a disparity of exactly 0.
+
+    Raises
+    ------
+    ValueError
+        Not two-dimensional.
+    OutputError
+        The file cannot be written.
+    """
+    if disparity.ndim != 2:
+        raise ValueError(f"want (H, W), got {disparity.shape}")
+    known = np.isfinite(disparity)
+    codes = np.zeros(disparity.shape, np.uint16)
+    codes[known] = np.clip(np.rint(disparity[known].astype(np.float64) * KITTI_SCALE), 1, 65535).astype(np.uint16)
+    done, data = cv2.imencode(".png", codes)
+    if not done:
+        raise OutputError(f"{path}: cannot be encoded as PNG")
+    write_bytes(path, data.tobytes())
+
+
+def _read_npy(path: Path) -> NDArray[Any]:
+    try:
+        values = np.load(io.BytesIO(read_bytes(path)), allow_pickle=False)
+    except InputError:
+        raise
+    except Exception as error:  # numpy raises many kinds on a damaged header
+        raise InputError(
+            f"{path}: damaged npy file ({str(error).splitlines()[0] if str(error) else 'unreadable'})"
+        ) from error
+    numeric = isinstance(values, np.ndarray) and values.dtype.kind in "iuf"
+    if not numeric or values.ndim != 2 or values.size == 0:
+        raise InputError(f"{path}: want a two-dimensional array of numbers")
+    plane: NDArray[Any] = values
+    return plane

@@ -1,0 +1,1 @@
+"""Load, run, save: the only place where files meet algorithms."""
