@@ -1,0 +1,1 @@
+"""Solvers of labelling problems: energies on graphs, no image semantics."""

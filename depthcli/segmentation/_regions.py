@@ -1,0 +1,138 @@
+"""Region graphs: connected components, merging, adjacency."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.kernels._jit import jit
+
+
+@jit
+def _root(parent, i):  # type: ignore[no-untyped-def]
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@jit
+def _join(parent, i, j):  # type: ignore[no-untyped-def]
+    # The smaller index becomes the root, so labels do not depend on the order of joining.
+    i, j = _root(parent, i), _root(parent, j)
+    if i < j:
+        parent[j] = i
+    elif j < i:
+        parent[i] = j
+
+
+@jit
+def _components(color, limit):  # type: ignore[no-untyped-def]
+    height, width, channels = color.shape
+    parent = np.arange(height * width).astype(np.int32)
+    for y in range(height):
+        for x in range(width):
+            here = y * width + x
+            for step in range(2):
+                y2, x2 = (y, x - 1) if step == 0 else (y - 1, x)
+                if y2 < 0 or x2 < 0:
+                    continue
+                apart = 0
+                for c in range(channels):
+                    difference = np.int32(color[y, x, c]) - np.int32(color[y2, x2, c])
+                    apart += difference * difference
+                if apart <= limit:
+                    _join(parent, here, y2 * width + x2)
+    return _consecutive(parent).reshape(height, width)
+
+
+@jit
+def _consecutive(parent):  # type: ignore[no-untyped-def]
+    labels = np.empty(parent.size, np.int32)
+    count = 0
+    for i in range(parent.size):
+        root = _root(parent, i)
+        if root == i:  # roots come before their members
+            labels[i] = count
+            count += 1
+        else:
+            labels[i] = labels[root]
+    return labels
+
+
+@jit
+def _join_all(parent, first, second):  # type: ignore[no-untyped-def]
+    for i in range(first.size):
+        _join(parent, first[i], second[i])
+
+
+def connected_components(color: NDArray[np.uint8], max_distance: float) -> NDArray[np.int32]:
+    """Label 4-connected pixels of an (H, W, C) image whose Euclidean colour distance is <= ``max_distance``.
+
+    Labels (H, W) int32 count from 0 in raster order of the regions' first pixels.
+    """
+    labels: NDArray[np.int32] = _components(np.ascontiguousarray(color), max_distance * max_distance)
+    return labels
+
+
+@dataclass(frozen=True)
+class RegionGraph:
+    """Regions of a label map and who touches whom.
+
+    Attributes
+    ----------
+    sizes : (N,) int64 pixels of every region
+    means : (N, C) float64 mean colour of every region
+    edges : (E, 2) int32 pairs i < j of 4-neighbouring regions, sorted
+    boundary : (E,) int64 number of 4-neighbour pixel pairs along the common boundary
+    """
+
+    sizes: NDArray[np.int64]
+    means: NDArray[np.float64]
+    edges: NDArray[np.int32]
+    boundary: NDArray[np.int64]
+
+
+def region_graph(labels: NDArray[np.int32], image: NDArray[np.uint8]) -> RegionGraph:
+    """Graph of the regions of ``labels`` (H, W), 0 .. n - 1, over ``image`` (H, W) or (H, W, C)."""
+    count = int(labels.max()) + 1 if labels.size else 0
+    flat = labels.ravel()
+    sizes = np.bincount(flat, minlength=count)
+    channels = image.reshape(flat.size, -1)
+    means = np.stack([np.bincount(flat, channels[:, c], count) for c in range(channels.shape[1])], axis=1)
+    means /= np.maximum(sizes, 1)[:, None]
+    pairs = []
+    for one, other in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
+        touching = one != other
+        low, high = np.minimum(one, other)[touching], np.maximum(one, other)[touching]
+        pairs.append(low.astype(np.int64) * count + high)
+    keys, boundary = np.unique(np.concatenate(pairs), return_counts=True)
+    edges = np.stack([keys // max(count, 1), keys % max(count, 1)], axis=1).astype(np.int32)
+    return RegionGraph(sizes, means, edges, boundary)
+
+
+def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min_size: int) -> NDArray[np.int32]:
+    """Join every region of fewer than ``min_size`` pixels to its neighbour of the nearest mean colour.
+
+    Regions join in rounds until all are large enough (or only one is left). Labels as in
+    :func:`connected_components`.
+    """
+    while True:
+        graph = region_graph(labels, image)
+        small = graph.sizes < min_size
+        if len(graph.sizes) < 2 or not small.any():
+            return labels
+        first, second = graph.edges.T
+        apart = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
+        source = np.concatenate([first, second])
+        target = np.concatenate([second, first])
+        distance = np.concatenate([apart, apart])
+        wanted = small[source]
+        source, target, distance = source[wanted], target[wanted], distance[wanted]
+        order = np.lexsort((target, distance, source))
+        source, nearest = np.unique(source[order], return_index=True)
+        parent = np.arange(len(graph.sizes), dtype=np.int32)
+        _join_all(parent, source.astype(np.int32), target[order][nearest].astype(np.int32))
+        labels = _consecutive(parent)[labels]
