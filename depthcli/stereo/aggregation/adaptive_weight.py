@@ -11,7 +11,7 @@ from typing import Any, Literal
 import cv2
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
+from llvmlite import ir
 from numba import float32, int32, prange, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
@@ -153,14 +153,16 @@ _accumulate_wide = _accumulator(_WIDE)
 _accumulate_narrow = _accumulator(_NARROW)
 
 
-@intrinsic
-def _as_float(typingctx: Any, bits: Any) -> Any:
+def _float_of_bits(typingctx: Any, bits: Any) -> Any:
     """The float32 whose bits are those of an int32."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.FloatType())
 
     return types.float32(types.int32), codegen
+
+
+_as_float: Any = intrinsic(_float_of_bits)
 
 
 @jit
@@ -184,7 +186,7 @@ def _weigh(
         n = int32(z)
         u = ln2 * (half - (z - float32(n)))
         series = one + u * (one + u * (c2 + u * (c3 + u * (c4 + u * (c5 + u * c6)))))
-        power: Any = _as_float(int32((int32(127) - n) << int32(23)))  # type: ignore[call-arg]
+        power = _as_float(int32((int32(127) - n) << int32(23)))
         out[i] = root * series * power
 
 
