@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-import numba
+# Waiting threads sleep instead of spinning: where cores are shared, a spinning thread holds the core that
+# the thread it waits for needs. Has to be set before the OpenMP library is loaded.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import numba  # noqa: E402
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.stereo.volume import CostVolume, StereoPair
-from depthcli.stereo.winner import right_winner
+from depthcli.stereo.winner import winners
 
 
 @dataclass
@@ -22,4 +22,4 @@ class Evidence:
     @cached_property
     def right(self) -> NDArray[np.uint16]:
         """(H, W) disparities of the right view, read from the same volume along its diagonals."""
-        return right_winner(self.volume.costs)
+        return winners(self.volume.costs)

@@ -1,0 +1,68 @@
+"""Large work arrays that are recycled instead of returned to the operating system.
+
+A cost volume is tens of megabytes. Fresh memory costs a page fault every 4 KiB at its first touch, which
+takes longer than most kernels here need to fill it; a block that was used before costs nothing.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import weakref
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+_SMALLEST = 1 << 20  # below this, malloc itself recycles
+_KEPT = 1 << 30  # free bytes held back at most
+
+_lock = threading.RLock()  # re-entrant: a finalizer may run inside ``empty``
+_free: list[NDArray[np.uint8]] = []
+
+
+def keep_freed_memory() -> None:
+    """Ask the C library to keep what is freed, for arrays below the pool's size (glibc only; else nothing)."""
+    trim_threshold, mmap_threshold = -1, -3
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):
+        return
+    mallopt(trim_threshold, 256 << 20)
+    mallopt(mmap_threshold, 32 << 20)
+
+
+keep_freed_memory()
+
+
+def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    """Like :func:`numpy.empty`; the memory goes back to a pool when the last view of the array is gone."""
+    kind = np.dtype(dtype)
+    size = int(np.prod(shape, dtype=np.int64)) * kind.itemsize
+    if size < _SMALLEST:
+        return np.empty(shape, kind)
+    block = _take(size)
+    lease = (ctypes.c_uint8 * block.size).from_buffer(block)
+    weakref.finalize(lease, _give, block).atexit = False
+    return np.frombuffer(lease, np.uint8, size).view(kind).reshape(shape)
+
+
+def _take(size: int) -> NDArray[np.uint8]:
+    with _lock:
+        fitting = [k for k, block in enumerate(_free) if size <= block.size <= 2 * size]
+        if fitting:
+            return _free.pop(min(fitting, key=lambda k: _free[k].size))
+    return np.empty(size, np.uint8)
+
+
+def _give(block: NDArray[np.uint8]) -> None:
+    with _lock:
+        _free.append(block)
+        while sum(b.size for b in _free) > _KEPT:
+            _free.pop(0)
+
+
+def release() -> None:
+    """Return every free block to the operating system (between scenes of different size)."""
+    with _lock:
+        _free.clear()

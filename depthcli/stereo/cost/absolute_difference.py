@@ -1,0 +1,37 @@
+"""Truncated absolute difference of colors (eq. 3.1)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from depthcli.stereo.cost import CostMeasure
+from depthcli.stereo.cost._fill import difference_volume, empty_volume
+from depthcli.stereo.volume import CostVolume, StereoPair
+
+
+class AbsoluteDifference(CostMeasure):
+    """Mean over the channels of ``|I(y, x) - I'(y, x - d)|``, truncated.
+
+    The thesis sums over the channels; the mean is the same measure in units of grey levels, the unit of
+    Mei et al.'s lambda. Three channels are stored as their sum (scale 3), which is exact.
+    """
+
+    truncation: float = Field(60.0, gt=0, le=255, description="largest cost, grey levels")
+    outside: float = Field(20.0, ge=0, le=255, description="cost of a match outside the right image, grey levels")
+
+    MAX_STORED: ClassVar[int] = 255
+
+    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
+        if pair.left.ndim == 3:
+            left, right = (np.ascontiguousarray(image.transpose(2, 0, 1)) for image in pair.color8)
+        else:
+            left, right = (image[None] for image in pair.grey8)
+        scale = left.shape[0]
+        costs = empty_volume(pair.shape, disparities)
+        limit = min(round(self.truncation * scale), self.MAX_STORED)
+        outside = min(round(self.outside * scale), limit)
+        difference_volume(left, right, costs, np.int16(limit), np.uint8(outside))
+        return CostVolume(costs, float(scale))
