@@ -1,0 +1,1 @@
+"""Measures of error, curves, tables and pictures. Algorithms on arrays; files are written by jobs/."""

@@ -1,0 +1,47 @@
+"""Pictures of where a disparity map is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+LEGEND = {
+    "right": (170, 170, 170),
+    "wrong": (0, 0, 0),
+    "no value": (140, 30, 20),
+    "right, occluded": (176, 196, 222),
+    "wrong, occluded": (40, 70, 130),
+    "truth unknown or not evaluated": (255, 255, 255),
+}
+"""RGB color of every kind of pixel."""
+
+
+def error_picture(
+    estimate: NDArray[np.float32],
+    wrong: NDArray[np.bool_],
+    evaluate: NDArray[np.bool_],
+    visible: NDArray[np.bool_] | None = None,
+) -> NDArray[np.uint8]:
+    """Color every pixel by :data:`LEGEND`: grey right, black wrong, blue tint where occluded.
+
+    Parameters
+    ----------
+    estimate : (H, W) float32, NaN = none
+    wrong : (H, W) bool, the value disagrees with the truth
+    evaluate : (H, W) bool, the truth is known and counts
+    visible : (H, W) bool, not occluded; None where that is not known
+
+    Returns
+    -------
+    (H, W, 3) uint8 RGB
+    """
+    picture = np.empty((*wrong.shape, 3), np.uint8)
+    picture[...] = LEGEND["truth unknown or not evaluated"]
+    picture[evaluate] = LEGEND["right"]
+    picture[evaluate & wrong] = LEGEND["wrong"]
+    if visible is not None:
+        occluded = evaluate & ~visible
+        picture[occluded] = LEGEND["right, occluded"]
+        picture[occluded & wrong] = LEGEND["wrong, occluded"]
+    picture[evaluate & np.isnan(estimate)] = LEGEND["no value"]
+    return picture
