@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,7 +196,8 @@ def fit_size(estimate: Disparity, shape: tuple[int, int]) -> Disparity:
                 return estimate
             rows = np.minimum(np.arange(shape[0]) // factor, estimate.shape[0] - 1)
             cols = np.minimum(np.arange(shape[1]) // factor, estimate.shape[1] - 1)
-            return estimate[np.ix_(rows, cols)] * np.float32(factor)
+            with np.errstate(over="ignore"):
+                return estimate[np.ix_(rows, cols)] * np.float32(factor)
     raise ValueError(
         f"the map is {estimate.shape[1]} x {estimate.shape[0]}, the truth {shape[1]} x {shape[0]} "
         "(the same, half or quarter size can be evaluated)"
@@ -296,8 +296,3 @@ def _mean_errors(
 
 def _percent(part: int, whole: int) -> float:
     return 100.0 * part / whole if whole else float("nan")
-
-
-def as_dict(score: Score) -> dict[str, Any]:
-    """The score as plain values; NaN becomes None, which JSON can hold."""
-    return {key: None if value != value else value for key, value in vars(score).items()}
