@@ -1,0 +1,189 @@
+"""Cross-based aggregation with orthogonal integral images (eq. 3.8-3.9; Zhang et al. 2009; Mei et al. 2011)."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.core import memory
+from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.cross_support import cross_arms
+from depthcli.stereo.aggregation import Aggregator
+from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
+from depthcli.stereo.volume import CostVolume, StereoPair
+
+
+class Cross(Aggregator):
+    """Mean over a support that follows color edges: the horizontal arms of every pixel on the vertical arm.
+
+    Iterations alternate between horizontal-first and vertical-first supports. By default only the reference
+    view's support counts: intersecting it with the target's makes the arms depend on the disparity,
+    which costs several times more time and gains nothing once iterations overlap.
+    """
+
+    length: int = Field(34, ge=1, le=255, description="longest arm L1, pixels")
+    threshold: int = Field(20, ge=0, le=255, description="color difference tau1 that ends an arm, grey levels")
+    inner_length: int = Field(17, ge=0, le=255, description="arm length L2 from which inner_threshold holds, pixels")
+    inner_threshold: int = Field(6, ge=0, le=255, description="stricter color difference tau2, grey levels")
+    iterations: int = Field(4, ge=1, le=16, description="number of aggregations, each over the last one's means")
+    support: Literal["reference", "intersection"] = Field(
+        "reference", description="arms of the left view alone, or cut to those of the matched pixel as well"
+    )
+    smoothing: bool = Field(True, description="median-filter the image (3 x 3) before arms are grown")
+
+    def arms(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """(4, H, W) uint8 arms of a (H, W, C) image."""
+        if self.smoothing:
+            image = cv2.medianBlur(image, 3)
+        return cross_arms(image, self.length, self.threshold, self.inner_length, self.inner_threshold)
+
+    def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
+        volume = as_fixed_point(volume)
+        height, width, _ = volume.costs.shape
+        arms = self.arms(pair.color8[0])
+        source = volume.costs
+        sums = memory.empty(source.shape, np.uint16)
+        means = memory.empty(source.shape, np.uint16)
+        shift = max(0, (FixedPoint.LARGEST * (2 * self.length + 1)).bit_length() - 16)
+        for iteration in range(self.iterations):
+            horizontal_first = iteration % 2 == 0
+            if self.support == "intersection":
+                target = self.arms(pair.color8[1])
+                _intersected_means(volume.costs if iteration == 0 else means.copy(), arms, target, horizontal_first, means)
+                continue
+            source = volume.costs if iteration == 0 else means
+            inverse = _inverse_areas(arms, horizontal_first)
+            if horizontal_first:
+                _row_sums(source, arms[0], arms[1], inverse, sums, shift, False)
+                _column_sums(sums, arms[2], arms[3], inverse, means, shift, True)
+            else:
+                _column_sums(source, arms[2], arms[3], inverse, sums, shift, False)
+                _row_sums(sums, arms[0], arms[1], inverse, means, shift, True)
+        return CostVolume(means, volume.scale)
+
+
+def _inverse_areas(arms: NDArray[np.uint8], horizontal_first: bool) -> NDArray[np.float32]:
+    """1 / number of pixels of every support, (H, W)."""
+    first, second = (arms[:2], arms[2:]) if horizontal_first else (arms[2:], arms[:2])
+    spans = first[0].astype(np.int64) + first[1] + 1
+    axis = 0 if horizontal_first else 1
+    prefix = np.insert(np.cumsum(spans, axis=axis), 0, 0, axis=axis)
+    index = np.arange(spans.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
+    ends = np.take_along_axis(prefix, index + second[1] + 1, axis)
+    areas = ends - np.take_along_axis(prefix, index - second[0].astype(np.int64), axis)
+    inverse: NDArray[np.float32] = (1.0 / areas).astype(np.float32)
+    return inverse
+
+
+@parallel_jit
+def _row_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, shift: int, last: bool) -> None:
+    height, width, depth = source.shape
+    for y in prange(height):
+        prefix = np.empty((width + 1, depth), np.uint32)
+        prefix[0] = 0
+        for x in range(width):
+            costs = source[y, x]
+            here = prefix[x]
+            there = prefix[x + 1]
+            for i in range(there.size):
+                there[i] = here[i] + np.uint32(costs[i])
+        for x in range(width):
+            low = prefix[x - before[y, x]]
+            high = prefix[x + after[y, x] + 1]
+            target = out[y, x]
+            if last:
+                factor = inverse[y, x] * np.float32(1 << shift)
+                for i in range(target.size):
+                    mean = np.float32(np.int32(high[i] - low[i])) * factor + np.float32(0.5)
+                    target[i] = np.uint16(np.int32(mean))
+            else:
+                amount = np.uint32(shift)
+                for i in range(target.size):
+                    target[i] = np.uint16(np.uint32(high[i] - low[i]) >> amount)
+
+
+@parallel_jit
+def _column_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, shift: int, last: bool) -> None:
+    # Blocks of columns keep the prefix sums in cache while memory is still read in runs.
+    height, width, depth = source.shape
+    block = 4
+    for start in prange((width + block - 1) // block):
+        x0 = start * block
+        x1 = min(width, x0 + block)
+        run = (x1 - x0) * depth
+        prefix = np.empty((height + 1, run), np.uint32)
+        prefix[0] = 0
+        for y in range(height):
+            costs = source[y, x0:x1].reshape(run)
+            here = prefix[y]
+            there = prefix[y + 1]
+            for i in range(there.size):
+                there[i] = here[i] + np.uint32(costs[i])
+        for y in range(height):
+            for x in range(x0, x1):
+                offset = (x - x0) * depth
+                low = prefix[y - before[y, x], offset : offset + depth]
+                high = prefix[y + after[y, x] + 1, offset : offset + depth]
+                target = out[y, x]
+                if last:
+                    factor = inverse[y, x] * np.float32(1 << shift)
+                    for i in range(target.size):
+                        mean = np.float32(np.int32(high[i] - low[i])) * factor + np.float32(0.5)
+                        target[i] = np.uint16(np.int32(mean))
+                else:
+                    amount = np.uint32(shift)
+                    for i in range(target.size):
+                        target[i] = np.uint16(np.uint32(high[i] - low[i]) >> amount)
+
+
+@parallel_jit
+def _intersected_means(source: Any, arms: Any, target: Any, horizontal_first: bool, means: Any) -> None:
+    # The arms depend on d here: one plane of constant disparity a task.
+    height, width, depth = source.shape
+    for d in prange(depth):
+        cut = np.zeros((4, height, width), np.int32)
+        for side in range(4):
+            for y in range(height):
+                for x in range(width):
+                    arm = np.int32(arms[side, y, x])
+                    if x >= d:
+                        arm = min(arm, np.int32(target[side, y, x - d]))
+                    cut[side, y, x] = arm
+        sums = np.empty((height, width), np.int64)
+        counts = np.empty((height, width), np.int64)
+        if horizontal_first:
+            row = np.zeros(width + 1, np.int64)
+            for y in range(height):
+                for x in range(width):
+                    row[x + 1] = row[x] + source[y, x, d]
+                for x in range(width):
+                    sums[y, x] = row[x + cut[1, y, x] + 1] - row[x - cut[0, y, x]]
+                    counts[y, x] = cut[0, y, x] + cut[1, y, x] + 1
+        else:
+            for x in range(width):
+                column = np.zeros(height + 1, np.int64)
+                for y in range(height):
+                    column[y + 1] = column[y] + source[y, x, d]
+                for y in range(height):
+                    sums[y, x] = column[y + cut[3, y, x] + 1] - column[y - cut[2, y, x]]
+                    counts[y, x] = cut[2, y, x] + cut[3, y, x] + 1
+        length = height if horizontal_first else width
+        lines = width if horizontal_first else height
+        total = np.zeros(length + 1, np.int64)
+        number = np.zeros(length + 1, np.int64)
+        for line in range(lines):
+            for k in range(length):
+                y, x = (k, line) if horizontal_first else (line, k)
+                total[k + 1] = total[k] + sums[y, x]
+                number[k + 1] = number[k] + counts[y, x]
+            for k in range(length):
+                y, x = (k, line) if horizontal_first else (line, k)
+                low = k - (cut[2, y, x] if horizontal_first else cut[0, y, x])
+                high = k + 1 + (cut[3, y, x] if horizontal_first else cut[1, y, x])
+                area = number[high] - number[low]
+                means[y, x, d] = np.uint16((total[high] - total[low] + area // 2) // area)
