@@ -17,6 +17,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from depthcli.core import memory
 from depthcli.kernels._jit import jit, parallel_jit
 from depthcli.stereo.aggregation import Aggregator
 from depthcli.stereo.volume import CostVolume, StereoPair
@@ -53,7 +54,7 @@ class AdaptiveWeight(Aggregator):
         if costs.shape[:2] != pair.shape:
             raise ValueError(f"volume {costs.shape} does not belong to images of {pair.shape}")
         fixed_point = 16 if costs.dtype == np.uint8 else 1
-        out = np.empty(costs.shape, np.float32 if costs.dtype == np.float32 else np.uint16)
+        out = memory.empty(costs.shape, np.float32 if costs.dtype == np.float32 else np.uint16)
         left, right = (self._planes(image) for image in pair.color8)
         _aggregate(
             costs,
