@@ -193,15 +193,23 @@ class _Stage:
         )
         self.lay_floor()
         if self.rng.random() < 0.5:
-            side = -1 if self.rng.random() < 0.5 else 1
-            edge = 0.46 * self.width / self.far
-            picture = self.paint(self.pick(textures.WALL_TEXTURES), (2 * half[0], 2 * half[1]), self.far * 1.2)
-            self.surfaces.append(
-                Surface(
-                    "plane", np.array([side * edge, 0.0, deep]), rotation(-side * self.rng.uniform(0.9, 1.15)),
-                    half, self.faded(picture), unbounded=True,
-                )
-            )
+            self.side_wall(on_right=self.rng.random() < 0.5)
+
+    def side_wall(self, on_right: bool) -> None:
+        """A wall that comes forward out of the picture; at its edge (in both views) still within the range."""
+        near, share = 0.7 * self.max_disparity, self.rng.uniform(0.08, 0.2)
+        if on_right:
+            first, last = self.at(self.width * (1 - share), 0, self.far), self.at(self.width + near, 0, near)
+        else:
+            first, last = self.at(0, 0, near), self.at(self.width * share, 0, self.far)
+        along = last - first
+        length = float(np.hypot(along[0], along[2]))
+        half = np.array([length, 0.75 * self.height / self.far, 1.0])
+        picture = self.paint(self.pick(textures.WALL_TEXTURES), (2 * half[0], 2 * half[1]), self.far * 1.2)
+        middle = (first + last) / 2
+        middle[1] = 0.0
+        turn = rotation(-np.arctan2(along[2], along[0]))
+        self.surfaces.append(Surface("plane", middle, turn, half, self.faded(picture), unbounded=True))
 
     def lay_floor(self) -> None:
         """The floor alone."""
@@ -365,10 +373,12 @@ def _repetitive(stage: _Stage) -> None:
     # is a disparity, and at these depths so is d + period.
     tile = max(4, round(texels * rng.uniform(0.5, 0.75)))
     period = tile / texels
-    wide, tall = int(w * 1.4 + 4 * texels), int(h * 1.5)
-    picture = textures.repeated(rng, tall, wide, tile, int(rng.integers(10, 16)), min(w, h) * 0.16)
+    # The picture covers what the two views see of the wall and little more, so that its stickers are seen.
+    skirting = stage.center[1] + stage.floor * texels
+    wide, tall = int(w + 3 * texels), int(skirting * 1.15)
+    picture = textures.repeated(rng, tall, wide, tile, int(rng.integers(16, 25)), min(w, h) * 0.13)
     half = np.array([(wide - 1) / 2 / texels, (tall - 1) / 2 / texels, 1.0])
-    middle = stage.at(w / 2, h * 0.35, texels)
+    middle = stage.at((w + texels) / 2, skirting * 0.5, texels)
     lean = rotation(pitch=rng.uniform(-0.25, 0.25))
     stage.surfaces.append(Surface("plane", middle, lean, half, picture, unbounded=True, period=period))
     stage.lay_floor()

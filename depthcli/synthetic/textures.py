@@ -20,7 +20,7 @@ _LETTERS = "ABCDEFGHKLMNPQRSTUVWXYZ23456789"
 
 def color(rng: np.random.Generator, value: tuple[float, float] = (0.35, 0.9)) -> NDArray[np.float32]:
     """One random paint, (3,) float32: any hue, moderate saturation."""
-    hsv = np.array([[[rng.uniform(0, 360), rng.uniform(0.15, 0.7), rng.uniform(*value)]]], np.float32)
+    hsv = np.array([[[rng.uniform(0, 360), rng.uniform(0.1, 0.55), rng.uniform(*value)]]], np.float32)
     rgb: NDArray[np.float32] = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0, 0]
     return rgb
 
@@ -104,8 +104,8 @@ def cloth(rng: np.random.Generator, height: int, width: int, feature: float) -> 
         bottom = top + max(2, int(feature * rng.uniform(0.2, 1.5)))
         picture[top:bottom] = 0.6 * picture[top:bottom] + 0.4 * paints[int(rng.integers(4))]
         top = bottom
-    weave = noise(rng, height, width, 2.5, 1) + 0.8 * noise(rng, height, width, feature, 3)
-    return _tint(rng, np.float32(1.0) * cv2.GaussianBlur(picture, (0, 0), 0.7), weave, 0.07)
+    weave = noise(rng, height, width, 2.5, 1) + 0.5 * noise(rng, height, width, feature, 3)
+    return _tint(rng, cv2.GaussianBlur(picture, (0, 0), 0.7), weave, 0.04)
 
 
 def checker(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
@@ -126,9 +126,9 @@ def poster(rng: np.random.Generator, height: int, width: int, feature: float) ->
     picture = np.empty((height, width, 3), np.uint8)
     picture[:] = 255 * color(rng, (0.55, 0.95))
     area = height * width / feature**2
-    for _ in range(int(np.clip(area * 0.35, 6, 150))):
+    for _ in range(int(np.clip(area * 0.5, 8, 200))):
         at = (int(rng.integers(width)), int(rng.integers(height)))
-        radius = feature * rng.uniform(0.25, 1.3)
+        radius = feature * rng.uniform(0.2, 1.0)
         paint = tuple(255.0 * float(c) for c in color(rng, (0.1, 0.98)))
         match int(rng.integers(4)):
             case 0:
@@ -145,7 +145,7 @@ def poster(rng: np.random.Generator, height: int, width: int, feature: float) ->
                 thick = max(1, int(feature / 9))
                 cv2.putText(
                     picture, letters, at, int(rng.choice([cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_TRIPLEX])),
-                    max(radius, 5.0) / 16, paint, thick, cv2.LINE_AA,
+                    max(radius, 5.0) / 18, paint, thick, cv2.LINE_AA,
                 )
     paper = noise(rng, height, width, feature / 3, 3)
     return _tint(rng, cv2.GaussianBlur(picture.astype(np.float32) / 255, (0, 0), 0.5), paper, 0.04)
@@ -218,10 +218,10 @@ def repeated(
     for index in range(landmarks):
         cell = (index % columns + rng.uniform(0.25, 0.75)) / columns
         row = (index // columns + rng.uniform(0.25, 0.75)) / max(1, -(-landmarks // columns))
-        tall, wide = (max(4, int(feature * rng.uniform(0.6, 1.0))) for _ in range(2))
+        tall, wide = (max(4, int(feature * rng.uniform(0.5, 1.0))) for _ in range(2))
         top, left = int(row * (height - tall)), int(cell * (width - wide))
         if top >= 0 and left >= 0:
-            picture[top : top + tall, left : left + wide] = poster(rng, tall, wide, feature / 4)[:, :, :]
+            picture[top : top + tall, left : left + wide] = poster(rng, tall, wide, max(feature / 4, 3.0))
     return picture
 
 
