@@ -223,7 +223,7 @@ class _Stage:
     def faded(self, picture: Texture) -> Texture:
         """A wall's picture with the contrast asked for."""
         mean = picture.mean(axis=(0, 1), keepdims=True)
-        return (mean + self.wall_contrast * (picture - mean)).astype(np.float32)
+        return np.asarray(mean + self.wall_contrast * (picture - mean), np.float32)
 
     def board(
         self, x: float, y: float, disparity: float, size: tuple[float, float], turn: NDArray[np.float64],
@@ -460,7 +460,7 @@ def _lightmap(stage: _Stage, index: int) -> NDArray[np.float32]:
             t = caster.hit((x, y, z), to_light)
             lit[(t > 1e-3) & (t < 1)] = 0.0
     soft = cv2.GaussianBlur(lit, (0, 0), 1.3) if not lit.all() else lit
-    return (_AMBIENT + (1.15 - _AMBIENT) * np.sqrt(facing) * (0.35 + 0.65 * soft)).astype(np.float32)
+    return np.asarray(_AMBIENT + (1.15 - _AMBIENT) * np.sqrt(facing) * (0.35 + 0.65 * soft), np.float32)
 
 
 def _render(stage: _Stage, lightmaps: list[NDArray[np.float32] | None], right: bool, rays: int) -> NDArray[np.float32]:
@@ -503,12 +503,11 @@ def _shade(
             cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE,
         )
     else:
-        n = surface.normal(point)
-        l = [np.float32(stage.light[i]) - point[i] for i in range(3)]
-        length = np.sqrt(l[0] * l[0] + l[1] * l[1] + l[2] * l[2])
-        facing = np.maximum(0.0, (n[0] * l[0] + n[1] * l[1] + n[2] * l[2]) / length)
-        light = _AMBIENT + (1.15 - _AMBIENT) * np.sqrt(facing)
-    shaded: NDArray[np.float32] = paint * light[:, :, None].astype(np.float32)
+        nx, ny, nz = surface.normal(point)
+        lx, ly, lz = (np.float32(stage.light[i]) - point[i] for i in range(3))
+        facing = np.maximum(0.0, (nx * lx + ny * ly + nz * lz) / np.sqrt(lx * lx + ly * ly + lz * lz))
+        light = np.asarray(_AMBIENT + (1.15 - _AMBIENT) * np.sqrt(facing), np.float32)
+    shaded: NDArray[np.float32] = np.asarray(paint * light[:, :, None], np.float32)
     return shaded
 
 

@@ -7,6 +7,7 @@ texels, and draws its randomness from that generator alone.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,13 +35,20 @@ def noise(
         cell = max(feature / 2**octave, 1.0)
         rows, columns = int(height / cell) + 4, int(width / (cell * stretch)) + 4
         grid = rng.standard_normal((rows, columns)).astype(np.float32)
-        grown = cv2.resize(grid, (int(columns * cell * stretch) + 1, int(rows * cell) + 1), interpolation=cv2.INTER_CUBIC)
+        size = (int(columns * cell * stretch) + 1, int(rows * cell) + 1)
+        grown = cv2.resize(grid, size, interpolation=cv2.INTER_CUBIC)
         total += grown[:height, :width] * 0.6**octave
     total -= total.mean()
-    return total / np.float32(total.std() + 1e-6)
+    return np.asarray(total / (total.std() + 1e-6), np.float32)
 
 
-def _tint(rng: np.random.Generator, base: NDArray[np.float32], relief: NDArray[np.float32], amount: float) -> Texture:
+def _soft(picture: NDArray[Any], sigma: float) -> Texture:
+    """Blur as a lens and ink do; 8-bit drawings come to [0, 1]."""
+    scale = 255 if picture.dtype == np.uint8 else 1
+    return np.asarray(cv2.GaussianBlur(picture.astype(np.float32) / np.float32(scale), (0, 0), sigma), np.float32)
+
+
+def _tint(rng: np.random.Generator, base: NDArray[Any], relief: NDArray[Any], amount: float) -> Texture:
     """Paint ``base`` with ``relief`` as brightness and a little of it as hue."""
     hue = (1.0 + rng.uniform(-0.35, 0.35, 3)).astype(np.float32)
     return np.clip(base * (1.0 + amount * relief[:, :, None] * hue), 0.02, 0.98).astype(np.float32)
@@ -70,7 +78,12 @@ def wood(rng: np.random.Generator, height: int, width: int, feature: float) -> T
             left = right
         picture[bottom - 1 : bottom] *= 0.55
         top = bottom
-    return np.clip(picture, 0.02, 0.98)
+    return np.clip(picture, 0.02, 0.98).astype(np.float32)
+
+
+def floorboards(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+    """Planks along y: running away from the viewer, a floor has contrast along the rows of the image."""
+    return np.ascontiguousarray(wood(rng, width, height, feature).transpose(1, 0, 2))
 
 
 def bricks(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
@@ -87,7 +100,7 @@ def bricks(rng: np.random.Generator, height: int, width: int, feature: float) ->
             paint = base * (1 + rng.uniform(-0.28, 0.28)) + rng.uniform(-0.04, 0.04, 3)
             picture[area] = paint * (1 + 0.09 * rough[area][:, :, None])
             left = right
-    return cv2.GaussianBlur(np.clip(picture, 0.02, 0.98).astype(np.float32), (0, 0), 0.6)
+    return _soft(np.clip(picture, 0.02, 0.98), 0.6)
 
 
 def cloth(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
@@ -105,7 +118,7 @@ def cloth(rng: np.random.Generator, height: int, width: int, feature: float) -> 
         picture[top:bottom] = 0.6 * picture[top:bottom] + 0.4 * paints[int(rng.integers(4))]
         top = bottom
     weave = noise(rng, height, width, 2.5, 1) + 0.5 * noise(rng, height, width, feature, 3)
-    return _tint(rng, cv2.GaussianBlur(picture, (0, 0), 0.7), weave, 0.04)
+    return _tint(rng, _soft(picture, 0.7), weave, 0.04)
 
 
 def checker(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
@@ -117,7 +130,7 @@ def checker(rng: np.random.Generator, height: int, width: int, feature: float) -
     tiles = paints[which] * (1 + rng.uniform(-0.16, 0.16, (rows, columns, 1))).astype(np.float32)
     grown = np.repeat(np.repeat(tiles, size, 0), size, 1)[:height, :width].astype(np.float32)
     veins = noise(rng, height, width, feature * 1.5, 4)
-    return _tint(rng, cv2.GaussianBlur(grown, (0, 0), 0.6), veins, 0.08)
+    return _tint(rng, _soft(grown, 0.6), veins, 0.08)
 
 
 def poster(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
@@ -139,7 +152,8 @@ def poster(rng: np.random.Generator, height: int, width: int, feature: float) ->
                 cv2.fillPoly(picture, [corners.astype(np.int32)], paint, cv2.LINE_AA)
             case 2:
                 axes = (max(1, int(radius)), max(1, int(radius * rng.uniform(0.3, 0.8))))
-                cv2.ellipse(picture, at, axes, rng.uniform(0, 180), 0, 360, paint, max(1, int(feature / 8)), cv2.LINE_AA)
+                line = max(1, int(feature / 8))
+                cv2.ellipse(picture, at, axes, rng.uniform(0, 180), 0, 360, paint, line, cv2.LINE_AA)
             case _:
                 letters = "".join(_LETTERS[int(i)] for i in rng.integers(0, len(_LETTERS), int(rng.integers(1, 4))))
                 thick = max(1, int(feature / 9))
@@ -148,7 +162,7 @@ def poster(rng: np.random.Generator, height: int, width: int, feature: float) ->
                     max(radius, 5.0) / 18, paint, thick, cv2.LINE_AA,
                 )
     paper = noise(rng, height, width, feature / 3, 3)
-    return _tint(rng, cv2.GaussianBlur(picture.astype(np.float32) / 255, (0, 0), 0.5), paper, 0.04)
+    return _tint(rng, _soft(picture, 0.5), paper, 0.04)
 
 
 def newspaper(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
@@ -172,7 +186,7 @@ def newspaper(rng: np.random.Generator, height: int, width: int, feature: float)
         top, left = int(rng.integers(height - tall + 1)), int(rng.integers(width - wide + 1))
         tone = np.clip(115 + 41 * noise(rng, tall, wide, feature, 4), 5, 250)
         picture[top : top + tall, left : left + wide] = tone[:, :, None]
-    return _tint(rng, cv2.GaussianBlur(picture.astype(np.float32) / 255, (0, 0), 0.6), noise(rng, height, width, feature, 3), 0.04)
+    return _tint(rng, _soft(picture, 0.6), noise(rng, height, width, feature, 3), 0.04)
 
 
 def marble(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
@@ -187,7 +201,7 @@ def camouflage(rng: np.random.Generator, height: int, width: int, feature: float
     level = noise(rng, height, width, feature, 4) + 0.12 * noise(rng, height, width, 3.0, 1)
     paints = np.stack([color(rng, (0.25, 0.9)) for _ in range(4)])
     picture = paints[np.digitize(level, [-0.7, 0.0, 0.7])]
-    return _tint(rng, cv2.GaussianBlur(picture, (0, 0), 0.7), noise(rng, height, width, feature / 2, 3), 0.06)
+    return _tint(rng, _soft(picture, 0.7), noise(rng, height, width, feature / 2, 3), 0.06)
 
 
 def repeated(
@@ -212,8 +226,8 @@ def repeated(
         case _:
             motif[:, : int(tile * 0.45)] = paint[0]
             cv2.rectangle(motif, (int(tile * 0.6), int(half)), (int(tile * 0.85), int(tile * 0.8)), paint[1], -1)
-    motif = cv2.GaussianBlur(np.tile(motif, (3, 3, 1)), (0, 0), max(0.6, tile / 24))[tile : 2 * tile, tile : 2 * tile]
-    picture = np.tile(motif, (height // tile + 1, width // tile + 1, 1))[:height, :width].copy()
+    soft = _soft(np.tile(motif, (3, 3, 1)), max(0.6, tile / 24))[tile : 2 * tile, tile : 2 * tile]
+    picture = np.tile(soft, (height // tile + 1, width // tile + 1, 1))[:height, :width].copy()
     columns = max(1, round((landmarks * width / height) ** 0.5))
     for index in range(landmarks):
         cell = (index % columns + rng.uniform(0.25, 0.75)) / columns
@@ -227,4 +241,4 @@ def repeated(
 
 OBJECT_TEXTURES: tuple[TextureMaker, ...] = (poster, newspaper, cloth, camouflage, marble, wood, checker)
 WALL_TEXTURES: tuple[TextureMaker, ...] = (bricks, plaster, cloth, marble)
-FLOOR_TEXTURES: tuple[TextureMaker, ...] = (wood, checker, marble)
+FLOOR_TEXTURES: tuple[TextureMaker, ...] = (floorboards, checker, marble)
