@@ -1,0 +1,125 @@
+"""Slow, obvious twins of the error measures, pixel by pixel. Never imports depthcli."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+
+def bad_v2(estimate, truth, mask, t):
+    """(wrong, pixels): wrong if off by more than t or without a value."""
+    wrong = pixels = 0
+    for y in range(truth.shape[0]):
+        for x in range(truth.shape[1]):
+            if not mask[y, x] or math.isnan(truth[y, x]):
+                continue
+            pixels += 1
+            d = float(estimate[y, x])
+            if math.isnan(d) or abs(d - float(truth[y, x])) > t:
+                wrong += 1
+    return wrong, pixels
+
+
+def evaldisp(estimate, truth, mask, t, max_disparity, rounded):
+    """(bad %, invalid %, total %, average error) of a map that may be 1, 1/2, 1/4 of the truth's size."""
+    factor = round(truth.shape[1] / estimate.shape[1])
+    n = bad = invalid = 0
+    total = 0.0
+    for y in range(truth.shape[0]):
+        for x in range(truth.shape[1]):
+            if math.isnan(truth[y, x]) or not mask[y, x]:
+                continue
+            n += 1
+            d = factor * float(estimate[y // factor, x // factor])
+            if math.isnan(d):
+                invalid += 1
+                continue
+            d = max(0.0, min(max_disparity, d))
+            if rounded:
+                d = math.floor(d + 0.5)
+            error = abs(d - float(truth[y, x]))
+            total += error
+            if error > t:
+                bad += 1
+    average = total / (n - invalid) if n > invalid else math.nan
+    return 100 * bad / n, 100 * invalid / n, 100 * (bad + invalid) / n, average
+
+
+def interpolate_background(disparity):
+    """Rows: runs between values get the smaller one, ends are extended; then columns, to top and bottom only."""
+    out = disparity.copy()
+    height, width = out.shape
+    for y in range(height):
+        known = [x for x in range(width) if not math.isnan(disparity[y, x])]
+        if not known:
+            continue
+        for a, b in itertools.pairwise(known):
+            for x in range(a + 1, b):
+                out[y, x] = min(disparity[y, a], disparity[y, b])
+        for x in range(known[0]):
+            out[y, x] = disparity[y, known[0]]
+        for x in range(known[-1] + 1, width):
+            out[y, x] = disparity[y, known[-1]]
+    for x in range(width):
+        known = [y for y in range(height) if not math.isnan(out[y, x])]
+        if not known:
+            continue
+        for y in range(known[0]):
+            out[y, x] = out[known[0], x]
+        for y in range(known[-1] + 1, height):
+            out[y, x] = out[known[-1], x]
+    return out
+
+
+def d1(estimate, truth, mask, only_estimated):
+    """(wrong, pixels) by KITTI's rule."""
+    wrong = pixels = 0
+    for y in range(truth.shape[0]):
+        for x in range(truth.shape[1]):
+            if not mask[y, x] or math.isnan(truth[y, x]):
+                continue
+            d = float(estimate[y, x])
+            if math.isnan(d):
+                if only_estimated:
+                    continue
+                pixels += 1
+                wrong += 1
+                continue
+            pixels += 1
+            error = abs(d - float(truth[y, x]))
+            if error > 3 and error > 0.05 * float(truth[y, x]):
+                wrong += 1
+    return wrong, pixels
+
+
+def expected_sparsification(confidence, wrong, percentages):
+    """Error rates of the most confident pixels, averaged over every order that respects the confidence."""
+    n = len(wrong)
+    sums = [0.0] * len(percentages)
+    orders = 0
+    for order in itertools.permutations(range(n)):
+        if any(confidence[a] < confidence[b] for a, b in itertools.pairwise(order)):
+            continue
+        orders += 1
+        for i, percent in enumerate(percentages):
+            size = percent * n / 100
+            whole = int(size + 1e-9)
+            count = sum(wrong[p] for p in order[:whole])
+            if whole < n:
+                count += (size - whole) * wrong[order[whole]]
+            sums[i] += count / size
+    return [s / orders for s in sums]
+
+
+def mean_rank(values):
+    """Average rank of each row, columns by themselves; equal values share the mean of their places."""
+    rows, columns = len(values), len(values[0])
+    result = []
+    for i in range(rows):
+        places = []
+        for c in range(columns):
+            ordered = sorted(values[r][c] for r in range(rows))
+            where = [k + 1 for k, v in enumerate(ordered) if v == values[i][c]]
+            places.append(sum(where) / len(where))
+        result.append(sum(places) / columns)
+    return result
