@@ -6,9 +6,9 @@ import numpy as np
 
 
 def adaptive_weight(costs, left, right, radius, gamma_color, gamma_space, squared=False):
-    """Yoon & Kweon's weighted mean in float64; left, right are (H, W, 3) colours as floats.
+    """Yoon & Kweon's weighted mean in float64; left, right are (H, W, 3) colors as floats.
 
-    Neighbours outside either image are left out; cells with d > x keep their cost.
+    Neighbors outside either image are left out; cells with d > x keep their cost.
     """
     height, width, disparities = costs.shape
     out = costs.astype(float)

@@ -46,7 +46,7 @@ class OpencvSgbm(StereoPipeline):
         return block
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
-        """Match on 8 bits; colour pairs are matched in colour."""
+        """Match on 8 bits; color pairs are matched in color."""
         left, right = pair.color8 if pair.left.ndim == 3 else pair.grey8
         area = self.block**2 * (3 if pair.left.ndim == 3 else 1)
         p1 = 8 * area if self.p1 is None else self.p1
