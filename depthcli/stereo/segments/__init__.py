@@ -1,0 +1,1 @@
+"""Parts of the segment-based pipeline: first estimate, planes, energy, what can be looked at."""

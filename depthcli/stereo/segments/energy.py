@@ -1,0 +1,169 @@
+"""Data and smoothness terms of the plane assignment (eq. 2.8 - 2.12)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from depthcli.kernels._jit import parallel_jit
+from depthcli.segmentation._regions import RegionGraph
+from depthcli.stereo.segments.planes import Members, Planes
+from depthcli.stereo.volume import CostVolume
+
+
+def discrepancy(
+    values: NDArray[np.float32],
+    trusted: Members,
+    planes: Planes,
+    weight: float,
+    truncation: float,
+) -> NDArray[np.float64]:
+    """Disparity estimate discrepancy cost (eq. 2.9) of every plane in every segment.
+
+    ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m trusted pixels, n of which have the
+    plane's disparity (to the nearest pixel). A segment without trusted pixels takes any plane for nothing.
+
+    Parameters
+    ----------
+    values : (H, W) float32 first estimate, pixels
+    trusted : trusted pixels by segment
+    truncation : largest ``|d_plane - d|`` that counts, pixels; inf for the thesis's own sum
+
+    Returns
+    -------
+    (n, L) float64
+    """
+    unary = np.zeros((len(trusted.starts) - 1, len(planes)))
+    _discrepancy(
+        values.ravel(), values.shape[1], trusted.order, trusted.starts,
+        planes.coefficients, weight, min(truncation, 1e6), unary,
+    )  # fmt: skip
+    return unary
+
+
+@parallel_jit
+def _discrepancy(  # type: ignore[no-untyped-def]
+    values, width, order, starts, coefficients, weight, truncation, unary
+):
+    for t in prange(unary.shape[0]):
+        first = starts[t]
+        m = starts[t + 1] - first
+        if m == 0:
+            continue
+        px = np.empty(m, np.float32)
+        py = np.empty(m, np.float32)
+        pd = np.empty(m, np.float32)
+        for i in range(m):
+            pixel = order[first + i]
+            px[i] = pixel % width
+            py[i] = pixel // width
+            pd[i] = values[pixel]
+        most = np.float32(truncation)
+        half = np.float32(0.5)
+        for label in range(coefficients.shape[0]):
+            a = np.float32(coefficients[label, 0])
+            b = np.float32(coefficients[label, 1])
+            c = np.float32(coefficients[label, 2])
+            total = np.float32(0.0)
+            n = np.int32(0)
+            for i in range(m):
+                apart = abs(a * px[i] + b * py[i] + c - pd[i])
+                n += np.int32(apart <= half)
+                total += min(apart, most)
+            unary[t, label] = weight * total * np.exp(-n / m)
+
+
+def matching_cost(
+    volume: CostVolume, trusted: Members, planes: Planes, width: int, weight: float
+) -> NDArray[np.float64]:
+    """Sum of the matching costs of the segment's trusted pixels at every plane's disparity; (n, L) float64.
+
+    The disparity is rounded and limited to the volume's range. Costs are in units of the measure.
+    """
+    unary = np.zeros((len(trusted.starts) - 1, len(planes)))
+    costs = volume.costs.reshape(-1, volume.disparities)
+    _matching_cost(costs, width, trusted.order, trusted.starts, planes.coefficients, weight / volume.scale, unary)
+    return unary
+
+
+@parallel_jit
+def _matching_cost(costs, width, order, starts, coefficients, weight, unary):  # type: ignore[no-untyped-def]
+    depth = costs.shape[1]
+    for t in prange(unary.shape[0]):
+        for i in range(starts[t], starts[t + 1]):
+            pixel = order[i]
+            x = pixel % width
+            y = pixel // width
+            row = costs[pixel]
+            for label in range(coefficients.shape[0]):
+                d = int(
+                    np.floor(coefficients[label, 0] * x + coefficients[label, 1] * y + coefficients[label, 2] + 0.5)
+                )
+                unary[t, label] += row[min(max(d, 0), depth - 1)]
+        for label in range(coefficients.shape[0]):
+            unary[t, label] *= weight
+
+
+def visibility(
+    right: NDArray[Any], untrusted: Members, planes: Planes, weight: float
+) -> NDArray[np.float64]:
+    """Cost of planes that put a pixel in front of what the right view sees there; (n, L) float64.
+
+    A pixel the cross-check refused is occluded by something nearer or simply unmatched. A disparity more than
+    a pixel above the right view's own estimate at the place it points to would make it visible, and
+    the right view would have found it: such pixels cost ``weight``. Pointing out of the image costs nothing.
+    """
+    unary = np.zeros((len(untrusted.starts) - 1, len(planes)))
+    _visibility(right, untrusted.order, untrusted.starts, planes.coefficients, weight, unary)
+    return unary
+
+
+@parallel_jit
+def _visibility(right, order, starts, coefficients, weight, unary):  # type: ignore[no-untyped-def]
+    width = right.shape[1]
+    for t in prange(unary.shape[0]):
+        for i in range(starts[t], starts[t + 1]):
+            x = order[i] % width
+            y = order[i] // width
+            for label in range(coefficients.shape[0]):
+                d = coefficients[label, 0] * x + coefficients[label, 1] * y + coefficients[label, 2]
+                target = int(np.floor(x - d + 0.5))
+                if 0 <= target < width and d > right[y, target] + 1.0:
+                    unary[t, label] += weight
+
+
+def out_of_range(labels_members: Members, width: int, planes: Planes, max_disparity: float) -> NDArray[np.float64]:
+    """Pixels of every segment where a plane leaves [0, ``max_disparity``] by more than a pixel; (n, L)."""
+    unary = np.zeros((len(labels_members.starts) - 1, len(planes)))
+    _out_of_range(labels_members.order, labels_members.starts, width, planes.coefficients, max_disparity, unary)
+    return unary
+
+
+@parallel_jit
+def _out_of_range(order, starts, width, coefficients, max_disparity, unary):  # type: ignore[no-untyped-def]
+    for t in prange(unary.shape[0]):
+        for label in range(coefficients.shape[0]):
+            a = np.float32(coefficients[label, 0])
+            b = np.float32(coefficients[label, 1])
+            c = np.float32(coefficients[label, 2])
+            outside = 0
+            for i in range(starts[t], starts[t + 1]):
+                x = np.float32(order[i] % width)
+                y = np.float32(order[i] // width)
+                d = a * x + b * y + c
+                outside += int(d < -1.0) + int(d > max_disparity + 1.0)
+            unary[t, label] = outside
+
+
+def smoothness(graph: RegionGraph, weight: float, color_scale: float) -> NDArray[np.float64]:
+    """Cost of different planes in neighboring segments (eq. 2.12): ``w beta exp(-tau^2 / sigma^2)``.
+
+    beta is the length of the common boundary in pixels, tau the distance of the mean colors; (E,) float64.
+    """
+    first, second = graph.edges.T
+    apart = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
+    strength: NDArray[np.float64] = weight * graph.boundary * np.exp(-apart / color_scale**2)
+    return strength

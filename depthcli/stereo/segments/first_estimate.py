@@ -1,0 +1,164 @@
+"""First disparities of the segment-based pipeline: search ranges, window inside the segment, cross-check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from depthcli.core import memory
+from depthcli.kernels._jit import parallel_jit
+from depthcli.keypoints._matching import Matches
+from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
+from depthcli.stereo.volume import CostVolume
+from depthcli.stereo.winner import winners
+
+FORBIDDEN = 0xFFFF  # cost of a disparity outside the segment's range
+
+
+@dataclass(frozen=True)
+class FirstEstimate:
+    """Disparities before any plane.
+
+    Attributes
+    ----------
+    values : (H, W) float32, pixels, to a fraction of a pixel
+    trusted : (H, W) bool: the right view agrees
+    right : (H, W) uint16 disparities of the right view
+    """
+
+    values: NDArray[np.float32]
+    trusted: NDArray[np.bool_]
+    right: NDArray[np.uint16]
+
+
+def search_ranges(
+    labels: NDArray[np.int32], matches: Matches | None, max_disparity: int, margin: float
+) -> NDArray[np.int32]:
+    """Lowest and highest disparity to search in every segment (eq. 2.2-2.5).
+
+    The range of the disparities of the segment's key points, widened on both sides by ``margin`` times
+    ``max_disparity``; segments without key points keep everything. Eq. 2.4 prints a minus before theta 2,
+    which would exclude the key points themselves; a plus is meant.
+
+    Parameters
+    ----------
+    labels : (H, W) segments 0 .. n - 1
+    matches : matched key points, or None
+
+    Returns
+    -------
+    (n, 2) int32, both ends inclusive
+    """
+    count = int(labels.max()) + 1
+    low = np.full(count, np.inf)
+    high = np.full(count, -np.inf)
+    if matches is not None:
+        rows = np.clip(np.rint(matches.y).astype(int), 0, labels.shape[0] - 1)
+        columns = np.clip(np.rint(matches.x).astype(int), 0, labels.shape[1] - 1)
+        segment = labels[rows, columns]
+        np.minimum.at(low, segment, matches.disparity)
+        np.maximum.at(high, segment, matches.disparity)
+    widening = margin * max_disparity
+    ranges = np.empty((count, 2), np.int32)
+    ranges[:, 0] = np.clip(np.floor(np.where(np.isinf(low), 0, low - widening)), 0, max_disparity)
+    ranges[:, 1] = np.clip(np.ceil(np.where(np.isinf(high), max_disparity, high + widening)), 0, max_disparity)
+    return ranges
+
+
+def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -> CostVolume:
+    """Mean cost over those pixels of a square window that lie in the center's own segment.
+
+    Returns
+    -------
+    CostVolume
+        uint16 fixed point, sixteen times as fine as a uint8 volume's unit.
+    """
+    fixed = as_fixed_point(volume) if volume.costs.dtype != np.uint8 else volume
+    out = memory.empty(fixed.costs.shape, np.uint16)
+    sharper = FixedPoint.FRACTION if volume.costs.dtype == np.uint8 else 1
+    # Up to 257 uint8 costs fit into a uint16 sum, which is twice as fast.
+    small = volume.costs.dtype == np.uint8 and (2 * radius + 1) ** 2 <= 257
+    total = np.zeros(1, np.uint16 if small else np.uint32)
+    _segment_window(fixed.costs, labels, radius, np.float32(sharper), total, out)
+    return CostVolume(out, fixed.scale * sharper)
+
+
+@parallel_jit
+def _segment_window(costs: Any, labels: Any, radius: Any, sharper: Any, kind: Any, out: Any) -> None:
+    height, width, depth = costs.shape
+    half = np.float32(0.5)
+    for y in prange(height):
+        total = np.zeros(depth, kind.dtype)
+        for x in range(width):
+            total[:] = 0
+            label = labels[y, x]
+            count = 0
+            for j in range(max(0, y - radius), min(height, y + radius + 1)):
+                for k in range(max(0, x - radius), min(width, x + radius + 1)):
+                    if labels[j, k] != label:
+                        continue
+                    count += 1
+                    row = costs[j, k]
+                    for i in range(total.size):
+                        total[i] += row[i]
+            factor = sharper / np.float32(count)
+            target = out[y, x]
+            for i in range(total.size):
+                target[i] = np.uint16(np.int32(np.float32(total[i]) * factor + half))
+
+
+def forbid_outside(volume: CostVolume, labels: NDArray[np.int32], ranges: NDArray[np.int32]) -> CostVolume:
+    """A uint16 volume whose disparities outside the segment's range cost ``FORBIDDEN``; changed in place."""
+    _forbid(volume.costs, labels, ranges)
+    return volume
+
+
+@parallel_jit
+def _forbid(costs: Any, labels: Any, ranges: Any) -> None:
+    height, width, depth = costs.shape
+    for y in prange(height):
+        for x in range(width):
+            low = ranges[labels[y, x], 0]
+            high = ranges[labels[y, x], 1]
+            # Where the image border cuts all of the range off, any disparity is as good as another.
+            if low > x:
+                continue
+            for d in range(low):
+                costs[y, x, d] = 65535
+            for d in range(high + 1, depth):
+                costs[y, x, d] = 65535
+
+
+def select(volume: CostVolume, tolerance: float) -> FirstEstimate:
+    """Winner takes all for both views, cross-check, and a parabola for the fraction of a pixel."""
+    left, right = winners(volume.costs)
+    columns = np.arange(left.shape[1])[None] - left.astype(np.int64)
+    inside = columns >= 0
+    there = np.take_along_axis(right, np.maximum(columns, 0), axis=1).astype(np.int64)
+    trusted = inside & (np.abs(there - left) <= tolerance)
+    values = np.empty(left.shape, np.float32)
+    _parabola(volume.costs, left, values)
+    return FirstEstimate(values, trusted, right)
+
+
+@parallel_jit
+def _parabola(costs: Any, winner: Any, values: Any) -> None:
+    height, width, depth = costs.shape
+    for y in prange(height):
+        for x in range(width):
+            d = int(winner[y, x])
+            values[y, x] = d
+            if d == 0 or d + 1 >= depth or d + 1 > x:
+                continue
+            before = np.float32(costs[y, x, d - 1])
+            here = np.float32(costs[y, x, d])
+            after = np.float32(costs[y, x, d + 1])
+            if before >= 65535.0 or after >= 65535.0 or before < here or after < here:
+                continue
+            bend = before + after - 2.0 * here
+            if bend > 0.0:
+                values[y, x] = d + 0.5 * (before - after) / bend
