@@ -1,0 +1,111 @@
+"""Presets: the configs that travel with the package."""
+
+from __future__ import annotations
+
+import difflib
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+from pydantic import BaseModel
+
+from depthcli.core.config_file import to_yaml
+from depthcli.core.errors import ConfigError
+
+
+def preset_folder() -> Path:
+    """The folder of shipped presets: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parent.parent
+    shipped = package / "configs"
+    return shipped if shipped.is_dir() else package.parent / "configs"
+
+
+def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
+    """(command, name, one line about it) of every preset, sorted."""
+    found = []
+    for file in sorted(preset_folder().glob("*/*.yaml")):
+        if command in (None, file.parent.name):
+            first = file.read_text("utf-8").partition("\n")[0]
+            found.append((file.parent.name, file.stem, first.removeprefix("#").strip()))
+    return found
+
+
+def find_config(command: str, config: str) -> Path:
+    """The file a CONFIG argument means: a path, or the name of a preset of ``command``.
+
+    Raises
+    ------
+    ConfigError
+        Neither a file nor a preset.
+    """
+    path = Path(config)
+    shipped = preset_folder() / command / f"{config}.yaml"
+    if "/" not in config and "\\" not in config and not path.suffix and shipped.is_file():
+        return shipped
+    if path.exists():
+        return path
+    names = [name for _, name, _ in list_presets(command)]
+    near = difflib.get_close_matches(config, names, 1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise ConfigError(f"{config}: neither a file nor a preset of {command}{hint} (presets: {', '.join(names)})")
+
+
+def describe(config: BaseModel, title: str) -> str:
+    """A config as YAML with every field, its description as a comment above it."""
+    return f"# {title}\n" + "\n".join(_lines(config, 0, getattr(config, "flattened", ""))) + "\n"
+
+
+def _lines(model: BaseModel, depth: int, flat: str) -> Iterator[str]:
+    inner = getattr(model, flat, None) if flat else None
+    pad = "  " * depth
+    if isinstance(inner, BaseModel):
+        doc = (type(inner).__doc__ or "").strip().split("\n\n")[0]
+        yield from _comment(" ".join(doc.split()), pad)
+        yield f"{pad}{flat}: {inner.model_dump(mode='json')[flat]}"
+    for name, info in type(model).model_fields.items():
+        if name == flat or info.exclude:
+            continue
+        if info.description:
+            yield from _comment(info.description, pad)
+        yield from _value(name, getattr(model, name), depth)
+    if isinstance(inner, BaseModel):
+        yield from _lines(inner, depth, "")
+
+
+def _value(name: str, value: object, depth: int) -> Iterator[str]:
+    pad = "  " * depth
+    items = list(value) if isinstance(value, list | tuple) else []
+    if isinstance(value, BaseModel):
+        yield f"{pad}{name}:"
+        yield from _model(value, depth + 1)
+    elif items and any(isinstance(item, BaseModel) for item in items):
+        yield f"{pad}{name}:"
+        for item in items:
+            block = list(_model(item, 0)) if isinstance(item, BaseModel) else [str(item)]
+            mark = "- "
+            for line in block:
+                # A comment stands before the dash, so that the item starts with its first key.
+                comment = line.lstrip().startswith("#") and mark == "- "
+                yield f"{pad}  {line}" if comment else f"{pad}{mark}{line}"
+                mark = mark if comment else "  "
+    else:
+        dumped = [item.model_dump(mode="json") if isinstance(item, BaseModel) else item for item in items]
+        plain = dumped if isinstance(value, list | tuple) else value
+        for line in to_yaml({name: plain}).splitlines():
+            yield pad + line
+
+
+def _model(value: BaseModel, depth: int) -> Iterator[str]:
+    pad = "  " * depth
+    doc = " ".join((type(value).__doc__ or "").strip().split("\n\n")[0].split())
+    own = type(value).model_fields
+    extra = {key: v for key, v in value.model_dump(mode="json").items() if key not in own}
+    if extra:
+        yield from _comment(doc, pad)
+    for key, name in extra.items():
+        yield f"{pad}{key}: {name}"
+    yield from _lines(value, depth, "")
+
+
+def _comment(text: str, pad: str) -> Iterator[str]:
+    yield from textwrap.wrap(text, 100, initial_indent=f"{pad}# ", subsequent_indent=f"{pad}# ")
