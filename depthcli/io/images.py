@@ -243,6 +243,8 @@ _COMPLAINT = re.compile(
     re.IGNORECASE,
 )
 
+_LOG_PREFIX = re.compile(r"^\[[^\]]*\] global \S+ ")  # OpenCV's time stamp and source line
+
 
 @contextlib.contextmanager
 def _decoder_warnings(capture: bool) -> Iterator[list[str]]:
@@ -267,6 +269,7 @@ def _decoder_warnings(capture: bool) -> Iterator[list[str]]:
             sink.seek(0)
             for line in sink.read().splitlines(keepends=True):
                 if b"\r" not in line and _COMPLAINT.search(line):
-                    found.append(" ".join(line.decode("utf-8", "replace").split())[:120])
+                    text = _LOG_PREFIX.sub("", line.decode("utf-8", "replace"))
+                    found.append(" ".join(text.split())[:120])
                 elif line.strip():
                     os.write(saved, line)

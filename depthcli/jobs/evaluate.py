@@ -26,6 +26,7 @@ from depthcli.io.atomic import write_text
 from depthcli.io.disparity import MAP_SUFFIXES, read_disparity
 from depthcli.io.images import write_png
 from depthcli.io.scenes import Metric, Scene, Truth, find_scenes
+from depthcli.jobs.record import read_report
 
 _CONFIDENCE_SUFFIXES = (".pfm", ".npy")
 # The measure that stands for a scene: the headline of its benchmark (v2: bad 1.0; v3: bad 2.0 with
@@ -344,6 +345,10 @@ def _find_map(folder: Path, keys: Sequence[str]) -> Path:
             for suffix in MAP_SUFFIXES:
                 if (base / f"{key}{suffix}").is_file():
                     return base / f"{key}{suffix}"
+    rows = read_report(folder)
+    for row in (rows[key] for key in keys if key in rows):
+        if row.get("error"):
+            raise InputError(f"{folder}: no map of scene {keys[0]}: the run failed there: {row['error']}")
     raise InputError(
         f"{folder}: no map of scene {keys[0]} (looked for SCENE/disp_left.pfm, SCENE.pfm or .png, "
         "SCENE/disp0METHOD.pfm, disp_0/SCENE.png, low_res_two_view/SCENE.pfm)"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -42,11 +43,13 @@ def read_or_refuse(read, path: Path) -> bool:
     try:
         result = read(path)
     except InputError as error:
-        assert str(path) in str(error)
-        assert "\n" not in str(error)
-        return False
-    assert result.ndim in (2, 3)
-    return True
+        message = str(error)
+    else:
+        assert result.ndim in (2, 3)
+        return True
+    assert str(path) in message
+    assert "\n" not in message
+    return False
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".ppm", ".pgm", ".tiff", ".bmp"])
@@ -69,7 +72,7 @@ def test_damaged_images(tmp_path: Path, capfd, suffix):
 def test_truncated_images_are_never_accepted(tmp_path: Path, capfd, suffix):
     data = originals()[suffix]
     path = tmp_path / f"a{suffix}"
-    for size in [*range(0, 40), *range(40, len(data), max(1, len(data) // 60)), len(data) - 1]:
+    for size in [*range(40), *range(40, len(data), max(1, len(data) // 60)), len(data) - 1]:
         path.write_bytes(data[:size])
         if size == len(data) - 1 and suffix == ".tiff":
             continue  # the last byte of this file may be padding
@@ -101,7 +104,5 @@ def test_text_of_others_passes_through_while_a_jpeg_is_read(tmp_path: Path, capf
     path = tmp_path / "a.jpg"
     path.write_bytes(originals()[".jpg"])
     read_image(path)
-    import os
-
     os.write(2, b"still here\n")
     assert capfd.readouterr().err == "still here\n"
