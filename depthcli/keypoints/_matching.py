@@ -136,7 +136,7 @@ def _nearest(  # type: ignore[no-untyped-def]
                 difference = here[i] - there[i]
                 total += difference * difference
             second = min(second, total)
-        if best <= ratio * ratio * second:
+        if ratio >= 1.0 or best < ratio * ratio * second:
             nearest[k] = winner
             distance[k] = np.sqrt(best)
     return nearest, distance

@@ -120,8 +120,8 @@ def _maxima(responses, signs, step, first_size, size_step, threshold):  # type: 
                 if value < threshold or not _is_peak(responses, k, j, i):
                     continue
                 dx, dy, dk = _offset(responses, k, j, i)
-                if abs(dx) > 0.6 or abs(dy) > 0.6 or abs(dk) > 0.6:
-                    continue  # the peak belongs to another cell
+                if abs(dx) > 1.0 or abs(dy) > 1.0 or abs(dk) > 1.0:
+                    continue  # no peak here: a ridge
                 if count == found.shape[0]:
                     larger = np.empty((2 * count, 5), np.float32)
                     larger[:count] = found

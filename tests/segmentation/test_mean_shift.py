@@ -1,0 +1,72 @@
+"""Regions: connected components, merging, the region graph, and mean shift as a whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthcli.segmentation._regions import connected_components, merge_small_regions, region_graph
+from depthcli.segmentation.mean_shift import MeanShift
+from tests.naive import segments as naive
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (7, 11), (20, 20)])
+@pytest.mark.parametrize("distance", [0.0, 1.0, 1.5, 2.0])
+def test_components_agree_with_flood_fill(shape, distance):
+    color = np.random.default_rng(1).integers(0, 3, (*shape, 3)).astype(np.uint8)
+    assert np.array_equal(connected_components(color, distance), naive.components(color, distance))
+
+
+def test_graph_of_two_halves():
+    labels = np.zeros((4, 6), np.int32)
+    labels[:, 3:] = 1
+    image = np.where(labels[..., None] == 1, 10, 200).astype(np.uint8).repeat(3, axis=2)
+    graph = region_graph(labels, image)
+    assert graph.edges.tolist() == [[0, 1]]
+    assert graph.boundary.tolist() == [4]
+    assert graph.sizes.tolist() == [12, 12]
+    assert graph.means.tolist() == [[200] * 3, [10] * 3]
+
+
+def test_graph_without_edges():
+    graph = region_graph(np.zeros((3, 3), np.int32), np.zeros((3, 3), np.uint8))
+    assert graph.edges.shape == (0, 2)
+    assert graph.boundary.shape == (0,)
+
+
+def test_small_regions_join_the_nearest_color():
+    image = np.full((8, 9, 3), 100, np.uint8)
+    image[:, 5:] = 180
+    image[3, 4] = 170  # between the halves, nearer to the right one
+    labels = connected_components(image, 1.0)
+    assert labels.max() == 2
+    merged = merge_small_regions(labels, image, 5)
+    assert merged.max() == 1
+    assert merged[3, 4] == merged[3, 5]
+
+
+def test_one_region_smaller_than_the_limit_stays():
+    image = np.zeros((2, 2, 3), np.uint8)
+    assert np.array_equal(MeanShift(min_size=50)(image), np.zeros((2, 2), np.int32))
+
+
+def _scene():
+    image = np.full((60, 80, 3), (40, 60, 90), np.uint8)
+    image[15:45, 20:50] = (200, 150, 60)
+    noise = np.random.default_rng(0).integers(-3, 4, image.shape)
+    return (image + noise).astype(np.uint8)
+
+
+def test_regions_are_connected_large_and_follow_the_edge():
+    image = _scene()
+    copy = image.copy()
+    labels = MeanShift(min_size=20)(image)
+    assert labels.dtype == np.int32 and labels.shape == image.shape[:2]
+    assert np.array_equal(np.unique(labels), np.arange(labels.max() + 1))
+    assert np.bincount(labels.ravel()).min() >= 20
+    inside = np.zeros(labels.shape, bool)
+    inside[15:45, 20:50] = True
+    assert not set(labels[inside]) & set(labels[~inside])
+    assert np.array_equal(naive.components(labels[..., None], 0), labels)  # each label is one piece
+    assert np.array_equal(image, copy)
+    assert np.array_equal(MeanShift(min_size=20)(image), labels)
