@@ -11,7 +11,7 @@ import sys
 
 import typer
 
-from depthcli.cli import evaluate, presets, stereo
+from depthcli.cli import evaluate, presets, sample, stereo
 from depthcli.core.errors import DepthcliError
 
 app = typer.Typer(
@@ -24,6 +24,7 @@ app = typer.Typer(
 )
 app.command("stereo")(stereo.stereo)
 app.command("evaluate")(evaluate.evaluate)
+app.command("sample")(sample.sample)
 app.command("presets")(presets.presets)
 
 
@@ -48,9 +49,6 @@ def main(arguments: list[str] | None = None) -> int:
         code = app(arguments, prog_name="depthcli", standalone_mode=False)
         sys.stdout.flush()
         return int(code or 0)
-    except typer.TyperException as error:  # wrong usage, with its own wording
-        error.show()
-        return 2
     except DepthcliError as error:
         print(f"depthcli: {error}" if "\n" not in str(error) else str(error), file=sys.stderr)
         return 2
@@ -60,7 +58,11 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our stdout has gone, as in `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except Exception:
+    except Exception as error:
+        show = getattr(error, "show", None)
+        if show is not None and getattr(error, "exit_code", None) == 2:  # click's wrong usage, in its own words
+            show()
+            return 2
         import traceback
 
         traceback.print_exc()

@@ -41,7 +41,7 @@ _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith((":timestamp", ":value"))]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-_Loader.add_implicit_resolver(  # type: ignore[no-untyped-call]
+_Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
 
@@ -211,9 +211,9 @@ def _compose(text: str, name: str) -> yaml.Node | None:
     try:
         loader = _Loader(text)
         try:
-            node: yaml.Node | None = loader.get_single_node()  # type: ignore[no-untyped-call]
+            node: yaml.Node | None = loader.get_single_node()
         finally:
-            loader.dispose()  # type: ignore[no-untyped-call]
+            loader.dispose()
         return node
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -262,7 +262,7 @@ class _Builder:
             if isinstance(node, yaml.SequenceNode):
                 return [self.item(child, (*location, i)) for i, child in enumerate(node.value)]
             try:
-                return self.scalars.construct_object(node)  # type: ignore[no-untyped-call]
+                return self.scalars.construct_object(node)
             except (ValueError, OverflowError, KeyError, yaml.YAMLError):
                 kind = node.tag.rpartition(":")[2]
                 self.problem(node, location, f"cannot be read as {kind} (got {_short(node.value)})")

@@ -85,6 +85,7 @@ class Scene:
     round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
     layout : one of ``LAYOUTS``
     metric : which benchmark's measures apply
+    problem : why the scene's folder cannot be used (``load_pair`` raises it), or empty
     """
 
     name: str
@@ -100,6 +101,7 @@ class Scene:
     round_disparity: bool = False
     layout: str = "scenes"
     metric: Metric = "v2"
+    problem: str = ""
 
     @property
     def input_files(self) -> tuple[Path, ...]:
@@ -108,6 +110,8 @@ class Scene:
 
     def load_pair(self) -> tuple[Image, Image]:
         """Left and right image, same size, dtype and number of channels; InputError otherwise."""
+        if self.problem:
+            raise InputError(self.problem)
         if self.right is None:
             raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
         left, right = read_image(self.left), read_image(self.right)
@@ -209,7 +213,8 @@ def find_scenes(folder: Path | str, layout: str | None = None, pattern: str = "*
     Raises
     ------
     InputError
-        No such folder, no scene, no match, a folder that fits two layouts, or a broken meta.json.
+        No such folder, no scene, no match; or ``folder`` is itself a scene that fits two layouts, has a broken
+        meta.json or the like. A scene below it with such a ``problem`` is listed with it.
     """
     folder = Path(folder)
     if layout is not None and layout not in LAYOUTS:
@@ -219,11 +224,11 @@ def find_scenes(folder: Path | str, layout: str | None = None, pattern: str = "*
     found = _scenes_at(folder, folder.resolve().name, "", layout)
     if not found:
         for child in _subfolders(folder):
-            here = _scenes_at(child, child.name, child.name + "/", layout)
+            here = _scenes_or_problem(child, child.name, layout)
             if not here:
                 for grandchild in _subfolders(child):
                     name = f"{child.name}/{grandchild.name}"
-                    here += _scenes_at(grandchild, name, name + "/", layout)
+                    here += _scenes_or_problem(grandchild, name, layout)
             found += here
     if not found:
         wanted = f"layout {layout}" if layout else "none of the layouts " + ", ".join(LAYOUTS)
@@ -243,6 +248,14 @@ def find_scenes(folder: Path | str, layout: str | None = None, pattern: str = "*
             f"{folder}: no scene matches {pattern!r}; there are: {names}{', ...' if len(found) > 6 else ''}"
         )
     return chosen
+
+
+def _scenes_or_problem(folder: Path, name: str, layout: str | None) -> list[Scene]:
+    """As ``_scenes_at``; a folder that cannot be used is one scene with its problem, and spoils no other."""
+    try:
+        return _scenes_at(folder, name, name + "/", layout)
+    except InputError as error:
+        return [Scene(name, folder, problem=str(error))]
 
 
 def _scenes_at(folder: Path, name: str, prefix: str, layout: str | None) -> list[Scene]:

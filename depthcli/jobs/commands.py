@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from depthcli.core.config_file import load_config
+from depthcli.core.config_file import ConfigData, load_config, validate
 from depthcli.core.errors import ConfigError
 from depthcli.io.scenes import Scene, find_scenes
 from depthcli.jobs import record
@@ -91,6 +92,32 @@ def run_evaluate(
     return SOME_FAILED if report.failed else 0
 
 
+def run_sample(
+    output: Path, options: dict[str, Any], source: Path | None, overwrite: bool, json: bool, reporter: Reporter
+) -> int:
+    """Generate scenes, or cross-modal versions of the scenes in ``source``; the exit code."""
+    from depthcli.jobs.sample import SampleOptions, write_cross_modal, write_samples
+
+    checked = validate(SampleOptions, ConfigData("depthcli sample", dict(options)))
+    if source is not None and not checked.cross_modal:
+        raise ConfigError("--from wants --cross-modal")
+    if source is None:
+        rows = write_samples(output, checked, overwrite=overwrite)
+    else:
+        rows = write_cross_modal(source, output, seed=checked.seed, speckles=checked.speckles, overwrite=overwrite)
+    for row in rows:
+        if row.reason:
+            reporter.error(f"{row.scene}: {row.reason}")
+    if json:
+        print(record.to_json({"command": "sample", "scenes": [asdict(row) for row in rows]}), end="")
+    else:
+        cells = [(row.scene, row.status, f"{row.width}x{row.height}" if row.width else "-") for row in rows]
+        print(_aligned([("scene", "status", "size"), *cells]))
+    failed = sum(row.status == "failed" for row in rows)
+    reporter.info(f"{len(rows) - failed} scenes in {output}")
+    return SOME_FAILED if failed else 0
+
+
 def show_preset(name: str) -> str:
     """A preset as YAML with every field and its description; ``name`` may be ``command/name``."""
     command, _, preset = name.rpartition("/")
@@ -156,7 +183,7 @@ def _evaluate(
 
 def _table(rows: list[dict[str, Any]]) -> str:
     """The rows as an aligned table: what a person looks at first."""
-    lines = [("scene", "status", "size", "density", "seconds", "memory")]
+    lines: list[tuple[str, ...]] = [("scene", "status", "size", "density", "seconds", "memory")]
     for row in rows:
         done = row["status"] == "done"
         peak = row["peak_memory"]
@@ -171,6 +198,10 @@ def _table(rows: list[dict[str, Any]]) -> str:
                 f"{peak / 2**20:.0f} MiB" if peak else "-",
             )
         )
+    return _aligned(lines)
+
+
+def _aligned(lines: Sequence[tuple[str, ...]]) -> str:
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     table = []
     for line in lines:

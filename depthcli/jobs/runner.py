@@ -436,6 +436,8 @@ def _compute_in_workers(
             for worker in list(workers):
                 if worker.connection not in events and worker.process.sentinel not in events:
                     continue
+                kind: str
+                value: Any
                 try:
                     kind, value = worker.connection.recv() if worker.connection.poll() else ("dead", None)
                 except (EOFError, OSError):

@@ -163,10 +163,20 @@ def test_derived_masks_by_hand():
 def test_broken_meta(tmp_path: Path, meta, said):
     own(tmp_path / "a", meta)
     with pytest.raises(InputError, match=rf"meta\.json: .*{said}"):
-        find_scenes(tmp_path)
+        find_scenes(tmp_path / "a")
     (tmp_path / "a" / "meta.json").write_bytes(b"{\xff")
     with pytest.raises(InputError, match="not valid JSON"):
-        find_scenes(tmp_path)
+        find_scenes(tmp_path / "a")
+
+
+def test_a_broken_scene_spoils_no_other(tmp_path: Path):
+    own(tmp_path / "a", {"disp_scale": 0})
+    own(tmp_path / "b")
+    broken, good = find_scenes(tmp_path)
+    assert (broken.name, good.name, good.problem) == ("a", "b", "")
+    with pytest.raises(InputError, match=r"meta\.json: .*disp_scale"):
+        broken.load_pair()
+    good.load_pair()
 
 
 def test_what_is_said_where_nothing_fits(tmp_path: Path):
@@ -183,11 +193,11 @@ def test_what_is_said_where_nothing_fits(tmp_path: Path):
         find_scenes(tmp_path, "eth3d")
     v3(tmp_path / "a", "ndisp=3")
     with pytest.raises(InputError, match="middlebury-v3 and scenes; say which"):
-        find_scenes(tmp_path)
+        find_scenes(tmp_path / "a")
     assert len(find_scenes(tmp_path, "scenes")) == 1
     write_png(tmp_path / "a" / "left.jpg", GREY)
     with pytest.raises(InputError, match=r"both left\.jpg and left\.png"):
-        find_scenes(tmp_path, "scenes")
+        find_scenes(tmp_path / "a", "scenes")
 
 
 def test_sizes_must_agree(tmp_path: Path):
