@@ -11,8 +11,7 @@ from numba.extending import intrinsic
 from depthcli.kernels._jit import jit
 
 
-@intrinsic
-def float_bits(typingctx: Any, value: Any) -> Any:
+def _float_bits(typingctx: Any, value: Any) -> Any:
     """The bits of a float32 as int32."""
     if value != types.float32:
         return None
@@ -24,8 +23,10 @@ def float_bits(typingctx: Any, value: Any) -> Any:
     return signature, codegen
 
 
-@intrinsic
-def bits_float(typingctx: Any, value: Any) -> Any:
+float_bits: Any = intrinsic(_float_bits)
+
+
+def _bits_float(typingctx: Any, value: Any) -> Any:
     """The float32 with the given int32 bits."""
     if value != types.int32:
         return None
@@ -37,6 +38,9 @@ def bits_float(typingctx: Any, value: Any) -> Any:
     return signature, codegen
 
 
+bits_float: Any = intrinsic(_bits_float)
+
+
 @jit
 def exp_minus(x: Any) -> Any:
     """exp(-x) of a float32 x >= 0, relative error below 1e-6; x above 80 counts as 80."""
@@ -44,7 +48,7 @@ def exp_minus(x: Any) -> Any:
     whole = np.int32(x)
     t = (x - np.float32(whole)) * np.float32(0.6931471805599453)
     # Taylor series of exp on (-0.694, 0]
-    p = np.float32(1.0 / 5040.0)
+    p: Any = np.float32(1.0 / 5040.0)
     p = p * t + np.float32(1.0 / 720.0)
     p = p * t + np.float32(1.0 / 120.0)
     p = p * t + np.float32(1.0 / 24.0)

@@ -1,0 +1,274 @@
+"""The data flow of fusion, in order, on one page."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from depthcli.confidence import confidence_maps, measures
+from depthcli.core.maps import DisparityMap
+from depthcli.fusion.blend import UNIT, add_weighted, blend, squash
+from depthcli.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
+from depthcli.fusion.weights import comparable, measure_weights
+from depthcli.stereo.aggregation import Aggregation
+from depthcli.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.stereo.cost import Cost
+from depthcli.stereo.optimization import Optimization
+from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
+from depthcli.stereo.refinement import RefinementStep
+from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import CostVolume, StereoPair, StereoResult
+from depthcli.stereo.winner import winners
+
+_LARGEST = 4080  # of voted costs: the fixed point of aggregated costs, which scanline optimizers can sum
+
+
+class FusionError(ValueError):
+    """A volume made elsewhere that does not fit the pair."""
+
+
+class Measure(BaseModel):
+    """One measure that takes part: computed here, or a volume made elsewhere."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    cost: Cost | None = Field(None, description="a cost measure of the stereo command")
+    volume: str | None = Field(
+        None, description="file of (H, W, D) costs in the scene's folder, .npy, lower is better; instead of cost"
+    )
+    scale: float | None = Field(
+        None, gt=0, description="cost that counts as 1 - 1/e, in units of the measure; default: the pair's median cost"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_alone(cls, value: Any) -> Any:
+        if isinstance(value, str) or (isinstance(value, dict) and "method" in value):
+            return {"cost": value}
+        return value
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Measure:
+        if (self.cost is None) == (self.volume is None):
+            raise ValueError("want either cost or volume")
+        return self
+
+
+class Consensus(BaseModel):
+    """Who votes for whom, and what votes are worth."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    support: Literal["color", "window"] = Field(
+        "color", description="color: votes fade with distance and color change; window: all of a square count alike"
+    )
+    window: int = Field(
+        65, ge=1, le=255, description="side of the window, odd, pixels; votes across color fade to 1/e at half of it"
+    )
+    softness: float = Field(15.0, gt=0, description="color change at which a vote fades to 1/e, grey levels")
+    tolerance: int = Field(1, ge=0, description="a vote counts for disparities up to this far away, pixels")
+    vote_cost: float = Field(
+        0.4, ge=0, description="cost of a disparity that nobody votes for, in units of one measure; 0: weights only"
+    )
+    rounds: int = Field(2, ge=1, le=8, description="votes for the costs: 1 by the measures, the rest by the fused map")
+
+    @field_validator("window")
+    @classmethod
+    def _odd(cls, window: int) -> int:
+        if window % 2 == 0:
+            raise ValueError("the window must be odd")
+        return window
+
+
+class Fusion(BaseModel):
+    """Stereo by several measures, each of them trusted where the pixels around agree with it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    measures: tuple[Measure, ...] = Field(min_length=1, max_length=16, description="measures to fuse")
+    weights: Literal["consensus", "confidence", "equal", "select", "vote"] = Field(
+        "consensus",
+        description="consensus: by the votes for a measure's disparity; confidence: by its confidence alone; equal; "
+        "select: only the most confident measure; vote: no costs, only votes",
+    )
+    exponent: float = Field(2.0, gt=0, description="weights are proportional to votes or confidence to this power")
+    vote_confidence: str | None = Field(
+        "lrc", description="measure that says how much a vote counts; null: all count alike"
+    )
+    vote_aggregation: Aggregation = Field(
+        default_factory=lambda: ConstantWindow(window=11),
+        description="aggregation that gives each measure's own disparity, the one it votes for",
+    )
+    consensus: Consensus = Field(default_factory=Consensus, description="the vote")
+    blend: Literal["before", "after"] = Field("before", description="weigh the measures before or after aggregation")
+    aggregation: Aggregation | None = Field(
+        default_factory=lambda: ConstantWindow(window=11), description="aggregation of the fused costs; null: none"
+    )
+    optimization: Optimization = Field(default_factory=WinnerTakesAll, description="optimization of the fused costs")
+    refinement: tuple[RefinementStep, ...] = Field((), description="steps on the disparity map, in order")
+    confidence: tuple[str, ...] = Field(
+        (), description="confidence maps to write: measures of the final costs, or 'consensus', the share of votes"
+    )
+
+    @field_validator("vote_confidence")
+    @classmethod
+    def _known_measure(cls, name: str | None) -> str | None:
+        if name is not None and name not in measures():
+            raise ValueError(f"no confidence measure called {name!r}; one of: {', '.join(measures())}")
+        return name
+
+    @field_validator("confidence")
+    @classmethod
+    def _known_measures(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name != "consensus" and name not in measures():
+                raise ValueError(f"no confidence measure called {name!r}; one of: consensus, {', '.join(measures())}")
+        return names
+
+    def __call__(
+        self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]] | None = None
+    ) -> StereoResult:
+        """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive.
+
+        Parameters
+        ----------
+        volumes : file name -> (H, W, D) costs for the measures that name a volume; further disparities are cut off
+
+        Raises
+        ------
+        FusionError
+            Where a volume is missing, has another shape, or holds other than finite numbers.
+        """
+        clock = _Clock()
+        fused = self.fuse(pair, max_disparity, volumes or {}, clock)
+        volume = self.optimization(fused.volume, pair)
+        left, right = winners(volume.costs)
+        clock.stop("optimization")
+        evidence = Evidence(pair, volume, right)
+        disparity = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
+        for step in self.refinement:
+            disparity = step(disparity, evidence)
+        clock.stop("refinement")
+        confidence = confidence_maps(volume.costs, [name for name in self.confidence if name != "consensus"])
+        if "consensus" in self.confidence:
+            confidence["consensus"] = fused.ballot.shares(left.astype(np.int32)[None])[0]
+        clock.stop("confidence")
+        return StereoResult(disparity, clock.seconds, confidence, figures=fused.figures)
+
+    def fuse(
+        self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: _Clock | None = None
+    ) -> Fused:
+        """The fused cost volume: costs -> votes of the measures -> weights -> blend -> aggregation -> votes."""
+        clock = clock or _Clock()
+        depth = max_disparity + 1
+        parts = [squash(_costs(measure, pair, depth, volumes), measure.scale) for measure in self.measures]
+        clock.stop("cost")
+        chosen, trust = self._voters(parts, pair)
+        clock.stop("voters")
+        ballot = Ballot(chosen, trust, depth, self.consensus.tolerance, self._support(pair))
+        weights = measure_weights(self.weights, ballot, self.exponent)
+        clock.stop("weights")
+        base = None if self.weights == "vote" else self._blend(parts, weights, pair)
+        clock.stop("aggregation")
+        strength = self.consensus.vote_cost
+        if base is None:
+            volume = ballot.costs(None, 1.0, _LARGEST)
+        elif strength == 0:
+            volume = base
+        else:
+            volume = ballot.costs(base, strength, _LARGEST)
+            for _ in range(1, self.consensus.rounds):
+                again, consistent = self._voters([volume], pair, aggregate=False)
+                ballot = Ballot(again, consistent, depth, self.consensus.tolerance, ballot.support)
+                volume = ballot.costs(base, strength, _LARGEST)
+        clock.stop("votes")
+        means = weights.mean(axis=(1, 2))
+        figures = {f"weight_{k}": float(mean) for k, mean in enumerate(means)}
+        return Fused(volume, weights, ballot, figures)
+
+    def _support(self, pair: StereoPair) -> Support:
+        if self.consensus.support == "window":
+            return WindowSupport(pair.shape, self.consensus.window)
+        return ColorSupport(pair.color8[0], max(1, self.consensus.window // 2), self.consensus.softness)
+
+    def _voters(
+        self, volumes: list[CostVolume], pair: StereoPair, aggregate: bool = True
+    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """(M, H, W) disparity of every measure, and how much it counts."""
+        chosen = np.empty((len(volumes), *pair.shape), np.int32)
+        trust = np.ones(chosen.shape, np.float32)
+        for m, volume in enumerate(volumes):
+            if aggregate:
+                volume = self.vote_aggregation(volume, pair)
+            chosen[m], _ = winners(volume.costs)
+            if self.vote_confidence is not None:
+                trust[m] = confidence_maps(volume.costs, [self.vote_confidence])[self.vote_confidence]
+        if self.vote_confidence is not None:
+            trust = comparable(trust, self.vote_confidence)
+        return chosen, trust
+
+    def _blend(self, parts: list[CostVolume], weights: NDArray[np.float32], pair: StereoPair) -> CostVolume:
+        if self.blend == "before":
+            fused = blend(parts, weights)
+            if self.aggregation is not None:
+                return self.aggregation(fused, pair)
+            return CostVolume(fused.costs.astype(np.uint16) * np.uint16(16), fused.scale * 16)
+        total = np.zeros(parts[0].costs.shape, np.float32)
+        for part, weight in zip(parts, weights, strict=True):
+            add_weighted(total, part if self.aggregation is None else self.aggregation(part, pair), weight)
+        return CostVolume((total * np.float32(16 * UNIT) + np.float32(0.5)).astype(np.uint16), 16.0 * UNIT)
+
+
+@dataclass(frozen=True)
+class Fused:
+    """What fusion hands to optimization.
+
+    Attributes
+    ----------
+    volume : uint16 (H, W, D), at most 4080
+    weights : (M, H, W) float32, sum 1 over the measures
+    ballot : the last vote
+    figures : mean weight of every measure
+    """
+
+    volume: CostVolume
+    weights: NDArray[np.float32]
+    ballot: Ballot
+    figures: dict[str, float]
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def stop(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.seconds[stage] = now - self._last
+        self._last = now
+
+
+def _costs(measure: Measure, pair: StereoPair, depth: int, volumes: Mapping[str, NDArray[Any]]) -> CostVolume:
+    if measure.cost is not None:
+        return measure.cost(pair, depth)
+    assert measure.volume is not None
+    if measure.volume not in volumes:
+        raise FusionError(f"{measure.volume}: no such volume")
+    costs = volumes[measure.volume]
+    if costs.ndim != 3 or costs.shape[:2] != pair.shape or costs.shape[2] < depth:
+        height, width = pair.shape
+        raise FusionError(f"{measure.volume}: want shape ({height}, {width}, {depth} or more), got {costs.shape}")
+    if costs.dtype not in (np.uint8, np.uint16):
+        if costs.dtype.kind not in "fiub":
+            raise FusionError(f"{measure.volume}: want numbers, got {costs.dtype}")
+        with np.errstate(over="ignore"):
+            costs = costs.astype(np.float32)
+        if not np.isfinite(costs[:, :, :depth]).all():
+            raise FusionError(f"{measure.volume}: holds NaN or infinite costs")
+    return CostVolume(np.ascontiguousarray(costs[:, :, :depth]))

@@ -1,0 +1,119 @@
+"""Slow, obvious twins of the confidence measures, curve by curve. Never imports depthcli."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+def curve(costs, n, deviation, eps):
+    """Measures of one curve; only the first n entries count."""
+    c = [float(v) for v in costs[:n]]
+    d1 = c.index(min(c))
+    c1 = c[d1]
+    others = [v for k, v in enumerate(c) if k != d1]
+    c2 = min(others) if others else c1
+    c2m, second = max(c), -1
+    for k in valleys(c):
+        if k != d1 and (second < 0 or c[k] < c2m):
+            c2m, second = c[k], k
+    if n == 1:
+        left = right = c1
+    else:
+        left = c[d1 - 1] if d1 > 0 else c[d1 + 1]
+        right = c[d1 + 1] if d1 + 1 < n else c[d1 - 1]
+    t = [(v - c1) / deviation for v in c]
+    p = [math.exp(-4 * v) for v in t]
+    p = [v / sum(p) for v in p]
+    smooth = [c[max(k - 1, 0)] + 2 * c[k] + c[min(k + 1, n - 1)] for k in range(n)]
+    return (
+        {
+            "msm": -c1,
+            "cur": left + right - 2 * c1,
+            "pkr": (c2m + eps) / (c1 + eps),
+            "pkrn": (c2 + eps) / (c1 + eps),
+            "mm": c2m - c1,
+            "mmn": c2 - c1,
+            "wmn": (c2m - c1) / (sum(c) + eps),
+            "wmnn": (c2 - c1) / (sum(c) + eps),
+            "mlm": 1 / sum(math.exp(-2 * v) for v in t),
+            "aml": 1 / sum(math.exp(-8 * v * v) for v in t),
+            "nem": sum(v * math.log(v) for v in p if v > 0),
+            "noi": -len(valleys(smooth)),
+        },
+        d1,
+        second,
+    )
+
+
+def valleys(c):
+    """Places below their left neighbor and not above their right one; the ends count."""
+    before = [math.inf, *c[:-1]]
+    after = [*c[1:], math.inf]
+    return [k for k in range(len(c)) if c[k] < before[k] and c[k] <= after[k]]
+
+
+def spread(costs, valid):
+    """(mean, standard deviation) of the valid cells of (N, K) costs."""
+    cells = np.concatenate([np.asarray(c[:n], float) for c, n in zip(costs, valid, strict=True)])
+    return cells.mean(), cells.std()
+
+
+def right_view(costs):
+    """(H, W) disparity and cost of the right view's winners; the smaller disparity wins ties."""
+    height, width, depth = costs.shape
+    chosen = np.zeros((height, width), int)
+    cheapest = np.full((height, width), math.inf)
+    for y in range(height):
+        for x in range(width):
+            for d in range(depth):
+                if x + d < width and costs[y, x + d, d] < cheapest[y, x]:
+                    cheapest[y, x], chosen[y, x] = costs[y, x + d, d], d
+    return chosen, cheapest
+
+
+def left_right(costs, eps):
+    """LRC and LRD of a volume."""
+    height, width, depth = costs.shape
+    chosen, cheapest = right_view(costs)
+    lrc, lrd = np.zeros((height, width)), np.zeros((height, width))
+    for y in range(height):
+        for x in range(width):
+            c = [float(v) for v in costs[y, x, : min(depth, x + 1)]]
+            d = c.index(min(c))
+            others = c[:d] + c[d + 1 :]
+            margin = (min(others) if others else c[d]) - c[d]
+            lrc[y, x] = -abs(d - chosen[y, x - d])
+            lrd[y, x] = margin / (c[d] - cheapest[y, x - d] + eps)
+    return lrc, lrd
+
+
+def agreement(winner, radius):
+    """Share of the window within 1 of the center."""
+    height, width = winner.shape
+    out = np.zeros((height, width))
+    for y in range(height):
+        for x in range(width):
+            window = winner[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
+            out[y, x] = np.mean(np.abs(window.astype(int) - int(winner[y, x])) <= 1)
+    return out
+
+
+def average_peak_ratio(costs, winner, second, eps, radius):
+    """Mean peak ratio of the window at the center's two disparities; 1 without a second minimum."""
+    height, width, _ = costs.shape
+    out = np.ones((height, width))
+    for y in range(height):
+        for x in range(width):
+            a, b = winner[y, x], second[y, x]
+            if b < 0:
+                continue
+            ratios = [
+                (float(costs[q, p, b]) + eps) / (float(costs[q, p, a]) + eps)
+                for q in range(max(0, y - radius), min(height, y + radius + 1))
+                for p in range(max(0, x - radius), min(width, x + radius + 1))
+                if max(a, b) <= p
+            ]
+            out[y, x] = np.mean(ratios)
+    return out
