@@ -85,7 +85,7 @@ class Scene:
     round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
     layout : one of ``LAYOUTS``
     metric : which benchmark's measures apply
-    problem : why the scene's folder cannot be used (``load_pair`` raises it), or empty
+    problem : why the scene's folder cannot be used (``load_pair`` and ``load_truth`` raise it), or empty
     """
 
     name: str
@@ -133,6 +133,8 @@ class Scene:
         InputError
             No ground truth, an unreadable file, or files of different sizes.
         """
+        if self.problem:
+            raise InputError(self.problem)
         if self.disparity_left is None:
             raise InputError(f"{self.left.parent}: scene {self.name} has no ground truth")
         disparity = self._read(self.disparity_left)

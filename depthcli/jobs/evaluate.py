@@ -52,8 +52,8 @@ class Result:
     run, scene, data_set, metric : where the numbers belong
     source : the map's path inside its run folder, or empty
     scores : empty where ``error`` is set
-    curves : confidence measure -> sparsification curve over ``curve_mask``
-    curve_mask : region of the curves
+    curves : region -> confidence measure -> sparsification curve; the regions are the visible pixels, where
+        they are known, and all pixels
     warning : a suspicion about the map's scale, or empty
     error : why there are no scores, or empty
     """
@@ -64,8 +64,7 @@ class Result:
     metric: Metric
     source: str = ""
     scores: tuple[Score, ...] = ()
-    curves: dict[str, Sparsification] = field(default_factory=dict)
-    curve_mask: str = ""
+    curves: dict[str, dict[str, Sparsification]] = field(default_factory=dict)
     warning: str = ""
     error: str = ""
 
@@ -215,7 +214,7 @@ def evaluate(
     ``low_res_two_view/<scene>.pfm``. Confidence maps ``<scene>/confidence_<name>.pfm`` give curves.
 
     Written to ``output``: ``scores.csv``, ``scores.json``, ``report.md``,
-    ``errors/<run>/<scene>.png``, ``curves/<run>/<scene>.svg``.
+    ``errors/<run>/<scene>.png``, ``curves/<run>/<scene>_<region>.svg``.
 
     Parameters
     ----------
@@ -243,8 +242,10 @@ def evaluate(
             raise InputError(f"{folder}: no such folder")
     truth, output = Path(truth), Path(output)
     names = _run_names(folders)
-    chosen = [scene for scene in find_scenes(truth, layout, scenes) if scene.disparity_left is not None]
-    if not chosen:
+    chosen = [scene for scene in find_scenes(truth, layout, scenes) if scene.problem or scene.disparity_left]
+    if not any(scene.disparity_left for scene in chosen):
+        if chosen:
+            raise InputError(chosen[0].problem)
         raise InputError(f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)")
     short = [scene.name.rpartition("/")[2] for scene in chosen]
     results = []
@@ -307,23 +308,25 @@ def _evaluate_map(
     everything = known & truth.masks.get("all", known)
     visible = truth.masks.get("nonocc", truth.masks.get("noc"))
     write_png(output / "errors" / run / f"{scene.name}.png", error_picture(sized, wrong, everything, visible))
-    mask = _main_mask(truth.masks)
-    region = truth.masks[mask] & known & ~np.isnan(sized)
-    curves: dict[str, Sparsification] = {}
+    regions = {m: truth.masks[m] & known & ~np.isnan(sized) for m in _curve_masks(truth.masks)}
+    curves: dict[str, dict[str, Sparsification]] = {}
     problems = []
     for name, file in _confidence_files(path).items():
         try:
             confidence = read_disparity(file)
             if confidence.shape != sized.shape:
                 raise InputError(f"{file}: the size differs from the truth's")
-            if region.any():
-                curves[name] = sparsification(confidence[region], wrong[region])
         except DepthcliError as error:
             problems.append(str(error))
-    if curves:
-        write_text(output / "curves" / run / f"{scene.name}.svg", _curve_svg(curves, f"{run}: {scene.name}, {mask}"))
+            continue
+        for mask, region in regions.items():
+            if region.any():
+                curves.setdefault(mask, {})[name] = sparsification(confidence[region], wrong[region])
+    for mask, group in curves.items():
+        title = f"{run}: {scene.name}, {mask}"
+        write_text(output / "curves" / run / f"{scene.name}_{mask}.svg", _curve_svg(group, title))
     warning = "; ".join(filter(None, [metrics.scale_warning(sized, truth.disparity), *problems]))
-    return Result(run, scene.name, data_set, scene.metric, source, tuple(scores), curves, mask, warning)
+    return Result(run, scene.name, data_set, scene.metric, source, tuple(scores), curves, warning)
 
 
 def _find_map(folder: Path, keys: Sequence[str]) -> Path:
@@ -376,6 +379,12 @@ def _main_mask(masks: Iterable[str]) -> str:
     """The region that stands for a scene where one number is wanted: visible pixels if they are known."""
     present = list(masks)
     return next(name for name in ("nonocc", "noc", "all", "occ", *present) if name in present)
+
+
+def _curve_masks(masks: Iterable[str]) -> list[str]:
+    """Regions of the confidence curves: the main one, and all pixels with known truth."""
+    present = list(masks)
+    return list(dict.fromkeys([_main_mask(present), next((n for n in ("all", "occ") if n in present), present[0])]))
 
 
 def _figure_masks(results: Iterable[Result]) -> list[str]:
@@ -538,19 +547,23 @@ def _comparisons(runs: Sequence[str], results: Sequence[Result]) -> list[Table]:
 
 def _confidence_tables(results: Sequence[Result]) -> list[Table]:
     rows: list[tuple[str, ...]] = []
-    groups: dict[tuple[str, str], list[Sparsification]] = {}
+    groups: dict[tuple[str, str, str], list[Sparsification]] = {}
     for result in results:
-        for name, c in result.curves.items():
-            groups.setdefault((result.run, name), []).append(c)
-            rows.append((result.run, result.scene, result.curve_mask, name, *_area_cells([c])))
-    for (run, name), curves in groups.items():
+        for mask, name, curve in _flat_curves(result):
+            groups.setdefault((result.run, mask, name), []).append(curve)
+            rows.append((result.run, result.scene, mask, name, *_area_cells([curve])))
+    for (run, mask, name), curves in groups.items():
         if len(curves) > 1:
-            rows.append((run, f"mean of {len(curves)}", "", name, *_area_cells(curves)))
+            rows.append((run, f"mean of {len(curves)}", mask, name, *_area_cells(curves)))
     if not rows:
         return []
     header = ("run", "scene", "mask", "confidence", "AUC", "optimal", "random", "AUC/optimal", "AUC/random")
     note = "sparsification, 5..100 % of the most confident estimated pixels; random = their error rate"
     return [Table("Confidence", header, tuple(rows), note)]
+
+
+def _flat_curves(result: Result) -> list[tuple[str, str, Sparsification]]:
+    return [(mask, name, curve) for mask, group in result.curves.items() for name, curve in group.items()]
 
 
 def _area_cells(curves: Sequence[Sparsification]) -> tuple[str, ...]:
@@ -579,8 +592,8 @@ def _markdown(report: EvaluationReport) -> str:
         out += ["## Error pictures", "", f"{legend}.", ""]
         for r in pictures:
             out += [f"{r.run}, {r.scene}:", "", f"![{r.scene}]({_link(f'errors/{r.run}/{r.scene}.png')})", ""]
-            if r.curves:
-                out += [f"![curves]({_link(f'curves/{r.run}/{r.scene}.svg')})", ""]
+            for mask in r.curves:
+                out += [f"![curves, {mask}]({_link(f'curves/{r.run}/{r.scene}_{mask}.svg')})", ""]
     return "\n".join(out)
 
 
@@ -600,8 +613,8 @@ def _scores_csv(report: EvaluationReport) -> str:
     for r in report.results:
         base = {"run": r.run, "data_set": r.data_set, "scene": r.scene, "family": r.metric, "map": r.source}
         rows += [{**base, **_plain(vars(score)), "note": r.warning} for score in r.scores]
-        for name, c in r.curves.items():
-            common = {**base, "mask": r.curve_mask, "pixels": c.pixels, "convention": metrics.ESTIMATED_ONLY}
+        for mask, name, c in _flat_curves(r):
+            common = {**base, "mask": mask, "pixels": c.pixels, "convention": metrics.ESTIMATED_ONLY}
             for metric in ("auc", "optimal", "random"):
                 rows.append({**common, "metric": f"{metric}:{name}", "value": getattr(c, metric), "unit": "rate"})
         if r.error:
@@ -624,7 +637,7 @@ def _result_dict(result: Result) -> dict[str, Any]:
         "family": result.metric,
         "map": result.source,
         "scores": [_plain(vars(score)) for score in result.scores],
-        "confidence": {name: {"mask": result.curve_mask, **_plain(vars(c))} for name, c in result.curves.items()},
+        "confidence": [{"measure": name, "mask": mask, **_plain(vars(c))} for mask, name, c in _flat_curves(result)],
         "warning": result.warning or None,
         "error": result.error or None,
     }

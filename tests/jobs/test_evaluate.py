@@ -143,6 +143,13 @@ def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
     report = evaluate([run], truth, tmp_path / "out")
     assert [r.scene for r in report.failed] == ["a"]
     assert report.results[1].headline("all") == 0
+    (truth / "a" / "meta.json").write_text("[]")
+    report = evaluate([run], truth, tmp_path / "out")
+    assert "meta.json" in report.failed[0].error
+    assert report.results[1].headline("all") == 0
+    (truth / "b" / "meta.json").write_text("[]")
+    with pytest.raises(InputError, match=r"meta\.json"):
+        evaluate([run], truth, tmp_path / "out")
 
 
 def test_wrong_scale_is_said(tmp_path: Path, truth: Path):
@@ -172,14 +179,16 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     write_pfm(run / "a" / "confidence_blind.pfm", np.zeros(SHAPE, np.float32))
     write_pfm(run / "b" / "confidence_small.pfm", np.zeros((3, 3), np.float32))
     report = evaluate([run], truth, tmp_path / "out")
-    a = report.results[0].curves
+    assert list(report.results[0].curves) == ["nonocc", "all"]
+    a = report.results[0].curves["nonocc"]
     assert list(a) == ["blind", "oracle"]
     assert a["blind"].auc == pytest.approx(0.25)
     assert a["oracle"].rates[14] == 0  # 75 % of the pixels are right
     assert a["oracle"].pixels == 24 * 24
+    assert report.results[0].curves["all"]["oracle"].pixels == 24 * 32
     assert "oracle" in report.text()
     assert "AUC/optimal" in report.text()
-    assert "<polyline" in (tmp_path / "out" / "curves" / "run" / "a.svg").read_text()
+    assert "<polyline" in (tmp_path / "out" / "curves" / "run" / "a_nonocc.svg").read_text()
     assert "confidence_small.pfm" in report.warnings[0]
 
 
