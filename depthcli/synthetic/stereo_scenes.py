@@ -109,7 +109,8 @@ def make_scene(
     max_disparity : pixels, at least 4 and at most ``width / 2``; nothing in the scene is nearer
     noise : standard deviation in grey levels of the noise of each camera
     radiometry : of the right camera; None = both cameras are alike
-    wall_contrast : contrast of the wall's picture: 1 = full, 0 = a wall without texture
+    wall_contrast : contrast of the walls' pictures: 1 = full, 0 = walls without texture (the repeated pattern
+        of ``repetitive`` stays as it is)
     supersampling : rays a pixel, along each axis
 
     Raises
