@@ -11,7 +11,7 @@ import sys
 
 import typer
 
-from depthcli.cli import evaluate, presets, sample, stereo
+from depthcli.cli import evaluate, fuse, presets, sample, stereo
 from depthcli.core.errors import DepthcliError
 
 app = typer.Typer(
@@ -23,6 +23,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("stereo")(stereo.stereo)
+app.command("fuse")(fuse.fuse)
 app.command("evaluate")(evaluate.evaluate)
 app.command("sample")(sample.sample)
 app.command("presets")(presets.presets)

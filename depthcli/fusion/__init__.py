@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from depthcli.fusion.pipeline import Fusion, FusionError, Measure
+from depthcli.fusion.pipeline import Consensus, Fusion, Measure
 
-__all__ = ["Fusion", "FusionError", "Measure"]
+__all__ = ["Consensus", "Fusion", "Measure"]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from depthcli.confidence import confidence_maps, measures
+from depthcli.core.errors import InputError
 from depthcli.core.maps import DisparityMap
 from depthcli.fusion.blend import UNIT, add_weighted, blend, squash
 from depthcli.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
@@ -27,10 +28,6 @@ from depthcli.stereo.volume import CostVolume, StereoPair, StereoResult
 from depthcli.stereo.winner import winners
 
 _LARGEST = 4080  # of voted costs: the fixed point of aggregated costs, which scanline optimizers can sum
-
-
-class FusionError(ValueError):
-    """A volume made elsewhere that does not fit the pair."""
 
 
 class Measure(BaseModel):
@@ -76,7 +73,7 @@ class Consensus(BaseModel):
     vote_cost: float = Field(
         0.4, ge=0, description="cost of a disparity that nobody votes for, in units of one measure; 0: weights only"
     )
-    rounds: int = Field(2, ge=1, le=8, description="votes for the costs: 1 by the measures, the rest by the fused map")
+    rounds: int = Field(1, ge=1, le=8, description="votes for the costs: 1 by the measures, the rest by the fused map")
 
     @field_validator("window")
     @classmethod
@@ -142,8 +139,8 @@ class Fusion(BaseModel):
 
         Raises
         ------
-        FusionError
-            Where a volume is missing, has another shape, or holds other than finite numbers.
+        InputError
+            A volume is missing, has another shape, or holds other than finite numbers.
         """
         clock = _Clock()
         fused = self.fuse(pair, max_disparity, volumes or {}, clock)
@@ -191,6 +188,13 @@ class Fusion(BaseModel):
         means = weights.mean(axis=(1, 2))
         figures = {f"weight_{k}": float(mean) for k, mean in enumerate(means)}
         return Fused(volume, weights, ballot, figures)
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Estimate of the peak working memory for images of ``shape``, in bytes."""
+        pixels = shape[0] * shape[1]
+        # A byte a measure; raw, aggregated, voted and optimized costs of two bytes; a vote block of 16 floats.
+        a_cell = len(self.measures) + (6 if self.blend == "before" else 10)
+        return pixels * (max_disparity + 1) * a_cell + pixels * (2 * 16 * 4 + 24 * len(self.measures)) + (32 << 20)
 
     def _support(self, pair: StereoPair) -> Support:
         if self.consensus.support == "window":
@@ -259,16 +263,16 @@ def _costs(measure: Measure, pair: StereoPair, depth: int, volumes: Mapping[str,
         return measure.cost(pair, depth)
     assert measure.volume is not None
     if measure.volume not in volumes:
-        raise FusionError(f"{measure.volume}: no such volume")
+        raise InputError(f"{measure.volume}: no such volume")
     costs = volumes[measure.volume]
     if costs.ndim != 3 or costs.shape[:2] != pair.shape or costs.shape[2] < depth:
         height, width = pair.shape
-        raise FusionError(f"{measure.volume}: want shape ({height}, {width}, {depth} or more), got {costs.shape}")
+        raise InputError(f"{measure.volume}: want shape ({height}, {width}, {depth} or more), got {costs.shape}")
     if costs.dtype not in (np.uint8, np.uint16):
         if costs.dtype.kind not in "fiub":
-            raise FusionError(f"{measure.volume}: want numbers, got {costs.dtype}")
+            raise InputError(f"{measure.volume}: want numbers, got {costs.dtype}")
         with np.errstate(over="ignore"):
             costs = costs.astype(np.float32)
         if not np.isfinite(costs[:, :, :depth]).all():
-            raise FusionError(f"{measure.volume}: holds NaN or infinite costs")
+            raise InputError(f"{measure.volume}: holds NaN or infinite costs")
     return CostVolume(np.ascontiguousarray(costs[:, :, :depth]))

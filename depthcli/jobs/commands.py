@@ -8,11 +8,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import BaseModel
+
 from depthcli.core.config_file import ConfigData, load_config, validate
 from depthcli.core.errors import ConfigError
 from depthcli.io.scenes import Scene, find_scenes
 from depthcli.jobs import record
-from depthcli.jobs._config import JobConfig
 from depthcli.jobs.presets import describe, find_config, list_presets
 from depthcli.jobs.reporter import Reporter
 from depthcli.jobs.runner import Options, run_scenes
@@ -23,7 +24,10 @@ if TYPE_CHECKING:
 SOME_FAILED = 3
 
 # Command -> module below jobs/, its root config, and what computes one scene.
-_BATCHES = {"stereo": ("stereo", "StereoConfig", "StereoWork")}
+_BATCHES = {
+    "stereo": ("stereo", "StereoConfig", "StereoWork"),
+    "fuse": ("fuse", "FuseConfig", "FuseWork"),
+}
 
 
 @dataclass(frozen=True)
@@ -42,10 +46,10 @@ class Request:
     json: bool = False
 
 
-def root_config(command: str) -> type[JobConfig]:
+def root_config(command: str) -> type[BaseModel]:
     """The root config model of a batch command."""
     module, name, _ = _BATCHES[command]
-    model: type[JobConfig] = getattr(importlib.import_module(f"depthcli.jobs.{module}"), name)
+    model: type[BaseModel] = getattr(importlib.import_module(f"depthcli.jobs.{module}"), name)
     return model
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -39,11 +40,8 @@ class StereoConfig(JobConfig):
     )
 
 
-@dataclass(frozen=True)
-class StereoWork:
-    """Matches one scene; picklable, for worker processes."""
-
-    config: StereoConfig
+class PairWork(ABC):
+    """Matches one scene: what ``stereo`` and ``fuse`` have in common."""
 
     def __call__(self, scene: Scene, folder: Path, memory: int) -> Outcome:
         """Read the pair, match it, write the maps into ``folder``.
@@ -63,7 +61,7 @@ class StereoWork:
             raise InputError(f"{scene.left.parent}: the search range is not known; say it with --max-disparity")
         self._check_memory(pair, top, memory)
         loaded = time.perf_counter()
-        result = self.config.pipeline(pair, top)
+        result = self._match(scene, pair, top)
         matched = time.perf_counter()
         facts = {
             "width": pair.shape[1],
@@ -82,12 +80,21 @@ class StereoWork:
         return {"max_disparity": str(self._range(scene))}
 
     def _range(self, scene: Scene) -> int | None:
-        top = self.config.max_disparity or scene.max_disparity
+        top = self._wanted_range() or scene.max_disparity
         return _KITTI_RANGE if top is None and scene.layout.startswith("kitti") else top
+
+    @abstractmethod
+    def _match(self, scene: Scene, pair: StereoPair, top: int) -> StereoResult: ...
+
+    @abstractmethod
+    def _peak_bytes(self, shape: tuple[int, int], top: int) -> int: ...
+
+    @abstractmethod
+    def _wanted_range(self) -> int | None: ...
 
     def _check_memory(self, pair: StereoPair, top: int, memory: int) -> None:
         try:
-            need = self.config.pipeline.peak_bytes(pair.shape, top)
+            need = self._peak_bytes(pair.shape, top)
         except NotImplementedError:
             return
         if need > memory:
@@ -95,6 +102,22 @@ class StereoWork:
                 f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, "
                 f"{top + 1} disparities), {show_bytes(memory)} may be used; see --max-memory, --jobs, --max-disparity"
             )
+
+
+@dataclass(frozen=True)
+class StereoWork(PairWork):
+    """Matches one scene; picklable, for worker processes."""
+
+    config: StereoConfig
+
+    def _match(self, scene: Scene, pair: StereoPair, top: int) -> StereoResult:
+        return self.config.pipeline(pair, top)
+
+    def _peak_bytes(self, shape: tuple[int, int], top: int) -> int:
+        return self.config.pipeline.peak_bytes(shape, top)
+
+    def _wanted_range(self) -> int | None:
+        return self.config.max_disparity
 
 
 def save_result(result: StereoResult, folder: Path, max_disparity: int) -> None:
