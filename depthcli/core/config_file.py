@@ -157,7 +157,7 @@ def validate(model: type[_Model], config: ConfigData) -> _Model:
     except ValidationError as error:
         problems += [_explain(model, config, item) for item in error.errors(include_url=False)]
     if problems:
-        raise ConfigError("\n".join(dict.fromkeys(problems)))
+        raise ConfigError("\n".join(sorted(dict.fromkeys(problems), key=_line_number)))
     return value
 
 
@@ -182,6 +182,11 @@ def to_yaml(value: Any) -> str:
     """Plain data as YAML in the given order, short lists on one line."""
     text: str = yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)
     return text
+
+
+def _line_number(problem: str) -> int:
+    found = re.match(r"[^\n]*?:(\d+): ", problem)
+    return int(found[1]) if found else 0
 
 
 class _Dumper(yaml.SafeDumper):
