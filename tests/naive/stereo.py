@@ -1,8 +1,152 @@
-"""Slow, obvious numpy twins of the stereo kernels: loops as the papers write them. Never imports depthcli."""
+"""Slow, obvious numpy twins of the stereo kernels: loops as the papers write them. Never imports depthcli.
+
+Disparities run along the last axis; left (y, x) matches right (y, x - d).
+"""
 
 from __future__ import annotations
 
 import numpy as np
+
+
+def volume(shape, disparities, cost, outside):
+    """``cost(y, x, d)`` for every match inside the right image, ``outside`` elsewhere."""
+    out = np.full((*shape, disparities), outside, float)
+    for y in range(shape[0]):
+        for x in range(shape[1]):
+            for d in range(min(disparities, x + 1)):
+                out[y, x, d] = cost(y, x, d)
+    return out
+
+
+def absolute_difference(left, right, disparities, truncation, outside):
+    """Eq. 3.1: sum over the channels, truncated."""
+    left, right = (np.atleast_3d(image).astype(int) for image in (left, right))
+    return volume(
+        left.shape[:2],
+        disparities,
+        lambda y, x, d: min(truncation, np.abs(left[y, x] - right[y, x - d]).sum()),
+        outside,
+    )
+
+
+def _patch(image, y, x, ry, rx):
+    padded = np.pad(image, ((ry, ry), (rx, rx)), mode="edge")
+    return padded[y : y + 2 * ry + 1, x : x + 2 * rx + 1]
+
+
+def census(left, right, disparities, window, outside):
+    """Eq. 3.5: number of neighbors that are brighter than the center in one view only."""
+    rx, ry = window[0] // 2, window[1] // 2
+    bits = [
+        np.array(
+            [[_patch(image, y, x, ry, rx) > image[y, x] for x in range(image.shape[1])] for y in range(image.shape[0])]
+        )
+        for image in (left, right)
+    ]
+    return volume(left.shape, disparities, lambda y, x, d: np.sum(bits[0][y, x] != bits[1][y, x - d]), outside)
+
+
+def rank(left, right, disparities, window, outside):
+    """Eq. 3.3-3.4."""
+    rx, ry = window[0] // 2, window[1] // 2
+    ranks = [
+        np.array(
+            [
+                [np.sum(_patch(image, y, x, ry, rx) < image[y, x]) for x in range(image.shape[1])]
+                for y in range(image.shape[0])
+            ]
+        )
+        for image in (left, right)
+    ]
+    return volume(left.shape, disparities, lambda y, x, d: abs(ranks[0][y, x] - ranks[1][y, x - d]), outside)
+
+
+def gradient(left, right, disparities, truncation, outside):
+    """Eq. 3.2 with a derivative-of-Gaussian filter, sigma 1, 5 x 5, that gives 1 on a ramp of 1."""
+    offsets = np.arange(-2, 3)
+    smooth = np.exp(-(offsets**2) / 2.0)
+    slope = offsets * smooth
+    smooth, slope = smooth / smooth.sum(), slope / np.sum(offsets * slope)
+
+    def derivatives(image):
+        height, width = image.shape
+        patches = [[_patch(image.astype(float), y, x, 2, 2) for x in range(width)] for y in range(height)]
+        along_x = [[smooth @ patch @ slope for patch in row] for row in patches]
+        along_y = [[slope @ patch @ smooth for patch in row] for row in patches]
+        return np.array([along_x, along_y])
+
+    a, b = derivatives(left), derivatives(right)
+    return volume(
+        left.shape, disparities, lambda y, x, d: min(truncation, np.abs(a[:, y, x] - b[:, y, x - d]).sum()), outside
+    )
+
+
+def combined(parts, outside):
+    """Eq. 3.6: ``parts`` is a list of (costs, lambda)."""
+    total = sum(1 - np.exp(-costs / scale) for costs, scale in parts)
+    for x in range(total.shape[1]):
+        total[:, x, x + 1 :] = outside
+    return total
+
+
+def constant_window(costs, window):
+    """Mean over the window, clipped at the border."""
+    r = window // 2
+    out = np.empty(costs.shape)
+    for y in range(costs.shape[0]):
+        for x in range(costs.shape[1]):
+            out[y, x] = costs[max(0, y - r) : y + r + 1, max(0, x - r) : x + r + 1].mean(axis=(0, 1))
+    return out
+
+
+def cross_arms(image, length, threshold, inner_length, inner_threshold):
+    """Mei et al.'s two-threshold arms: (4, H, W) left, right, up, down; at least 1 inside the image."""
+    image = image.astype(int)
+    height, width = image.shape[:2]
+    arms = np.zeros((4, height, width), int)
+    for y in range(height):
+        for x in range(width):
+            for side, (dy, dx) in enumerate(((0, -1), (0, 1), (-1, 0), (1, 0))):
+                for n in range(1, length + 1):
+                    v, u = y + n * dy, x + n * dx
+                    if not (0 <= v < height and 0 <= u < width):
+                        break
+                    far = np.abs(image[v, u] - image[y, x]).max()
+                    jump = np.abs(image[v, u] - image[v - dy, u - dx]).max()
+                    limit = threshold if n <= inner_length else inner_threshold
+                    if n > 1 and (far > limit or jump > threshold):
+                        break
+                    if n == 1 and far > limit:
+                        arms[side, y, x] = 1
+                        break
+                    arms[side, y, x] = n
+    return arms
+
+
+def cross(costs, arms, horizontal_first, target=None):
+    """One aggregation: mean over the union of the first arms along the second arm, pixel by pixel.
+
+    With ``target`` (the right view's arms) the arms of (y, x) are cut to those of its match (y, x - d);
+    a match outside the right image cuts nothing.
+    """
+    height, width, disparities = costs.shape
+    out = np.empty(costs.shape)
+    for d in range(disparities):
+        cut = arms.copy()
+        if target is not None and d < width:
+            cut[:, :, d:] = np.minimum(cut[:, :, d:], target[:, :, : width - d])
+        left, right, up, down = cut
+        for y in range(height):
+            for x in range(width):
+                support = []
+                if horizontal_first:
+                    for v in range(y - up[y, x], y + down[y, x] + 1):
+                        support += [costs[v, u, d] for u in range(x - left[v, x], x + right[v, x] + 1)]
+                else:
+                    for u in range(x - left[y, x], x + right[y, x] + 1):
+                        support += [costs[v, u, d] for v in range(y - up[y, u], y + down[y, u] + 1)]
+                out[y, x, d] = np.mean(support)
+    return out
 
 
 def adaptive_weight(costs, left, right, radius, gamma_color, gamma_space, squared=False):
@@ -27,4 +171,110 @@ def adaptive_weight(costs, left, right, radius, gamma_color, gamma_space, square
                         num += weight * costs[yq, xq, d]
                         den += weight
                 out[y, x, d] = num / den
+    return out
+
+
+PATHS = ((0, -1), (-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1))
+
+
+def scanline(costs, image, p1, p2, paths, edge_threshold, edge_divisor):
+    """Sum over the paths of Hirschmueller's path costs; integer costs and penalties.
+
+    ``image`` is (H, W, C); across a step of more than the threshold both penalties are divided.
+    """
+    costs, image = costs.astype(int), image.astype(int)
+    height, width, disparities = costs.shape
+    total = np.zeros(costs.shape, int)
+    for dy, dx in PATHS if paths == 8 else PATHS[::2]:
+        path = np.zeros(costs.shape, int)
+        for y in range(height) if dy <= 0 else range(height - 1, -1, -1):
+            for x in range(width) if dx <= 0 else range(width - 1, -1, -1):
+                v, u = y + dy, x + dx
+                if not (0 <= v < height and 0 <= u < width):
+                    path[y, x] = costs[y, x]
+                    continue
+                edge = np.abs(image[y, x] - image[v, u]).max() > edge_threshold
+                q1, q2 = (round(p1 / edge_divisor), round(p2 / edge_divisor)) if edge else (p1, p2)
+                before = path[v, u]
+                for d in range(disparities):
+                    ways = [before[d], before.min() + q2]
+                    if d > 0:
+                        ways.append(before[d - 1] + q1)
+                    if d + 1 < disparities:
+                        ways.append(before[d + 1] + q1)
+                    path[y, x, d] = costs[y, x, d] + min(ways) - before.min()
+        total += path
+    return total
+
+
+def winners(costs):
+    """Cheapest disparities of the left and the right view; the smaller one wins ties."""
+    height, width, disparities = costs.shape
+    left, right = np.zeros((height, width), int), np.zeros((height, width), int)
+    for y in range(height):
+        for x in range(width):
+            left[y, x] = np.argmin(costs[y, x, : x + 1])
+            right[y, x] = np.argmin([costs[y, x + d, d] for d in range(min(disparities, width - x))])
+    return left, right
+
+
+def left_right_check(values, right, disparities, tolerance):
+    """(kept values, occluded, mismatch): a removed pixel is occluded if no right pixel points to it."""
+    values = values.copy()
+    occluded, mismatch = np.zeros(values.shape, bool), np.zeros(values.shape, bool)
+    for y in range(values.shape[0]):
+        for x in range(values.shape[1]):
+            d = values[y, x]
+            if np.isnan(d):
+                continue
+            u = x - int(np.floor(d + 0.5))
+            if u >= 0 and abs(d - right[y, u]) <= tolerance:
+                continue
+            points_back = any(right[y, x - other] == other for other in range(min(disparities, x + 1)))
+            (mismatch if points_back else occluded)[y, x] = True
+            values[y, x] = np.nan
+    return values, occluded, mismatch
+
+
+def background_fill(values):
+    """The smaller of the nearest values in the row; rows without any from the nearest row above, else below."""
+    out = values.copy()
+    for y, row in enumerate(values):
+        known = np.flatnonzero(~np.isnan(row))
+        for x in np.flatnonzero(np.isnan(row)):
+            sides = [known[known < x][-1:], known[known > x][:1]]
+            candidates = [row[side[0]] for side in sides if side.size]
+            if candidates:
+                out[y, x] = min(candidates)
+    rows = np.flatnonzero(~np.isnan(out).all(axis=1))
+    for y in range(len(out)):
+        if rows.size and y not in rows:
+            above, below = rows[rows < y], rows[rows > y]
+            out[y] = out[above[-1]] if above.size else out[below[0]]
+    return out
+
+
+def median(values, window):
+    """Median where the whole window (border repeated) has values; elsewhere the value itself."""
+    r = window // 2
+    out = values.copy()
+    for y in range(values.shape[0]):
+        for x in range(values.shape[1]):
+            patch = _patch(values, y, x, r, r)
+            if not np.isnan(patch).any():
+                out[y, x] = np.median(patch)
+    return out
+
+
+def subpixel(costs, values):
+    """Minimum of the parabola through three costs, where the middle one is a local minimum inside the range."""
+    costs, out = costs.astype(float), values.copy()
+    for y in range(values.shape[0]):
+        for x in range(values.shape[1]):
+            d = values[y, x]
+            if np.isnan(d) or d != int(d) or not 1 <= d < min(costs.shape[2], x + 1) - 1:
+                continue
+            below, here, above = costs[y, x, int(d) - 1 : int(d) + 2]
+            if below >= here <= above and below + above > 2 * here:
+                out[y, x] = d + 0.5 * (below - above) / (below + above - 2 * here)
     return out

@@ -63,7 +63,9 @@ class OpencvSgbm(StereoPipeline):
             speckleRange=self.speckle_range,
             mode=_MODES[self.mode],
         )
-        return match(matcher, left, right, max_disparity, 0, self.wls, self.fill)
+        # OpenCV refuses images no wider than half a block.
+        margin = 0 if left.shape[1] > self.block else self.block
+        return match(matcher, left, right, max_disparity, margin, self.wls, self.fill)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Full-image volumes in modes hh and hh4 (int16 costs and sums), else a few rows; and the maps."""

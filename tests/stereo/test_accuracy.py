@@ -1,0 +1,75 @@
+"""Golden accuracy on real scenes: what was measured once must not get worse unnoticed.
+
+Middlebury v2, bad > 1 px, missing counts as bad. A figure that improves is welcome: lower the golden one.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.evaluation.metrics import middlebury_v2
+from depthcli.io.scenes import find_scenes
+from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
+from depthcli.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.stereo.aggregation.cross import Cross
+from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
+from depthcli.stereo.cost.combined import Combined
+from depthcli.stereo.pipeline.opencv_bm import OpencvBm
+from depthcli.stereo.pipeline.opencv_sgbm import OpencvSgbm
+from depthcli.stereo.volume import StereoPair
+from depthcli.stereo.winner import winners
+
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "middlebury_v2"
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="Middlebury v2 is not in ../shared/data")
+
+AD_CENSUS = Combined.model_validate(
+    {"parts": [{"cost": "absolute_difference", "lambda": 10}, {"cost": "census", "lambda": 30}]}
+)
+
+
+@cache
+def scenes():
+    found = {scene.name: scene for scene in find_scenes(DATA)}
+    return {name: (StereoPair(*s.load_pair()), s.load_truth(), s.max_disparity) for name, s in found.items()}
+
+
+def errors(values, truth):
+    """nonocc, all, disc."""
+    scores = middlebury_v2(values.astype(np.float32), truth.disparity, truth.masks, (1.0,))
+    by_mask = {score.mask: score.value for score in scores if score.metric == "bad"}
+    return [by_mask[mask] for mask in ("nonocc", "all", "disc")]
+
+
+@pytest.mark.parametrize(
+    ("peer", "golden"),
+    [
+        pytest.param(OpencvSgbm(), 11.2, id="sgbm"),
+        pytest.param(OpencvSgbm(mode="3way", wls={}), 9.2, id="sgbm-wls"),
+        pytest.param(OpencvBm(), 15.0, id="bm"),
+    ],
+)
+def test_peers_have_their_known_error(peer, golden):
+    """Both ways: a peer that we run worse than it is would make our own figures look good."""
+    rates = [errors(peer(pair, most).disparity.values, truth) for pair, truth, most in scenes().values()]
+    assert np.mean(rates) == pytest.approx(golden, abs=0.4)
+
+
+@pytest.mark.parametrize(
+    ("cost", "aggregate", "golden"),
+    [
+        pytest.param(AbsoluteDifference(), ConstantWindow(window=11), 12.3, id="ad-cw"),
+        pytest.param(AD_CENSUS, ConstantWindow(window=11), 6.1, id="ad-census-cw"),
+        pytest.param(AD_CENSUS, Cross(iterations=1, support="intersection"), 3.3, id="ad-census-cross"),
+        pytest.param(AD_CENSUS, AdaptiveWeight(window=15), 3.9, id="ad-census-aw15"),
+    ],
+)
+def test_aggregation_without_refinement(cost, aggregate, golden):
+    """A point of figure 3.3: winner-takes-all, non-occluded."""
+    rates = []
+    for pair, truth, most in scenes().values():
+        rates.append(errors(winners(aggregate(cost(pair, most + 1), pair).costs)[0], truth)[0])
+    assert np.mean(rates) <= golden + 0.2

@@ -1,0 +1,231 @@
+"""Every stereo kernel against its slow, obvious twin."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.kernels.cross_support import cross_arms
+from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
+from depthcli.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.stereo.aggregation.cross import Cross
+from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
+from depthcli.stereo.cost.census import Census
+from depthcli.stereo.cost.combined import Combined
+from depthcli.stereo.cost.gradient import Gradient
+from depthcli.stereo.cost.rank import Rank
+from depthcli.stereo.optimization.scanline import Scanline
+from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.refinement.background_fill import BackgroundFill
+from depthcli.stereo.refinement.left_right_check import LeftRightCheck
+from depthcli.stereo.refinement.median import Median
+from depthcli.stereo.refinement.subpixel import Subpixel
+from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.winner import winners
+from tests.naive import stereo as naive
+from tests.stereo._pairs import TINY, blocky_pair, inside, random_volume, texture
+
+SMALL = [*TINY, (11, 23, 19)]
+sizes = pytest.mark.parametrize(("height", "width", "disparities"), SMALL)
+
+
+def random_pair(height, width, color, dtype=np.uint8):
+    shape = (height, width, 3) if color else (height, width)
+    return StereoPair(texture(shape, 1, dtype), texture(shape, 2, dtype))
+
+
+@sizes
+@pytest.mark.parametrize("color", [False, True])
+def test_absolute_difference(height, width, disparities, color):
+    pair, cost = random_pair(height, width, color), AbsoluteDifference()
+    channels = 3 if color else 1
+    limit = min(60 * channels, 255)
+    expected = naive.absolute_difference(pair.left, pair.right, disparities, limit, 20 * channels)
+    volume = cost(pair, disparities)
+    assert volume.scale == channels
+    np.testing.assert_array_equal(volume.costs, expected)
+
+
+@sizes
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_census(height, width, disparities, dtype):
+    pair = random_pair(height, width, False, dtype)
+    for window in ((9, 7), (1, 3)):
+        expected = naive.census(pair.left, pair.right, disparities, window, 16)
+        np.testing.assert_array_equal(Census(window=window)(pair, disparities).costs, expected)
+
+
+@sizes
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_rank(height, width, disparities, dtype):
+    pair = random_pair(height, width, False, dtype)
+    for window in ((9, 9), (3, 1)):
+        expected = naive.rank(pair.left, pair.right, disparities, window, 16)
+        np.testing.assert_array_equal(Rank(window=window)(pair, disparities).costs, expected)
+
+
+@sizes
+def test_gradient(height, width, disparities):
+    pair, cost = random_pair(height, width, False), Gradient()
+    volume = cost(pair, disparities)
+    expected = naive.gradient(pair.left, pair.right, disparities, cost.truncation, cost.outside)
+    # Four rounded sixteenths, then quarters.
+    np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=4 / 32 + 1 / 8 + 1e-4)
+
+
+def test_gradient_of_a_ramp_is_its_slope():
+    ramp = np.tile(np.arange(0, 120, 3, dtype=np.uint8), (20, 1))
+    flat = np.zeros_like(ramp)
+    volume = Gradient()(StereoPair(ramp, flat), 1)
+    np.testing.assert_array_equal(volume.costs[2:-2, 2:-2] / volume.scale, 3)
+    volume = Gradient()(StereoPair(np.ascontiguousarray(ramp.T), np.ascontiguousarray(flat.T)), 1)
+    np.testing.assert_array_equal(volume.costs[2:-2, 2:-2] / volume.scale, 3)
+
+
+@sizes
+def test_combined(height, width, disparities):
+    pair = random_pair(height, width, True)
+    parts = [("absolute_difference", 10.0), ("census", 30.0), ("rank", 15.0)]
+    combined = Combined.model_validate({"parts": [{"cost": name, "lambda": value} for name, value in parts]})
+    volume = combined(pair, disparities)
+    volumes = [(part.cost(pair, disparities), part.lambda_) for part in combined.parts]
+    expected = naive.combined([(v.costs / v.scale, scale) for v, scale in volumes], combined.outside)
+    np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=len(parts) * 0.52 / volume.scale)
+
+
+@sizes
+@pytest.mark.parametrize("window", [1, 3, 11])
+def test_constant_window(height, width, disparities, window):
+    volume = random_volume(height, width, disparities)
+    result = ConstantWindow(window=window)(volume, blocky_pair(height, width))
+    np.testing.assert_allclose(result.costs / result.scale, naive.constant_window(volume.costs, window), atol=0.51 / 16)
+
+
+def test_constant_window_over_many_bands():
+    volume = random_volume(150, 20, 9)
+    result = ConstantWindow(window=9)(volume, blocky_pair(150, 20))
+    np.testing.assert_allclose(result.costs / result.scale, naive.constant_window(volume.costs, 9), atol=0.51 / 16)
+
+
+@sizes
+@pytest.mark.parametrize("color", [False, True])
+def test_cross_arms(height, width, disparities, color):
+    image = np.atleast_3d(blocky_pair(height, width, color, seed=disparities).left)
+    for rule in ((7, 20, 3, 6), (34, 12, 34, 12), (1, 255, 0, 0)):
+        np.testing.assert_array_equal(cross_arms(image, *rule), naive.cross_arms(image, *rule))
+
+
+@sizes
+@pytest.mark.parametrize("support", ["reference", "intersection"])
+def test_cross(height, width, disparities, support):
+    pair, volume = blocky_pair(height, width), random_volume(height, width, disparities)
+    method = Cross(length=6, threshold=40, inner_length=3, inner_threshold=20, iterations=2, support=support)
+    arms, target = (method.arms(view) for view in pair.color8)
+    expected = volume.costs.astype(float)
+    for horizontal_first in (True, False):
+        expected = naive.cross(
+            expected, arms.astype(int), horizontal_first, target.astype(int) if support == "intersection" else None
+        )
+    result = method(volume, pair)
+    np.testing.assert_allclose(result.costs / result.scale, expected, atol=0.6)
+
+
+@sizes
+@pytest.mark.parametrize(("norm", "gamma_color"), [("l2", 20.0), ("squared", 900.0)])
+def test_adaptive_weight(height, width, disparities, norm, gamma_color):
+    pair, volume = blocky_pair(height, width), random_volume(height, width, disparities)
+    method = AdaptiveWeight(window=5, color_space="rgb", norm=norm, gamma_color=gamma_color, gamma_space=5.0)
+    left, right = (view.astype(float) for view in pair.color8)
+    expected = naive.adaptive_weight(volume.costs, left, right, 2, gamma_color, 5.0, norm == "squared")
+    result = method(volume, pair)
+    np.testing.assert_allclose(result.costs / result.scale, expected, atol=0.51 / 16)
+    exact = method(CostVolume(volume.costs.astype(np.float32)), pair)
+    np.testing.assert_allclose(exact.costs, expected, rtol=2e-5, atol=1e-4)
+
+
+def test_adaptive_weight_in_lab_and_a_window_beyond_the_image():
+    pair, volume = blocky_pair(9, 14), random_volume(9, 14, 21)
+    left, right = (cv2.cvtColor(view.astype(np.float32) / 255, cv2.COLOR_RGB2Lab).astype(float) for view in pair.color8)
+    expected = naive.adaptive_weight(volume.costs, left, right, 16, 10.0, 36.0)
+    result = AdaptiveWeight()(volume, pair)
+    np.testing.assert_allclose(result.costs / result.scale, expected, atol=0.51 / 16)
+
+
+def test_adaptive_weight_of_far_colors_is_the_cost_itself():
+    """Weights that vanish must not turn into zero by zero."""
+    image = np.zeros((6, 10, 3), np.uint8)
+    image[::2, ::2] = image[1::2, 1::2] = 255
+    volume = random_volume(6, 10, 4)
+    result = AdaptiveWeight(window=3, gamma_color=0.5, gamma_space=0.1)(volume, StereoPair(image, image))
+    np.testing.assert_allclose(result.costs / 16, volume.costs, atol=0.2)
+
+
+@sizes
+@pytest.mark.parametrize("paths", [4, 8])
+def test_scanline(height, width, disparities, paths):
+    pair, volume = blocky_pair(height, width), random_volume(height, width, disparities, np.uint16)
+    method = Scanline(p1=30, p2=90, paths=paths, edge_threshold=10, edge_divisor=4)
+    expected = naive.scanline(volume.costs, pair.left, 30, 90, paths, 10, 4)
+    result = method(volume, pair)
+    np.testing.assert_allclose(result.costs / result.scale, expected / paths, atol=1e-6 if result.scale >= paths else 1)
+
+
+@sizes
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_winners(height, width, disparities, dtype):
+    volume = random_volume(height, width, disparities, dtype)
+    volume.costs[...] //= 16  # many ties
+    for found, expected in zip(winners(volume.costs), naive.winners(volume.costs), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def holes(height, width, disparities, seed=5):
+    rng = np.random.default_rng(seed)
+    volume = random_volume(height, width, disparities, np.uint16)
+    left, right = winners(volume.costs)
+    values = left.astype(np.float32)
+    values[rng.random((height, width)) < 0.3] = np.nan
+    values[: height // 4] = np.nan
+    values[-1:] = np.nan
+    status = np.where(np.isnan(values), Status.MISMATCH, 0).astype(np.uint8)
+    return DisparityMap(values, status), Evidence(blocky_pair(height, width), volume, right)
+
+
+@sizes
+@pytest.mark.parametrize("tolerance", [0.0, 1.0])
+def test_left_right_check(height, width, disparities, tolerance):
+    disparity, evidence = holes(height, width, disparities)
+    result = LeftRightCheck(tolerance=tolerance)(disparity, evidence)
+    values, occluded, mismatch = naive.left_right_check(disparity.values, evidence.right, disparities, tolerance)
+    np.testing.assert_array_equal(result.values, values)
+    np.testing.assert_array_equal(result.status & Status.OCCLUDED != 0, occluded)
+    np.testing.assert_array_equal(result.status & Status.MISMATCH != 0, mismatch | (disparity.status != 0))
+
+
+@sizes
+def test_background_fill(height, width, disparities):
+    disparity, evidence = holes(height, width, disparities)
+    result = BackgroundFill()(disparity, evidence)
+    np.testing.assert_array_equal(result.values, naive.background_fill(disparity.values))
+
+
+@sizes
+@pytest.mark.parametrize("window", [3, 5])
+def test_median(height, width, disparities, window):
+    disparity, evidence = holes(height, width, disparities)
+    result = Median(window=window)(disparity, evidence)
+    np.testing.assert_array_equal(result.values, naive.median(disparity.values, window))
+
+
+@sizes
+def test_subpixel(height, width, disparities):
+    disparity, evidence = holes(height, width, disparities)
+    result = Subpixel()(disparity, evidence)
+    np.testing.assert_allclose(result.values, naive.subpixel(evidence.volume.costs, disparity.values), rtol=1e-6)
+
+
+def test_cells_outside_are_where_the_fixture_says():
+    assert not inside((2, 3, 5))[:, 0, 1:].any()
+    assert inside((2, 3, 5))[:, 2, :3].all()
