@@ -24,7 +24,7 @@ from depthcli.stereo.volume import StereoPair
 from depthcli.stereo.winner import winners
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "middlebury_v2"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="Middlebury v2 is not in ../shared/data")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not DATA.is_dir(), reason="Middlebury v2 is not in ../shared/data")]
 
 AD_CENSUS = Combined.model_validate(
     {"parts": [{"cost": "absolute_difference", "lambda": 10}, {"cost": "census", "lambda": 30}]}
