@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.stereo.volume import CostVolume, StereoPair
-from depthcli.stereo.winner import winners
 
 
-@dataclass
+@dataclass(frozen=True)
 class Evidence:
-    """The pair and the volume the map was selected from."""
+    """The pair and what the map was selected from.
+
+    Attributes
+    ----------
+    pair : the images
+    volume : the volume whose cheapest cells the map holds
+    right : (H, W) disparities of the right view, read from the same volume along its diagonals
+    """
 
     pair: StereoPair
     volume: CostVolume
+    right: NDArray[Any]
 
-    @cached_property
-    def right(self) -> NDArray[np.uint16]:
-        """(H, W) disparities of the right view, read from the same volume along its diagonals."""
-        return winners(self.volume.costs)
+    def __post_init__(self) -> None:
+        if self.right.dtype not in (np.uint16, np.float32):
+            raise TypeError(f"right disparities must be uint16 or float32, got {self.right.dtype}")

@@ -1,0 +1,13 @@
+"""No optimization: every pixel decides alone."""
+
+from __future__ import annotations
+
+from depthcli.stereo.optimization import Optimizer
+from depthcli.stereo.volume import CostVolume, StereoPair
+
+
+class WinnerTakesAll(Optimizer):
+    """The aggregated costs themselves; their minimum is the answer."""
+
+    def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
+        return volume

@@ -1,0 +1,75 @@
+"""The local pipeline (thesis chapter 3): costs, aggregation, optimization, winner-takes-all, refinement."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from depthcli.confidence import confidence_maps, measures
+from depthcli.core.maps import DisparityMap
+from depthcli.stereo.aggregation import Aggregation
+from depthcli.stereo.cost import Cost
+from depthcli.stereo.optimization import Optimization
+from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
+from depthcli.stereo.pipeline import StereoPipeline
+from depthcli.stereo.refinement import RefinementStep
+from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import StereoPair, StereoResult
+from depthcli.stereo.winner import winners
+
+
+class Local(StereoPipeline):
+    """Stereo by matching costs: any measure, any aggregation, any optimization, any list of refinements."""
+
+    cost: Cost = Field(description="matching cost of two pixels")
+    aggregation: Aggregation | None = Field(None, description="averaging over a support window; null: none")
+    optimization: Optimization = Field(
+        default_factory=WinnerTakesAll, description="smoothness over the image, or winner_takes_all"
+    )
+    refinement: tuple[RefinementStep, ...] = Field((), description="steps on the disparity map, in order")
+    confidence: tuple[str, ...] = Field((), description="confidence maps to write, measured on the final volume")
+
+    @field_validator("confidence")
+    @classmethod
+    def _known_measures(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name not in measures():
+                raise ValueError(f"no confidence measure called {name!r}; one of: {', '.join(measures())}")
+        return names
+
+    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+        seconds: dict[str, float] = {}
+        clock = time.perf_counter()
+
+        def stop(stage: str) -> None:
+            nonlocal clock
+            now = time.perf_counter()
+            seconds[stage] = now - clock
+            clock = now
+
+        volume = self.cost(pair, max_disparity + 1)
+        stop("cost")
+        if self.aggregation is not None:
+            volume = self.aggregation(volume, pair)
+        stop("aggregation")
+        volume = self.optimization(volume, pair)
+        left, right = winners(volume.costs)
+        stop("optimization")
+        evidence = Evidence(pair, volume, right)
+        disparity = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
+        for step in self.refinement:
+            disparity = step(disparity, evidence)
+        stop("refinement")
+        confidence = confidence_maps(volume.costs, self.confidence) if self.confidence else {}
+        stop("confidence")
+        return StereoResult(disparity, seconds, confidence)
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Raw costs (1 byte a cell) beside either three aggregated volumes or two sums of path costs (2 bytes)."""
+        pixels = shape[0] * shape[1]
+        aggregated = self.aggregation is not None
+        optimized = not isinstance(self.optimization, WinnerTakesAll)
+        bytes_a_cell = max(2, 7 if aggregated else 0, (6 if aggregated else 5) if optimized else 0)
+        return pixels * (max_disparity + 1) * bytes_a_cell + 200 * pixels + (64 << 20)

@@ -1,0 +1,51 @@
+"""Left-right consistency: a match must be mutual."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import prange
+from pydantic import Field
+
+from depthcli.core.maps import DisparityMap
+from depthcli.kernels._jit import parallel_jit
+from depthcli.stereo.refinement import Refinement
+from depthcli.stereo.refinement._evidence import Evidence
+
+
+class LeftRightCheck(Refinement):
+    """Remove pixels whose match in the right view does not point back to them.
+
+    The right view's map is read from the same volume, which is many times faster than matching again.
+    A removed pixel is an occlusion if no disparity at all points back (its epipolar line misses the right
+    surface), else a mismatch (Hirschmueller 2008).
+    """
+
+    tolerance: float = Field(1.0, ge=0, description="largest accepted difference of the two disparities, pixels")
+
+    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+        values, status = disparity.values.copy(), disparity.status.copy()
+        _check(values, status, evidence.right, np.float32(self.tolerance), evidence.volume.disparities)
+        return DisparityMap(values, status)
+
+
+@parallel_jit
+def _check(values: Any, status: Any, right: Any, tolerance: Any, disparities: int) -> None:
+    occluded, mismatch = np.uint8(1), np.uint8(2)
+    height, width = values.shape
+    for y in prange(height):
+        for x in range(width):
+            d = values[y, x]
+            if np.isnan(d):
+                continue
+            u = x - int(d + np.float32(0.5))
+            if u >= 0 and abs(d - np.float32(right[y, u])) <= tolerance:
+                continue
+            mutual = False
+            for other in range(min(disparities, x + 1)):
+                if right[y, x - other] == other:
+                    mutual = True
+                    break
+            values[y, x] = np.nan
+            status[y, x] |= mismatch if mutual else occluded

@@ -1,0 +1,29 @@
+"""Remove small islands of disparity."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.stereo.refinement import Refinement
+from depthcli.stereo.refinement._evidence import Evidence
+
+_STEPS = 16  # OpenCV filters whole numbers: sixteenths of a pixel
+
+
+class SpeckleFilter(Refinement):
+    """Remove connected regions of similar disparity that are too small to be trusted (``cv2.filterSpeckles``)."""
+
+    size: int = Field(50, ge=1, description="regions of at most this many pixels are removed")
+    step: float = Field(1.0, ge=0, le=64, description="largest disparity step inside a region, pixels")
+
+    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+        valid = disparity.valid
+        none = -32768
+        fixed = np.where(valid, np.round(np.nan_to_num(disparity.values) * _STEPS), none).astype(np.int16)
+        cv2.filterSpeckles(fixed, none, self.size, self.step * _STEPS)
+        removed = valid & (fixed == none)
+        values = np.where(removed, np.float32(np.nan), disparity.values)
+        return DisparityMap(values, disparity.status | np.where(removed, np.uint8(Status.MISMATCH), np.uint8(0)))

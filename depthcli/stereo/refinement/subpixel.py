@@ -1,0 +1,44 @@
+"""Sub-pixel disparities from the parabola through three costs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import prange
+
+from depthcli.core.maps import DisparityMap
+from depthcli.kernels._jit import parallel_jit
+from depthcli.stereo.refinement import Refinement
+from depthcli.stereo.refinement._evidence import Evidence
+
+
+class Subpixel(Refinement):
+    """Move every whole-pixel disparity to the minimum of the parabola through its cost and its neighbors'.
+
+    Pixels whose value is not a whole number, or whose cost is no local minimum of the curve (a filled value,
+    say), or lies at the end of the range, stay as they are.
+    """
+
+    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+        values = disparity.values.copy()
+        _parabola(evidence.volume.costs, values)
+        return DisparityMap(values, disparity.status)
+
+
+@parallel_jit
+def _parabola(costs: Any, values: Any) -> None:
+    height, width, depth = costs.shape
+    for y in prange(height):
+        for x in range(width):
+            if np.isnan(values[y, x]):
+                continue
+            d = int(values[y, x])
+            if values[y, x] != d or d < 1 or d + 1 >= min(depth, x + 1):
+                continue
+            below = float(costs[y, x, d - 1])
+            here = float(costs[y, x, d])
+            above = float(costs[y, x, d + 1])
+            curvature = below + above - 2.0 * here
+            if below >= here and above >= here and curvature > 0.0:
+                values[y, x] = np.float32(d + 0.5 * (below - above) / curvature)
