@@ -47,9 +47,11 @@ def depthcli(
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code; messages go to stderr, never a traceback except for a bug."""
     try:
-        code = app(arguments, prog_name="depthcli", standalone_mode=False)
+        code = int(app(arguments, prog_name="depthcli", standalone_mode=False) or 0)
         sys.stdout.flush()
-        return int(code or 0)
+        if code == 130:  # typer turns Ctrl-C into this code, silently
+            raise KeyboardInterrupt
+        return code
     except DepthcliError as error:
         print(f"depthcli: {error}" if "\n" not in str(error) else str(error), file=sys.stderr)
         return 2

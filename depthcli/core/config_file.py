@@ -168,14 +168,14 @@ def load_config(model: type[_Model], source: Path | ConfigData, settings: Sequen
         defaults: dict[str, Any] = {}
         if not config.problems:
             with contextlib.suppress(ValidationError):  # reported below, where --set may have mended it
-                defaults = model.model_validate(config.data).model_dump(mode="json")
+                defaults = model.model_validate(config.data).model_dump(mode="json", by_alias=True)
         overlay(config, settings, defaults)
     return validate(model, config)
 
 
 def dump_config(model: BaseModel) -> str:
     """The resolved model as YAML, always the same text for the same values; reads back to an equal model."""
-    return to_yaml(model.model_dump(mode="json"))
+    return to_yaml(model.model_dump(mode="json", by_alias=True))
 
 
 def to_yaml(value: Any) -> str:
@@ -425,7 +425,8 @@ def _keys(model: type[BaseModel], data: Any, location: Location) -> list[str]:
     found = _models(model, data, location)
     names: list[str] = []
     for kind in found:
-        names += [name for name, info in kind.model_fields.items() if name not in names and not info.exclude]
+        fields = [info.alias or name for name, info in kind.model_fields.items() if not info.exclude]
+        names += [name for name in fields if name not in names]
     return names
 
 

@@ -67,7 +67,7 @@ def _lines(model: BaseModel, depth: int, flat: str) -> Iterator[str]:
             continue
         if info.description:
             yield from _comment(info.description, pad)
-        yield from _value(name, getattr(model, name), depth)
+        yield from _value(info.alias or name, getattr(model, name), depth)
     if isinstance(inner, BaseModel):
         yield from _lines(inner, depth, "")
 

@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from depthcli.cli import main
+from depthcli.io.disparity import read_disparity, read_pfm
+from depthcli.jobs import commands
+
+FAST = "opencv-bm"
+"""The quickest preset; the tests here are about what is around the matching."""
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(a) for a in arguments])
+
+
+def process(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "depthcli", *map(str, arguments)]
+    return subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
+
+
+def test_maps_and_reports_for_a_folder(made_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "--scenes", "planes_*") == 0
+    out, err = capsys.readouterr()
+    assert out.splitlines()[0].split() == ["scene", "status", "size", "density", "seconds", "memory"]
+    assert "3 of 3 scenes done" in err
+    folder = tmp_path / "run" / "planes_0"
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "disp_left.pfm", "disp_left.png", "preview.png", "record.json", "status.png",
+    ]  # fmt: skip
+    values = read_pfm(folder / "disp_left.pfm")
+    assert values.shape == (64, 96)
+    codes = cv2.imread(str(folder / "disp_left.png"), cv2.IMREAD_UNCHANGED)
+    assert codes.dtype == np.uint16
+    np.testing.assert_allclose(read_disparity(folder / "disp_left.png"), values.clip(1 / 256), atol=1 / 512)
+    assert cv2.imread(str(folder / "status.png"), cv2.IMREAD_UNCHANGED).shape == (64, 96)
+    assert cv2.imread(str(folder / "preview.png"), cv2.IMREAD_UNCHANGED).shape == (64, 96, 3)
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "run" / "report.csv").read_text())))
+    assert [row["scene"] for row in rows] == ["planes_0", "planes_1", "planes_2"]
+    assert float(rows[0]["seconds_load"]) > 0
+    assert int(rows[0]["peak_memory"]) > 1 << 20
+    assert 0.5 < float(rows[0]["density"]) <= 1
+
+
+def test_the_run_file_is_a_config(made_scenes: Path, tmp_path: Path):
+    one = ("-i", made_scenes, "--scenes", "planes_0", "-q")
+    assert run("stereo", FAST, *one, "-o", tmp_path / "a", "--set", "block=9") == 0
+    assert run("stereo", tmp_path / "a" / "run.yaml", *one, "-o", tmp_path / "b") == 0
+    assert (tmp_path / "a" / "run.yaml").read_bytes() == (tmp_path / "b" / "run.yaml").read_bytes()
+    written = yaml.safe_load((tmp_path / "a" / "run.yaml").read_text())
+    assert written["block"] == 9
+    assert set(written["run"]) == {"command", "backend", "versions"}
+    for name in ("disp_left.pfm", "preview.png", "record.json"):
+        assert (tmp_path / "a/planes_0" / name).read_bytes() == (tmp_path / "b/planes_0" / name).read_bytes()
+
+
+def test_json_is_one_document_and_alone_on_stdout(made_scenes, tmp_path, capsys):
+    assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "r", "--json", "--scenes", "*_1", "--evaluate") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"] == "stereo"
+    assert (document["done"], document["failed"]) == (4, 0)
+    assert {"scene", "status", "error", "width", "density", "seconds", "peak_memory"} <= set(document["scenes"][0])
+    assert document["evaluation"]
+    assert (tmp_path / "r" / "evaluation" / "report.md").exists()
+
+
+def test_one_pair(made_scenes: Path, tmp_path: Path, capsys):
+    pair = ("--left", made_scenes / "planes_0/left.png", "--right", made_scenes / "planes_0/right.png")
+    assert run("stereo", FAST, *pair, "-o", tmp_path / "r", "--max-disparity", "12") == 0
+    assert (tmp_path / "r" / "left" / "disp_left.pfm").exists()
+    assert run("stereo", FAST, *pair, "-o", tmp_path / "s") == 3
+    assert "the search range is not known; say it with --max-disparity" in capsys.readouterr().err
+
+
+def test_runs_are_compared(made_scenes: Path, tmp_path: Path, capsys):
+    for preset in ("opencv-bm", "opencv-sgbm"):
+        assert run("stereo", preset, "-i", made_scenes, "-o", tmp_path / preset, "--scenes", "*_0", "-q") == 0
+    capsys.readouterr()
+    runs = (tmp_path / "opencv-bm", tmp_path / "opencv-sgbm")
+    assert run("evaluate", *runs, "--truth", made_scenes, "-o", tmp_path / "e", "--scenes", "*_0") == 0
+    out = capsys.readouterr().out
+    assert "opencv-bm" in out
+    assert "opencv-sgbm" in out
+    # The twelve scenes of which the runs lack eight: said, and told by the exit code.
+    assert run("evaluate", *runs, "--truth", made_scenes, "-o", tmp_path / "f", "--json") == 3
+    json.loads(capsys.readouterr().out)
+
+
+def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
+    assert run("presets") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("stereo opencv-sgbm ") and len(line.split()) > 5 for line in lines)
+    assert run("presets", "show", "opencv-sgbm") == 0
+    text = capsys.readouterr().out
+    assert "# side of the matched block, pixels, odd\nblock: 5\n" in text
+    (tmp_path / "shown.yaml").write_text(text)
+    assert run("presets", "show", "opencv-sgmb") == 2
+    assert run("presets", "list") == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("stereo", "opencv-sgmb", "-i", ".", "-o", "x"), "did you mean 'opencv-sgbm'?"),
+        (("stereo", "absent.yaml", "-i", ".", "-o", "x"), "absent.yaml: neither a file nor a preset"),
+        (("stereo", FAST, "-o", "x"), "want --input DIR, or --left FILE and --right FILE"),
+        (("stereo", FAST, "-i", ".", "--left", "a", "-o", "x"), "exclude each other"),
+        (("stereo", FAST, "-i", "absent", "-o", "x"), "absent: no such folder"),
+        (("stereo", FAST, "-i", ".", "-o", "x"), "no scenes found"),
+        (("stereo", FAST, "-i", ".", "-o", "x", "--set", "blok=3"), "--set blok: no such key (got 3); did you mean 'bl"),
+        (("stereo", FAST, "-i", ".", "-o", "x", "--max-memory", "lots"), "--max-memory: want a size such as 2GiB"),
+        (("stereo", FAST, "-i", ".", "-o", "x", "--max-disparity", "0"), "--set max_disparity: should be greater"),
+        (("stereo", FAST, "-i", ".", "-o", "x", "--jobs", "0"), "--jobs"),
+        (("stereo", FAST, "-i", "."), "Missing option '--output'"),
+        (("stereo",), "Missing"),
+        (("sterio",), "No such command 'sterio'"),
+        (("evaluate", "absent", "--truth", ".", "-o", "x"), "absent: no such folder"),
+        (("sample", "-o", "x", "--count", "0", "--width", "3"), "depthcli sample: count: should be greater than or equal"),
+        (("sample", "-o", "x", "--kind", "plane"), "plane"),
+    ],
+)
+def test_wrong_usage_is_exit_2_and_a_line(arguments, said, tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(*arguments) == 2
+    out, err = capsys.readouterr()
+    assert said in err
+    assert out == ""
+    assert "Traceback" not in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_scene_that_would_not_fit_fails_before_it_starts(made_scenes, tmp_path, capsys, monkeypatch):
+    from depthcli.stereo.pipeline.opencv_sgbm import OpencvSgbm
+
+    monkeypatch.setattr(OpencvSgbm, "peak_bytes", lambda self, shape, top: 3 << 30)
+    monkeypatch.setattr(OpencvSgbm, "__call__", lambda *a: pytest.fail("was started"))
+    rc = run("stereo", "opencv-sgbm", "-i", made_scenes, "-o", tmp_path / "r", "--scenes", "planes_0", "--max-memory", "2G")
+    assert rc == 3
+    assert "planes_0: needs about 3.0 GiB of memory (96 x 64 pixels, 13 disparities), 1.9 GiB may be used" in (
+        capsys.readouterr().err
+    )
+
+
+def test_a_bug_is_exit_1_with_a_traceback(monkeypatch, capsys, tmp_path: Path):
+    monkeypatch.setattr(commands, "find_config", lambda *a: 1 / 0)
+    assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == 1
+    err = capsys.readouterr().err
+    assert "ZeroDivisionError" in err
+    assert "this is a bug" in err
+
+
+def test_ctrl_c_is_exit_130(monkeypatch, capsys, tmp_path: Path):
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands, "find_config", interrupted)
+    assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == 130
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_as_a_process(made_scenes: Path, tmp_path: Path):
+    assert process("--version").stdout.startswith("depthcli ")
+    done = process("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "r", "--jobs", "2", "--scenes", "planes_*")
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert process("stereo", FAST).returncode == 2
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys; from depthcli.cli import main; main(['stereo', '--help']);"
+        "heavy = {'numba', 'numpy', 'cv2', 'skimage', 'yaml', 'rich'} & set(sys.modules);"
+        "sys.exit(repr(heavy) if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "--max-memory" in done.stdout
