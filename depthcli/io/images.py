@@ -238,11 +238,9 @@ _CAPTURE = threading.Lock()
 # What libjpeg, libtiff and OpenCV print when they decode something broken. Other lines that pass
 # by while stderr is diverted (a progress bar of another thread) are handed on untouched.
 _COMPLAINT = re.compile(
-    rb"corrupt|premature|invalid|unsupported|bad |bogus|not enough|error|warn|unknown|inconsistent|"
-    rb"extraneous|can't|cannot|quantization|huffman|huff|missing|expected|truncated|code not|tiff|jpeg",
-    re.IGNORECASE,
+    rb"\[ ?(?:WARN|ERROR|FATAL)[^\]]*\] global |> |Corrupt JPEG|Premature end of |Invalid |Inconsistent |Unsupported |"
+    rb"Bogus |Unknown Adobe|Warning: unknown JFIF|Improper |Missing |TIFF"
 )
-
 _LOG_PREFIX = re.compile(r"^\[[^\]]*\] global \S+ ")  # OpenCV's time stamp and source line
 
 
@@ -267,8 +265,8 @@ def _decoder_warnings(capture: bool) -> Iterator[list[str]]:
         finally:
             os.dup2(saved, 2)
             sink.seek(0)
-            for line in sink.read().splitlines(keepends=True):
-                if b"\r" not in line and _COMPLAINT.search(line):
+            for line in re.findall(rb"[^\n]*\n|[^\n]+", sink.read()):
+                if _COMPLAINT.match(line):
                     text = _LOG_PREFIX.sub("", line.decode("utf-8", "replace"))
                     found.append(" ".join(text.split())[:120])
                 elif line.strip():

@@ -99,10 +99,18 @@ def test_damaged_maps(tmp_path: Path, capfd, suffix):
     assert capfd.readouterr().err == ""
 
 
-def test_text_of_others_passes_through_while_a_jpeg_is_read(tmp_path: Path, capfd):
-    """stderr is diverted for the decoder's sake only: a good file leaves it as it was."""
+def test_text_of_others_passes_through_while_a_jpeg_is_read(tmp_path: Path, capfd, monkeypatch):
+    """stderr is diverted for the decoder's sake only: a progress bar or log line of another thread survives."""
+    others = b"\r 10%|error bar|\nplain line: an error of a JPEG\n\r 20%|"
+    decode = cv2.imdecode
+
+    def beside(*args):
+        os.write(2, others)
+        return decode(*args)
+
     path = tmp_path / "a.jpg"
     path.write_bytes(originals()[".jpg"])
-    read_image(path)
+    monkeypatch.setattr(cv2, "imdecode", beside)
+    assert read_image(path).shape == (60, 80, 3)
     os.write(2, b"still here\n")
-    assert capfd.readouterr().err == "still here\n"
+    assert capfd.readouterr().err.encode() == others + b"still here\n"
