@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import sys
 import tempfile
@@ -58,6 +59,24 @@ os.environ["NUMBA_CACHE_DIR"] = str(cache_folder())
 
 import numba  # noqa: E402
 import numba.core.event  # noqa: E402
+
+
+def _load_without_scipy() -> None:
+    """Load numba's array functions without scipy.linalg, which takes longer to import than numba itself.
+
+    numba wants it for matrix products only; so a kernel cannot call ``np.dot`` or ``np.linalg``.
+    """
+    name = "scipy.linalg"
+    if name in sys.modules or "numba.np.arraymath" in sys.modules:
+        return
+    sys.modules[name] = None  # type: ignore[assignment]
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        del sys.modules[name]
+
+
+_load_without_scipy()
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
