@@ -118,7 +118,10 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
         (("stereo", FAST, "-i", ".", "--left", "a", "-o", "x"), "exclude each other"),
         (("stereo", FAST, "-i", "absent", "-o", "x"), "absent: no such folder"),
         (("stereo", FAST, "-i", ".", "-o", "x"), "no scenes found"),
-        (("stereo", FAST, "-i", ".", "-o", "x", "--set", "blok=3"), "--set blok: no such key (got 3); did you mean 'bl"),
+        (
+            ("stereo", FAST, "-i", ".", "-o", "x", "--set", "blok=3"),
+            "--set blok: no such key (got 3); did you mean 'bl",
+        ),
         (("stereo", FAST, "-i", ".", "-o", "x", "--max-memory", "lots"), "--max-memory: want a size such as 2GiB"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--max-disparity", "0"), "--set max_disparity: should be greater"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--jobs", "0"), "--jobs"),
@@ -126,7 +129,10 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
         (("stereo",), "Missing"),
         (("sterio",), "No such command 'sterio'"),
         (("evaluate", "absent", "--truth", ".", "-o", "x"), "absent: no such folder"),
-        (("sample", "-o", "x", "--count", "0", "--width", "3"), "depthcli sample: count: should be greater than or equal"),
+        (
+            ("sample", "-o", "x", "--count", "0", "--width", "3"),
+            "depthcli sample: count: should be greater than or equal",
+        ),
         (("sample", "-o", "x", "--kind", "plane"), "plane"),
     ],
 )
@@ -145,7 +151,9 @@ def test_a_scene_that_would_not_fit_fails_before_it_starts(made_scenes, tmp_path
 
     monkeypatch.setattr(OpencvSgbm, "peak_bytes", lambda self, shape, top: 3 << 30)
     monkeypatch.setattr(OpencvSgbm, "__call__", lambda *a: pytest.fail("was started"))
-    rc = run("stereo", "opencv-sgbm", "-i", made_scenes, "-o", tmp_path / "r", "--scenes", "planes_0", "--max-memory", "2G")
+    rc = run(
+        "stereo", "opencv-sgbm", "-i", made_scenes, "-o", tmp_path / "r", "--scenes", "planes_0", "--max-memory", "2G"
+    )
     assert rc == 3
     assert "planes_0: needs about 3.0 GiB of memory (96 x 64 pixels, 13 disparities), 1.9 GiB may be used" in (
         capsys.readouterr().err

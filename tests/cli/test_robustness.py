@@ -236,7 +236,9 @@ def test_damaged_configs(made_scenes, tmp_path, capfd):
             elif kind == 1:
                 del data[at : at + rng.randrange(1, 9)]
             elif kind == 2:
-                data[at:at] = rng.choice([b"\t", b"{", b"]", b"*x", b"&x ", b"!!", b": ", b"- ", b"\x00", b"\xff", b"'"])
+                data[at:at] = rng.choice(
+                    [b"\t", b"{", b"]", b"*x", b"&x ", b"!!", b": ", b"- ", b"\x00", b"\xff", b"'"]
+                )
             else:
                 data[at:at] = rng.choice([b".nan", b"1e999", b"-1", b"9" * 400, b"[" * 300, b"null", b"{a: b}"])
         file.write_bytes(data)
