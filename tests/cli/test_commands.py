@@ -4,8 +4,10 @@ import csv
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -194,3 +196,40 @@ def test_help_imports_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "--max-memory" in done.stdout
+
+
+def test_threads_do_not_change_the_bytes(made_scenes: Path, tmp_path: Path):
+    one = ("-i", made_scenes, "--scenes", "*_0", "-q")
+    for threads in ("1", "2"):
+        assert run("stereo", "fast", *one, "-o", tmp_path / threads, "--threads", threads) == 0
+    files = [p.relative_to(tmp_path / "1") for p in (tmp_path / "1").rglob("*") if p.is_file()]
+    assert len(files) == 4 * 5 + 3
+    for file in files:
+        if file.name not in ("report.json", "report.csv"):
+            assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes(), file
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGINT")
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_ctrl_c_leaves_a_run_to_go_on_with(made_scenes: Path, tmp_path: Path, jobs: str):
+    for number in range(4):  # enough scenes that the interruption falls into the run
+        for scene in made_scenes.iterdir():
+            (tmp_path / "in" / f"{scene.name}_{number}").mkdir(parents=True)
+            for file in scene.iterdir():
+                (tmp_path / "in" / f"{scene.name}_{number}" / file.name).symlink_to(file)
+    command = ["stereo", "opencv-sgbm", "-i", tmp_path / "in", "-o", tmp_path / "run", "--jobs", jobs]
+    process_ = subprocess.Popen(
+        [sys.executable, "-m", "depthcli", *map(str, command)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not list((tmp_path / "run").glob("*/record.json")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    os.killpg(process_.pid, signal.SIGINT)
+    _, err = process_.communicate(timeout=60)
+    assert process_.returncode == 130, err
+    assert "interrupted; the same command goes on" in err
+    assert "Traceback" not in err
+    assert not list((tmp_path / "run").glob(".partial-*"))
+    assert run(*command) == 0
+    assert len(list((tmp_path / "run").glob("*/record.json"))) == 48
