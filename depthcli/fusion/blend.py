@@ -17,7 +17,7 @@ UNIT = 255
 """Stored value of the cost 1."""
 
 
-def squash(volume: CostVolume, scale: float | None) -> CostVolume:
+def squash(volume: CostVolume, scale: float | None, outside: float | None = None) -> CostVolume:
     """Costs of any measure brought to [0, 1]: ``1 - exp(-C / scale)`` (the form of Mei et al. 2011).
 
     Parameters
@@ -25,34 +25,39 @@ def squash(volume: CostVolume, scale: float | None) -> CostVolume:
     volume : (H, W, D); costs below zero are shifted up to zero
     scale : cost that becomes 1 - 1/e, in units of the measure; None: the median cost, so that every
         measure has half of its costs above 1 - 1/e
+    outside : cost in [0, 1] of cells outside the right image; None: the mean of the others
 
     Returns
     -------
     CostVolume
-        uint8, ``scale`` 255; cells outside the right image hold the mean of the others.
+        uint8, ``scale`` 255.
     """
     costs = volume.costs
-    offset = min(0.0, float(costs.min())) if costs.dtype == np.float32 else 0.0
-    middle = typical_cost(costs) - offset if scale is None else scale * volume.scale
     out: NDArray[np.uint8] = memory.empty(costs.shape, np.uint8)
-    sums = np.zeros(costs.shape[0], np.int64)
-    _squash(costs, np.float32(offset), np.float32(1.0 / middle if middle > 0 else 1.0), out, sums)
-    height, width, depth = costs.shape
-    inside = height * int(np.minimum(np.arange(1, width + 1), depth).sum())
-    _fill_outside(out, np.uint8(round(int(sums.sum()) / inside)))
+    if costs.dtype == np.float32:
+        offset = min(0.0, float(costs.min()))
+        sample = _sample(costs) - np.float32(offset)
+        middle = float(np.median(sample)) if scale is None else scale * volume.scale
+        rate = 1.0 / middle if middle > 0 else 1.0
+        _squash(costs, np.float32(offset), np.float32(rate), out)
+        mean = 1.0 - float(np.mean(np.exp(-sample.astype(np.float64) * rate)))
+    else:
+        counts = np.zeros(256 if costs.dtype == np.uint8 else 65536, np.int64)
+        _histogram(costs, counts)
+        total = np.cumsum(counts)
+        middle = float(np.searchsorted(total, (total[-1] + 1) // 2)) if scale is None else scale * volume.scale
+        squashed = 1.0 - np.exp(-np.arange(counts.size) / (middle if middle > 0 else 1.0))
+        _look_up(costs, np.round(squashed * UNIT).astype(np.uint8), out)
+        mean = float(squashed @ counts) / float(total[-1])
+    _fill_outside(out, np.uint8(round(UNIT * (mean if outside is None else outside))))
     return CostVolume(out, float(UNIT))
 
 
-def typical_cost(costs: NDArray[Any]) -> float:
-    """Median of the cells inside the right image, over every fourth row."""
-    if costs.dtype == np.float32:
-        width, depth = costs.shape[1:]
-        inside = np.arange(depth)[None, :] <= np.arange(width)[:, None]
-        return float(np.median(costs[::4][:, inside]))
-    counts = np.zeros(256 if costs.dtype == np.uint8 else 65536, np.int64)
-    _histogram(costs, counts)
-    total = np.cumsum(counts)
-    return float(np.searchsorted(total, (total[-1] + 1) // 2))
+def _sample(costs: NDArray[np.float32]) -> NDArray[np.float32]:
+    # The cells inside the right image, of every fourth row: enough for a median.
+    width, depth = costs.shape[1:]
+    inside = np.arange(depth)[None, :] <= np.arange(width)[:, None]
+    return costs[::4][:, inside]
 
 
 def blend(volumes: list[CostVolume], weights: NDArray[np.float32]) -> CostVolume:
@@ -68,15 +73,8 @@ def blend(volumes: list[CostVolume], weights: NDArray[np.float32]) -> CostVolume
     CostVolume
         uint8, of the same scale. Weights are rounded to 1/256, the largest one takes what is left over.
     """
-    fixed = np.round(weights * 256).astype(np.int32)
-    largest = np.argmax(fixed, axis=0)[None]
-    rest = 256 - fixed.sum(axis=0, keepdims=True)
-    np.put_along_axis(fixed, largest, np.take_along_axis(fixed, largest, 0) + rest, 0)
-    total: NDArray[np.uint16] = memory.empty(volumes[0].costs.shape, np.uint16)
-    for m, volume in enumerate(volumes):
-        _accumulate(volume.costs, fixed[m].astype(np.uint16), total, m == 0)
-    out: NDArray[np.uint8] = memory.empty(total.shape, np.uint8)
-    _shorten(total, out)
+    out: NDArray[np.uint8] = memory.empty(volumes[0].costs.shape, np.uint8)
+    _blend(tuple(volume.costs for volume in volumes), weights, out)
     return CostVolume(out, volumes[0].scale)
 
 
@@ -95,22 +93,24 @@ def _histogram(costs: Any, counts: Any) -> None:
 
 
 @parallel_jit
-def _squash(costs: Any, offset: Any, rate: Any, out: Any, sums: Any) -> None:
+def _look_up(costs: Any, table: Any, out: Any) -> None:
+    height, width, depth = costs.shape
+    for y in prange(height):
+        source = costs[y].reshape(width * depth)
+        cells = out[y].reshape(width * depth)
+        for i in range(cells.size):
+            cells[i] = table[source[i]]
+
+
+@parallel_jit
+def _squash(costs: Any, offset: Any, rate: Any, out: Any) -> None:
     height, width, depth = costs.shape
     unit, one, half = np.float32(255.0), np.float32(1.0), np.float32(0.5)
     for y in prange(height):
-        total = np.int64(0)
-        for x in range(width):
-            source = costs[y, x]
-            cells = out[y, x]
-            for i in range(cells.size):
-                cells[i] = np.uint8(np.int32(unit * (one - exp_minus((np.float32(source[i]) - offset) * rate)) + half))
-            inside = out[y, x, : min(depth, x + 1)]
-            part = np.int32(0)
-            for i in range(inside.size):
-                part += np.int32(inside[i])
-            total += part
-        sums[y] = total
+        source = costs[y].reshape(width * depth)
+        cells = out[y].reshape(width * depth)
+        for i in range(cells.size):
+            cells[i] = np.uint8(np.int32(unit * (one - exp_minus((source[i] - offset) * rate)) + half))
 
 
 @parallel_jit
@@ -123,29 +123,29 @@ def _fill_outside(costs: Any, value: Any) -> None:
 
 
 @parallel_jit
-def _accumulate(costs: Any, weights: Any, total: Any, first: bool) -> None:
-    height, width, _ = costs.shape
+def _blend(volumes: Any, weights: Any, out: Any) -> None:
+    height, width, depth = out.shape
     for y in prange(height):
+        total = np.empty(depth, np.uint16)
+        fixed = np.empty(len(volumes), np.int32)
         for x in range(width):
-            w = weights[y, x]
-            source = costs[y, x]
-            cells = total[y, x]
-            if first:
-                for i in range(cells.size):
-                    cells[i] = np.uint16(np.uint16(source[i]) * w)
-            else:
-                for i in range(cells.size):
-                    cells[i] = np.uint16(cells[i] + np.uint16(np.uint16(source[i]) * w))
-
-
-@parallel_jit
-def _shorten(total: Any, out: Any) -> None:
-    height, width, depth = total.shape
-    for y in prange(height):
-        source = total[y].reshape(width * depth)
-        cells = out[y].reshape(width * depth)
-        for i in range(cells.size):
-            cells[i] = np.uint8((source[i] + np.uint16(128)) >> np.uint16(8))
+            largest = 0
+            rest = np.int32(256)
+            for m in range(len(volumes)):
+                fixed[m] = np.int32(weights[m, y, x] * np.float32(256.0) + np.float32(0.5))
+                rest -= fixed[m]
+                if fixed[m] > fixed[largest]:
+                    largest = m
+            fixed[largest] += rest
+            total[:] = 128
+            for m in range(len(volumes)):
+                w = np.uint16(fixed[m])
+                source = volumes[m][y, x]
+                for i in range(total.size):
+                    total[i] = np.uint16(total[i] + np.uint16(np.uint16(source[i]) * w))
+            cells = out[y, x]
+            for i in range(cells.size):
+                cells[i] = np.uint8(total[i] >> np.uint16(8))
 
 
 @parallel_jit

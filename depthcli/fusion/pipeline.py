@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,7 +16,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.maps import DisparityMap
 from depthcli.fusion.blend import UNIT, add_weighted, blend, squash
 from depthcli.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
-from depthcli.fusion.weights import comparable, measure_weights
+from depthcli.fusion.weights import comparable, left_right_difference, measure_weights
 from depthcli.stereo.aggregation import Aggregation
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.cost import Cost
@@ -69,11 +69,14 @@ class Consensus(BaseModel):
         65, ge=1, le=255, description="side of the window, odd, pixels; votes across color fade to 1/e at half of it"
     )
     softness: float = Field(15.0, gt=0, description="color change at which a vote fades to 1/e, grey levels")
-    tolerance: int = Field(1, ge=0, description="a vote counts for disparities up to this far away, pixels")
+    tolerance: int = Field(1, ge=0, description="how far beside its own disparity a vote still counts, pixels")
     vote_cost: float = Field(
-        0.4, ge=0, description="cost of a disparity that nobody votes for, in units of one measure; 0: weights only"
+        0.4, ge=0, description="cost of a disparity that no measure votes for, in units of one measure; 0: weights only"
     )
-    rounds: int = Field(1, ge=1, le=8, description="votes for the costs: 1 by the measures, the rest by the fused map")
+    rounds: int = Field(
+        0, ge=0, le=8, description="further rounds: the optimized map votes, instead of the measures, for its costs"
+    )
+    map_vote_cost: float = Field(0.2, gt=0, description="vote_cost of the further rounds, in units of one measure")
 
     @field_validator("window")
     @classmethod
@@ -98,9 +101,12 @@ class Fusion(BaseModel):
     vote_confidence: str | None = Field(
         "lrc", description="measure that says how much a vote counts; null: all count alike"
     )
-    vote_aggregation: Aggregation = Field(
+    vote_aggregation: Aggregation | None = Field(
         default_factory=lambda: ConstantWindow(window=11),
-        description="aggregation that gives each measure's own disparity, the one it votes for",
+        description="aggregation that gives each measure's own disparity, the one it votes for; null: none",
+    )
+    vote_optimization: Optimization = Field(
+        default_factory=WinnerTakesAll, description="optimization that gives each measure's own disparity"
     )
     consensus: Consensus = Field(default_factory=Consensus, description="the vote")
     blend: Literal["before", "after"] = Field("before", description="weigh the measures before or after aggregation")
@@ -108,6 +114,9 @@ class Fusion(BaseModel):
         default_factory=lambda: ConstantWindow(window=11), description="aggregation of the fused costs; null: none"
     )
     optimization: Optimization = Field(default_factory=WinnerTakesAll, description="optimization of the fused costs")
+    outside: float | None = Field(
+        None, ge=0, le=1, description="cost of a match outside the right image; default: the mean of the others"
+    )
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the disparity map, in order")
     confidence: tuple[str, ...] = Field(
         (), description="confidence maps to write: measures of the final costs, or 'consensus', the share of votes"
@@ -164,9 +173,11 @@ class Fusion(BaseModel):
         """The fused cost volume: costs -> votes of the measures -> weights -> blend -> aggregation -> votes."""
         clock = clock or _Clock()
         depth = max_disparity + 1
-        parts = [squash(_costs(measure, pair, depth, volumes), measure.scale) for measure in self.measures]
+        parts = [
+            squash(_costs(measure, pair, depth, volumes), measure.scale, self.outside) for measure in self.measures
+        ]
         clock.stop("cost")
-        chosen, trust = self._voters(parts, pair)
+        chosen, trust = self._voters(self._vote_costs(parts, pair))
         clock.stop("voters")
         ballot = Ballot(chosen, trust, depth, self.consensus.tolerance, self._support(pair))
         weights = measure_weights(self.weights, ballot, self.exponent)
@@ -174,16 +185,11 @@ class Fusion(BaseModel):
         base = None if self.weights == "vote" else self._blend(parts, weights, pair)
         clock.stop("aggregation")
         strength = self.consensus.vote_cost
-        if base is None:
-            volume = ballot.costs(None, 1.0, _LARGEST)
-        elif strength == 0:
-            volume = base
-        else:
-            volume = ballot.costs(base, strength, _LARGEST)
-            for _ in range(1, self.consensus.rounds):
-                again, consistent = self._voters([volume], pair, aggregate=False)
-                ballot = Ballot(again, consistent, depth, self.consensus.tolerance, ballot.support)
-                volume = ballot.costs(base, strength, _LARGEST)
+        volume = ballot.costs(base, 1.0 if base is None else strength, _LARGEST) if strength or base is None else base
+        for _ in range(self.consensus.rounds):
+            found, consistent = self._voters([self.optimization(volume, pair)])
+            ballot = Ballot(found, consistent, depth, self.consensus.tolerance, ballot.support)
+            volume = ballot.costs(base, self.consensus.map_vote_cost, _LARGEST)
         clock.stop("votes")
         means = weights.mean(axis=(1, 2))
         figures = {f"weight_{k}": float(mean) for k, mean in enumerate(means)}
@@ -201,21 +207,25 @@ class Fusion(BaseModel):
             return WindowSupport(pair.shape, self.consensus.window)
         return ColorSupport(pair.color8[0], max(1, self.consensus.window // 2), self.consensus.softness)
 
-    def _voters(
-        self, volumes: list[CostVolume], pair: StereoPair, aggregate: bool = True
-    ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """(M, H, W) disparity of every measure, and how much it counts."""
-        chosen = np.empty((len(volumes), *pair.shape), np.int32)
-        trust = np.ones(chosen.shape, np.float32)
-        for m, volume in enumerate(volumes):
-            if aggregate:
-                volume = self.vote_aggregation(volume, pair)
-            chosen[m], _ = winners(volume.costs)
-            if self.vote_confidence is not None:
-                trust[m] = confidence_maps(volume.costs, [self.vote_confidence])[self.vote_confidence]
-        if self.vote_confidence is not None:
-            trust = comparable(trust, self.vote_confidence)
-        return chosen, trust
+    def _vote_costs(self, parts: list[CostVolume], pair: StereoPair) -> Iterator[CostVolume]:
+        for part in parts:
+            volume = part if self.vote_aggregation is None else self.vote_aggregation(part, pair)
+            yield self.vote_optimization(volume, pair)
+
+    def _voters(self, volumes: Iterable[CostVolume]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """(M, H, W) disparity of every volume, and how much it counts."""
+        chosen, trust = [], []
+        for volume in volumes:
+            left, right = winners(volume.costs)
+            chosen.append(left.astype(np.int32))
+            if self.vote_confidence is None:
+                trust.append(np.ones(left.shape, np.float32))
+            elif self.vote_confidence == "lrc":
+                trust.append(left_right_difference(left, right))
+            else:
+                trust.append(confidence_maps(volume.costs, [self.vote_confidence])[self.vote_confidence])
+        weights = np.stack(trust)
+        return np.stack(chosen), weights if self.vote_confidence is None else comparable(weights, self.vote_confidence)
 
     def _blend(self, parts: list[CostVolume], weights: NDArray[np.float32], pair: StereoPair) -> CostVolume:
         if self.blend == "before":

@@ -104,7 +104,8 @@ class Ballot:
     disparities : (M, H, W) int32, 0 .. depth - 1
     weights : (M, H, W) float32 in [0, 1]; rounded to 1/256, which keeps the sums of windows exact
     depth : number of disparities
-    tolerance : a vote counts fully for this many disparities to either side
+    tolerance : how far beside the voter's own disparity a vote still counts: in full where voters are asked
+        how many agree with a disparity, less and less where votes become costs, so that the peak stays sharp
     support : who may vote for whom
     """
 
@@ -114,19 +115,19 @@ class Ballot:
     tolerance: int
     support: Support
 
-    def _blocks(self) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    def _blocks(self, fading: bool) -> Iterator[tuple[int, NDArray[np.float32]]]:
         voters, height, width = self.disparities.shape
         weights = np.round(self.weights * 256) / np.float32(256 * voters)
         block = memory.empty((height, width, _LANES), np.float32)
         for first in range(0, self.depth, _LANES):
-            _cast(self.disparities, weights, first, self.tolerance, block)
+            _cast(self.disparities, weights, first, self.tolerance, fading, block)
             self.support.sum(block)
             yield first, block
 
     def shares(self, disparities: NDArray[np.int32]) -> NDArray[np.float32]:
         """(N, H, W) float32 in [0, 1]: share of the votes that (N, H, W) ``disparities`` got."""
         shares = np.zeros(disparities.shape, np.float32)
-        for first, block in self._blocks():
+        for first, block in self._blocks(fading=False):
             _look_up(block, self.support.share, disparities, first, shares)
         return np.minimum(shares, np.float32(1.0))
 
@@ -145,21 +146,23 @@ class Ballot:
             # costs / scale is at most 1 for a blend of measures
             known, scale = base.costs, largest / (1.0 + strength)
             gain = scale / base.scale
-        for first, block in self._blocks():
+        for first, block in self._blocks(fading=True):
             _add(block, self.support.share, known, np.float32(gain), np.float32(strength * scale), first, out)
         return CostVolume(out, scale)
 
 
 @parallel_jit
-def _cast(disparities: Any, weights: Any, first: int, tolerance: int, block: Any) -> None:
+def _cast(disparities: Any, weights: Any, first: int, tolerance: int, fading: bool, block: Any) -> None:
     voters, height, width = disparities.shape
+    step = np.float32(1.0) / np.float32(tolerance + 1) if fading else np.float32(0.0)
     for y in prange(height):
         block[y, :, :] = _NOTHING
         for m in range(voters):
             for x in range(width):
                 center = disparities[m, y, x] - first
                 for k in range(max(0, center - tolerance), min(16, center + tolerance + 1)):
-                    block[y, x, k] += weights[m, y, x]
+                    fade = np.float32(abs(k - center)) * step
+                    block[y, x, k] += weights[m, y, x] * (np.float32(1.0) - fade)
 
 
 @parallel_jit

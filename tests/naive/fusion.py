@@ -1,0 +1,99 @@
+"""Slow, obvious twins of fusion. Never imports depthcli."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+def squash(costs, scale, outside=None):
+    """1 - exp(-C / scale) times 255, rounded; cells with d > x hold the mean of every fourth row's others."""
+    width, depth = costs.shape[1:]
+    inside = np.arange(depth)[None, :] <= np.arange(width)[:, None]
+    sample = costs[::4][:, inside].astype(float)
+    if scale is None:
+        ordered = np.sort(sample, axis=None)
+        scale = ordered[(ordered.size - 1) // 2] if costs.dtype != np.float32 else float(np.median(sample))
+        scale = scale if scale > 0 else 1.0
+    value = 1 - np.exp(-costs.astype(float) / scale)
+    neutral = np.mean(1 - np.exp(-sample / scale)) if outside is None else outside
+    value[:, ~inside] = neutral
+    return value * 255
+
+
+def blend(volumes, weights):
+    """Weighted mean in 1/256; the largest weight takes what rounding leaves over."""
+    fixed = np.floor(weights * np.float32(256) + np.float32(0.5)).astype(int)
+    best = fixed.argmax(axis=0)
+    for y, x in np.ndindex(best.shape):
+        fixed[best[y, x], y, x] += 256 - fixed[:, y, x].sum()
+    total = sum(w[:, :, None] * v.astype(int) for w, v in zip(fixed, volumes, strict=True))
+    return ((total + 128) >> 8).astype(np.uint8)
+
+
+def cast_votes(disparities, weights, depth, tolerance, fading):
+    """(H, W, depth) votes of each pixel alone, divided by the number of voters."""
+    voters, height, width = disparities.shape
+    votes = np.zeros((height, width, depth))
+    for m, y, x in np.ndindex(disparities.shape):
+        for d in range(depth):
+            off = abs(d - disparities[m, y, x])
+            if off <= tolerance:
+                fade = 1 - off / (tolerance + 1) if fading else 1
+                votes[y, x, d] += fade * round(float(weights[m, y, x]) * 256) / 256 / voters
+    return votes
+
+
+def window_shares(votes, window):
+    """Mean of the votes in a window clipped at the border."""
+    r = window // 2
+    out = np.zeros_like(votes)
+    for y, x in np.ndindex(votes.shape[:2]):
+        out[y, x] = votes[max(0, y - r) : y + r + 1, max(0, x - r) : x + r + 1].mean(axis=(0, 1))
+    return out
+
+
+def color_shares(votes, image, reach, softness):
+    """Votes filtered forwards and backwards along rows, then columns, over the same of ones."""
+    across, down = (_decay(image, axis, reach, softness) for axis in (1, 0))
+    ones = np.ones(votes.shape[:2])
+    for decay, axis in ((across, 1), (down, 0)):
+        votes, ones = _recurse(votes, decay, axis), _recurse(ones, decay, axis)
+    return votes / ones[:, :, None]
+
+
+def _decay(image, axis, reach, softness):
+    step = np.abs(np.diff(image.astype(int), axis=axis)).max(axis=2)
+    return np.exp(-(1 / reach + step / softness))
+
+
+def _recurse(values, decay, axis):
+    out = np.moveaxis(np.array(values, float), axis, 0).copy()
+    steps = np.moveaxis(decay, axis, 0)
+    steps = steps.reshape(steps.shape + (1,) * (out.ndim - steps.ndim))
+    for i in range(1, len(out)):
+        out[i] += steps[i - 1] * out[i - 1]
+    for i in range(len(out) - 2, -1, -1):
+        out[i] += steps[i] * out[i + 1]
+    return np.moveaxis(out, 0, axis)
+
+
+def ranks(confidence):
+    """Mid-ranks among all values, in [0, 1]."""
+    flat = confidence.ravel()
+    return np.array([((flat < v).sum() + (flat <= v).sum()) / 2 / flat.size for v in flat]).reshape(confidence.shape)
+
+
+def consensus_weights(shares, exponent):
+    """(M, H, W) weights proportional to a power of the shares."""
+    powered = np.maximum(shares, 1e-4) ** exponent
+    return powered / powered.sum(axis=0)
+
+
+def left_right_difference(left, right):
+    """Minus the difference between a left disparity and that of its match."""
+    out = np.zeros(left.shape)
+    for y, x in np.ndindex(left.shape):
+        out[y, x] = -math.fabs(int(left[y, x]) - int(right[y, x - int(left[y, x])]))
+    return out
