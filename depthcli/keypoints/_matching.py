@@ -49,8 +49,9 @@ def match_rectified(
 
     Candidates lie less than ``max_row_difference`` rows apart, have a disparity in [0, ``max_disparity``]
     and the same sign of the Laplacian, and about the same scale: in a rectified pair a patch keeps its
-    height. (On Cones 9 % of the matches with scales within 5 % are wrong, beyond 10 % it is 8 in 10.) The ratio test compares with the best candidate elsewhere on
-    the line, at least two pixels away: two responses to one blob do not make it ambiguous.
+    height. (On Cones 9 % of the matches with scales within 5 % are wrong; beyond 10 % it is 8 in 10.)
+    The ratio test compares with the best candidate elsewhere on the line, at least two pixels away: two
+    responses to one blob do not make it ambiguous.
 
     Parameters
     ----------
@@ -111,7 +112,9 @@ def _nearest(  # type: ignore[no-untyped-def]
         winner = -1
         for j in range(low[k], high[k]):
             shift = x[k] - other_x[j]
-            if not _comparable(shift, min_shift, max_shift, sign[k], other_sign[j], scale[k], other_scale[j], max_scale_ratio):
+            if not _comparable(
+                shift, min_shift, max_shift, sign[k], other_sign[j], scale[k], other_scale[j], max_scale_ratio
+            ):
                 continue
             there = other_descriptors[j]
             total = np.float32(0.0)
@@ -126,7 +129,9 @@ def _nearest(  # type: ignore[no-untyped-def]
         second = np.float32(np.inf)
         for j in range(low[k], high[k]):
             shift = x[k] - other_x[j]
-            if not _comparable(shift, min_shift, max_shift, sign[k], other_sign[j], scale[k], other_scale[j], max_scale_ratio):
+            if not _comparable(
+                shift, min_shift, max_shift, sign[k], other_sign[j], scale[k], other_scale[j], max_scale_ratio
+            ):
                 continue
             if abs(other_x[j] - other_x[winner]) < 2.0:
                 continue

@@ -17,7 +17,7 @@ class Sift(Detector):
     edge_threshold: float = Field(10.0, ge=1, description="largest ratio of the principal curvatures")
 
     def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
-        sift = cv2.SIFT_create(contrastThreshold=self.contrast_threshold, edgeThreshold=self.edge_threshold)
+        sift = cv2.SIFT.create(contrastThreshold=self.contrast_threshold, edgeThreshold=self.edge_threshold)
         points, descriptors = sift.detectAndCompute(np.ascontiguousarray(image), None)
         table = np.array([(*p.pt, p.size / 2, p.response) for p in points], np.float32).reshape(-1, 4)
         found = np.zeros((0, 128), np.float32) if descriptors is None else np.asarray(descriptors, np.float32)

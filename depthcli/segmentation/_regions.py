@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,9 +40,9 @@ def _components(color, limit):  # type: ignore[no-untyped-def]
                 y2, x2 = (y, x - 1) if step == 0 else (y - 1, x)
                 if y2 < 0 or x2 < 0:
                     continue
-                apart = 0
+                apart = np.int64(0)
                 for c in range(channels):
-                    difference = np.int32(color[y, x, c]) - np.int32(color[y2, x2, c])
+                    difference = np.int64(color[y, x, c]) - np.int64(color[y2, x2, c])
                     apart += difference * difference
                 if apart <= limit:
                     _join(parent, here, y2 * width + x2)
@@ -77,6 +78,12 @@ def connected_components(color: NDArray[np.uint8], max_distance: float) -> NDArr
     return labels
 
 
+def connected_components_of_labels(labels: NDArray[np.int32]) -> NDArray[np.int32]:
+    """4-connected pieces of equal value in an (H, W) int32 map, numbered like :func:`connected_components`."""
+    pieces: NDArray[np.int32] = _components(np.ascontiguousarray(labels)[..., None], 0.0)
+    return pieces
+
+
 @dataclass(frozen=True)
 class RegionGraph:
     """Regions of a label map and who touches whom.
@@ -95,14 +102,14 @@ class RegionGraph:
     boundary: NDArray[np.int64]
 
 
-def region_graph(labels: NDArray[np.int32], image: NDArray[np.uint8]) -> RegionGraph:
+def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
     """Graph of the regions of ``labels`` (H, W), 0 .. n - 1, over ``image`` (H, W) or (H, W, C)."""
     count = int(labels.max()) + 1 if labels.size else 0
     flat = labels.ravel()
     sizes = np.bincount(flat, minlength=count)
     channels = image.reshape(flat.size, -1)
-    means = np.stack([np.bincount(flat, channels[:, c], count) for c in range(channels.shape[1])], axis=1)
-    means /= np.maximum(sizes, 1)[:, None]
+    sums = np.stack([np.bincount(flat, channels[:, c], count) for c in range(channels.shape[1])], axis=1)
+    means = sums.astype(np.float64) / np.maximum(sizes, 1)[:, None]
     pairs = []
     for one, other in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
         touching = one != other
@@ -136,3 +143,34 @@ def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min
         parent = np.arange(len(graph.sizes), dtype=np.int32)
         _join_all(parent, source.astype(np.int32), target[order][nearest].astype(np.int32))
         labels = _consecutive(parent)[labels]
+
+
+def joined_regions(count: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(count,) int32 group of every region, numbered by first member, where ``edges`` (E, 2) join regions."""
+    parent = np.arange(count, dtype=np.int32)
+    _join_all(parent, np.ascontiguousarray(edges[:, 0]), np.ascontiguousarray(edges[:, 1]))
+    groups: NDArray[np.int32] = _consecutive(parent)
+    return groups
+
+
+def merge_small_labels(pieces: NDArray[np.int32], parents: NDArray[np.int32], min_size: int) -> NDArray[np.int32]:
+    """Join pieces of fewer than ``min_size`` pixels to the piece of the same parent they share most boundary with.
+
+    ``parents`` (H, W) is the map the pieces (H, W) were cut from; a piece that is all of its parent stays.
+    """
+    while True:
+        graph = region_graph(pieces, parents[..., None].astype(np.float64))
+        first, second = graph.edges.T
+        inside = graph.means[first, 0] == graph.means[second, 0]
+        first, second, boundary = first[inside], second[inside], graph.boundary[inside]
+        source, target = np.concatenate([first, second]), np.concatenate([second, first])
+        longest = np.concatenate([boundary, boundary])
+        wanted = graph.sizes[source] < min_size
+        if not wanted.any():
+            return pieces
+        source, target, longest = source[wanted], target[wanted], longest[wanted]
+        order = np.lexsort((target, -longest, source))
+        source, best = np.unique(source[order], return_index=True)
+        parent = np.arange(len(graph.sizes), dtype=np.int32)
+        _join_all(parent, source.astype(np.int32), target[order][best].astype(np.int32))
+        pieces = _consecutive(parent)[pieces]

@@ -77,39 +77,43 @@ def _discrepancy(  # type: ignore[no-untyped-def]
 
 
 def matching_cost(
-    volume: CostVolume, trusted: Members, planes: Planes, width: int, weight: float
+    volume: CostVolume, trusted: Members, planes: Planes, ranges: NDArray[np.int32], weight: float
 ) -> NDArray[np.float64]:
     """Sum of the matching costs of the segment's trusted pixels at every plane's disparity; (n, L) float64.
 
-    The disparity is rounded and limited to the volume's range. Costs are in units of the measure.
+    Disparities are rounded and limited to the volume's. Outside the segment's own range (n, 2) a match costs
+    as much as the worst in the volume. Costs are in units of the measure, times ``weight``.
     """
     unary = np.zeros((len(trusted.starts) - 1, len(planes)))
+    width = volume.costs.shape[1]
     costs = volume.costs.reshape(-1, volume.disparities)
-    _matching_cost(costs, width, trusted.order, trusted.starts, planes.coefficients, weight / volume.scale, unary)
+    worst = float(costs.max())
+    _matching_cost(
+        costs, width, trusted.order, trusted.starts, planes.coefficients, ranges, worst, weight / volume.scale, unary
+    )
     return unary
 
 
 @parallel_jit
-def _matching_cost(costs, width, order, starts, coefficients, weight, unary):  # type: ignore[no-untyped-def]
+def _matching_cost(costs, width, order, starts, coefficients, ranges, worst, weight, unary):  # type: ignore[no-untyped-def]
     depth = costs.shape[1]
     for t in prange(unary.shape[0]):
+        low = ranges[t, 0]
+        high = ranges[t, 1]
         for i in range(starts[t], starts[t + 1]):
             pixel = order[i]
             x = pixel % width
             y = pixel // width
             row = costs[pixel]
             for label in range(coefficients.shape[0]):
-                d = int(
-                    np.floor(coefficients[label, 0] * x + coefficients[label, 1] * y + coefficients[label, 2] + 0.5)
-                )
-                unary[t, label] += row[min(max(d, 0), depth - 1)]
+                a, b, c = coefficients[label, 0], coefficients[label, 1], coefficients[label, 2]
+                d = min(max(int(np.floor(a * x + b * y + c + 0.5)), 0), depth - 1)
+                unary[t, label] += worst if d < low or d > high else row[d]
         for label in range(coefficients.shape[0]):
             unary[t, label] *= weight
 
 
-def visibility(
-    right: NDArray[Any], untrusted: Members, planes: Planes, weight: float
-) -> NDArray[np.float64]:
+def visibility(right: NDArray[Any], untrusted: Members, planes: Planes, weight: float) -> NDArray[np.float64]:
     """Cost of planes that put a pixel in front of what the right view sees there; (n, L) float64.
 
     A pixel the cross-check refused is occluded by something nearer or simply unmatched. A disparity more than
@@ -135,10 +139,10 @@ def _visibility(right, order, starts, coefficients, weight, unary):  # type: ign
                     unary[t, label] += weight
 
 
-def out_of_range(labels_members: Members, width: int, planes: Planes, max_disparity: float) -> NDArray[np.float64]:
-    """Pixels of every segment where a plane leaves [0, ``max_disparity``] by more than a pixel; (n, L)."""
-    unary = np.zeros((len(labels_members.starts) - 1, len(planes)))
-    _out_of_range(labels_members.order, labels_members.starts, width, planes.coefficients, max_disparity, unary)
+def out_of_range(everything: Members, width: int, planes: Planes, max_disparity: float) -> NDArray[np.float64]:
+    """Cost of planes that leave [0, ``max_disparity``] by more than a pixel: prohibitive; (n, L) float64."""
+    unary = np.zeros((len(everything.starts) - 1, len(planes)))
+    _out_of_range(everything.order, everything.starts, width, planes.coefficients, max_disparity, unary)
     return unary
 
 
@@ -155,7 +159,7 @@ def _out_of_range(order, starts, width, coefficients, max_disparity, unary):  # 
                 y = np.float32(order[i] // width)
                 d = a * x + b * y + c
                 outside += int(d < -1.0) + int(d > max_disparity + 1.0)
-            unary[t, label] = outside
+            unary[t, label] = 1000.0 * outside
 
 
 def smoothness(graph: RegionGraph, weight: float, color_scale: float) -> NDArray[np.float64]:

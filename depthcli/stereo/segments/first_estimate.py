@@ -133,15 +133,21 @@ def _forbid(costs: Any, labels: Any, ranges: Any) -> None:
                 costs[y, x, d] = 65535
 
 
-def select(volume: CostVolume, tolerance: float) -> FirstEstimate:
-    """Winner takes all for both views, cross-check, and a parabola for the fraction of a pixel."""
+def select(volume: CostVolume, tolerance: float, subpixel: bool) -> FirstEstimate:
+    """Winner takes all for both views and cross-check; where wanted, a parabola for the fraction of a pixel.
+
+    A pixel is trusted where the right view's disparity differs by at most ``tolerance`` and the costs are not all the
+    same: on a flat image any disparity would pass the check.
+    """
     left, right = winners(volume.costs)
     columns = np.arange(left.shape[1])[None] - left.astype(np.int64)
     inside = columns >= 0
     there = np.take_along_axis(right, np.maximum(columns, 0), axis=1).astype(np.int64)
     trusted = inside & (np.abs(there - left) <= tolerance)
-    values = np.empty(left.shape, np.float32)
-    _parabola(volume.costs, left, values)
+    _distrust_indifferent(volume.costs, trusted)
+    values = left.astype(np.float32)
+    if subpixel:
+        _parabola(volume.costs, left, values)
     return FirstEstimate(values, trusted, right)
 
 
@@ -162,3 +168,21 @@ def _parabola(costs: Any, winner: Any, values: Any) -> None:
             bend = before + after - 2.0 * here
             if bend > 0.0:
                 values[y, x] = d + 0.5 * (before - after) / bend
+
+
+@parallel_jit
+def _distrust_indifferent(costs: Any, trusted: Any) -> None:
+    height, width, depth = costs.shape
+    for y in prange(height):
+        for x in range(width):
+            if not trusted[y, x]:
+                continue
+            row = costs[y, x, : min(depth, x + 1)]
+            low = np.int64(65536)
+            high = np.int64(-1)
+            for i in range(row.size):
+                cost = np.int64(row[i])
+                if cost != FORBIDDEN:
+                    low = min(low, cost)
+                    high = max(high, cost)
+            trusted[y, x] = high > low or depth == 1

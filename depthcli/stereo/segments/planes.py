@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,9 @@ class Members:
     starts: NDArray[np.int64]
 
     @classmethod
-    def of(cls, labels: NDArray[np.int32], chosen: NDArray[np.bool_] | None = None, count: int | None = None) -> Members:
+    def of(
+        cls, labels: NDArray[np.int32], chosen: NDArray[np.bool_] | None = None, count: int | None = None
+    ) -> Members:
         """The pixels of every label of an (H, W) map, or only the ``chosen`` ones."""
         flat = labels.ravel()
         count = int(flat.max()) + 1 if count is None else count
@@ -72,43 +74,47 @@ class Planes:
         )
 
 
-def fit_planes(
-    values: NDArray[np.float32],
-    members: Members,
-    chosen: NDArray[np.int64],
-    tolerance: float,
-    trials: int,
-    max_slope: float,
-    seed: int,
-) -> Planes:
+@dataclass(frozen=True)
+class PlaneFit:
     """RANSAC planes through the disparities of segments, refined by least squares over their inliers.
 
-    Segments where no three pixels span a plane of an allowed slope give a plane of constant disparity
-    (the median). Every segment has its own random sequence, so the order of work does not matter.
-
-    Parameters
+    Attributes
     ----------
-    values : (H, W) float32 disparities, pixels
-    members : pixels to fit, by segment
-    chosen : (K,) indices of the segments to fit, none of them empty
     tolerance : largest distance of an inlier, pixels of disparity
     trials : triples of pixels tried
     max_slope : largest \\|a\\| and \\|b\\|
-    seed : of the random triples
-
-    Returns
-    -------
-    Planes
-        One for each entry of ``chosen``.
+    flatness : a sloping plane must bring the misfit below this part of the flat plane's (1: no demand)
+    seed : of the random triples; every segment has its own sequence, so the order of work does not matter
     """
-    coefficients = np.zeros((len(chosen), 3))
-    support = np.zeros(len(chosen), np.int64)
-    center = np.zeros((len(chosen), 2))
-    _fit(
-        values.ravel(), values.shape[1], members.order, members.starts, np.asarray(chosen, np.int64),
-        tolerance, trials, max_slope, seed, coefficients, support, center,
-    )  # fmt: skip
-    return Planes(coefficients, support, center)
+
+    tolerance: float
+    trials: int
+    max_slope: float
+    flatness: float
+    seed: int
+
+    def __call__(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> Planes:
+        """One plane for each of the segments ``chosen`` (K,), none of them empty.
+
+        Where no three pixels span a plane of an allowed slope, it is the flat one of the median disparity.
+
+        Parameters
+        ----------
+        values : (H, W) float32 disparities, pixels
+        members : the pixels to fit, by segment
+        """
+        coefficients = np.zeros((len(chosen), 3))
+        support = np.zeros(len(chosen), np.int64)
+        center = np.zeros((len(chosen), 2))
+        _fit(
+            values.ravel(), values.shape[1], members.order, members.starts, np.asarray(chosen, np.int64),
+            self.tolerance, self.trials, self.max_slope, self.flatness, self.seed, coefficients, support, center,
+        )  # fmt: skip
+        return Planes(coefficients, support, center)
+
+    def flat(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> Planes:
+        """The plane of constant disparity, the median, of each of the segments ``chosen``."""
+        return replace(self, trials=0, max_slope=0.0, flatness=0.0)(values, members, chosen)
 
 
 @jit
@@ -131,7 +137,7 @@ def _solve3(xx, xy, yy, xd, yd):  # type: ignore[no-untyped-def]
 
 @parallel_jit
 def _fit(  # type: ignore[no-untyped-def]
-    values, width, order, starts, chosen, tolerance, trials, max_slope, seed, coefficients, support, center
+    values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center
 ):
     for k in prange(chosen.size):
         first = starts[chosen[k]]
@@ -157,7 +163,8 @@ def _fit(  # type: ignore[no-untyped-def]
         stride = max(1, count // 2000)
         a = 0.0
         b = 0.0
-        c = np.median(pd)
+        flat = np.median(pd)
+        c = flat
         best = _misfit(px, py, pd, stride, a, b, c, tolerance, np.inf)
         state = np.uint64(seed + 1) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(chosen[k] + 1) * np.uint64(
             0xBF58476D1CE4E5B9
@@ -214,6 +221,11 @@ def _fit(  # type: ignore[no-untyped-def]
             if misfit >= _misfit(px, py, pd, 1, a, b, c, tolerance, np.inf):
                 break
             a, b, c = ta, tb, tc
+        # A slope must pay for itself: noise in a small segment would tilt it for nothing.
+        if flatness * _misfit(px, py, pd, 1, 0.0, 0.0, flat, tolerance, np.inf) <= _misfit(
+            px, py, pd, 1, a, b, c, tolerance, np.inf
+        ):
+            a, b, c = 0.0, 0.0, flat
         n, sx, sy = 0, 0.0, 0.0
         for i in range(count):
             if abs(a * px[i] + b * py[i] + c - pd[i]) <= tolerance:
@@ -295,4 +307,5 @@ def evaluate(planes: NDArray[np.float64], choice: NDArray[np.int32], max_dispari
     x = np.arange(width)[None]
     y = np.arange(height)[:, None]
     disparity = a[choice] * x + b[choice] * y + c[choice]
-    return np.clip(disparity, 0, max_disparity).astype(np.float32)
+    limited: NDArray[np.float32] = np.clip(disparity, 0, max_disparity).astype(np.float32)
+    return limited
