@@ -104,8 +104,8 @@ class Ballot:
     disparities : (M, H, W) int32, 0 .. depth - 1
     weights : (M, H, W) float32 in [0, 1]; rounded to 1/256, which keeps the sums of windows exact
     depth : number of disparities
-    tolerance : how far beside the voter's own disparity a vote still counts: in full where voters are asked
-        how many agree with a disparity, less and less where votes become costs, so that the peak stays sharp
+    tolerance : how far beside the voter's own disparity a vote still counts in full. Where votes are all there
+        is, nothing else breaks the ties of neighboring disparities: there they count less and less
     support : who may vote for whom
     """
 
@@ -146,7 +146,7 @@ class Ballot:
             # costs / scale is at most 1 for a blend of measures
             known, scale = base.costs, largest / (1.0 + strength)
             gain = scale / base.scale
-        for first, block in self._blocks(fading=True):
+        for first, block in self._blocks(fading=base is None):
             _add(block, self.support.share, known, np.float32(gain), np.float32(strength * scale), first, out)
         return CostVolume(out, scale)
 

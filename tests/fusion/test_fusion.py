@@ -86,13 +86,13 @@ def test_votes_agree_with_their_twins(shape, depth, tolerance):
         shares = ballot.shares(disparities)
         expected = np.take_along_axis(spread(votes)[None], disparities[..., None], 3)[..., 0]
         np.testing.assert_allclose(shares, expected, atol=1e-5)
-        want = spread(fading)
+        want = spread(votes)
         base = CostVolume(rng.integers(0, 4081, (*shape, depth)).astype(np.uint16), 4080.0)
         added = ballot.costs(base, 0.5, 4080)
         expected = (base.costs / 4080 + 0.5 * (1 - want)) / 1.5 * 4080
         assert added.scale == pytest.approx(4080 / 1.5)
         assert np.abs(added.costs - expected).max() < 0.6
-        assert np.abs(ballot.costs(None, 1.0, 4080).costs - 4080 * (1 - want)).max() < 0.6
+        assert np.abs(ballot.costs(None, 1.0, 4080).costs - 4080 * (1 - spread(fading))).max() < 0.6
 
 
 def test_votes_do_not_cross_a_color_edge_but_reach_far_within_a_surface():
