@@ -278,3 +278,82 @@ def subpixel(costs, values):
             if below >= here <= above and below + above > 2 * here:
                 out[y, x] = d + 0.5 * (below - above) / (below + above - 2 * here)
     return out
+
+
+def region_voting(values, arms, disparities, votes, majority):
+    """One round: an empty pixel takes the most frequent disparity of its support, the smallest on a tie."""
+    out = values.copy()
+    left, right, up, down = arms
+    for y, x in np.argwhere(np.isnan(values)):
+        support = []
+        for v in range(y - up[y, x], y + down[y, x] + 1):
+            support += list(values[v, x - left[v, x] : x + right[v, x] + 1])
+        known = np.array([d for d in support if not np.isnan(d)])
+        if len(known) > votes:
+            counts = np.bincount(np.minimum(np.floor(known + 0.5).astype(int), disparities - 1))
+            if counts.max() > majority * len(known):
+                out[y, x] = counts.argmax()
+    return out
+
+
+def interpolation(values, occluded, image):
+    """Nearest values in 16 directions: the lowest for occluded pixels, else the most similarly colored."""
+    height, width = values.shape
+    image = image.astype(int)
+    out = values.copy()
+    for y, x in np.argwhere(np.isnan(values)):
+        seen = []
+        for dy in range(-2, 3):
+            for dx in range(-2, 3):
+                if max(abs(dy), abs(dx)) == 0 or {abs(dy), abs(dx)} in ({0, 2}, {2}):
+                    continue
+                v, u = y + dy, x + dx
+                while 0 <= v < height and 0 <= u < width:
+                    if not np.isnan(values[v, u]):
+                        seen.append((np.abs(image[y, x] - image[v, u]).sum(), values[v, u]))
+                        break
+                    v, u = v + dy, u + dx
+        if seen and occluded[y, x]:
+            out[y, x] = min(d for _, d in seen)
+        elif seen:
+            closest = min(difference for difference, _ in seen)
+            out[y, x] = np.nan if len({d for c, d in seen if c == closest}) > 1 else dict(seen)[closest]
+    return out
+
+
+def discontinuity_adjustment(values, costs):
+    """Beside a jump of more than 1, the cheapest of a pixel's own and its two neighbors' disparities."""
+    for dy, dx in ((0, 1), (1, 0)):
+        out = values.copy()
+        for y in range(dy, values.shape[0] - dy):
+            for x in range(dx, values.shape[1] - dx):
+                offers = np.array([values[y, x], values[y - dy, x - dx], values[y + dy, x + dx]])
+                if np.isnan(offers).any() or np.abs(offers - offers[0]).max() <= 1:
+                    continue
+                whole = np.floor(offers + 0.5).astype(int)
+                price = [costs[y, x, d] if d <= x and d < costs.shape[2] else np.inf for d in whole]
+                out[y, x] = offers[int(np.argmin(price))]
+        values = out
+    return values
+
+
+def weighted_median(values, trust, image, radius, color_scale, distance_scale):
+    """Smallest value (in steps of 1/8) that half of the weight does not exceed: (lowest, highest) acceptable."""
+    height, width = values.shape
+    image = image.astype(float)
+    low, high = values.copy(), values.copy()
+    for y, x in np.argwhere(~np.isnan(values)):
+        bottom, right = min(height, y + radius + 1), min(width, x + radius + 1)
+        window = np.s_[max(0, y - radius) : bottom, max(0, x - radius) : right]
+        v, u = np.mgrid[window]
+        color = np.abs(image[window] - image[y, x]).mean(axis=2)
+        weight = np.exp(-color / color_scale) * np.exp(-np.hypot(v - y, u - x) / distance_scale) * trust[window]
+        known = ~np.isnan(values[window]) & (weight > 0)
+        if not known.any():
+            continue
+        steps = np.floor(values[window][known] * 8 + 0.5) / 8
+        order = np.argsort(steps, kind="stable")
+        share = np.cumsum(weight[known][order]) / weight[known].sum()
+        low[y, x] = steps[order][np.searchsorted(share, 0.5 - 1e-5)]
+        high[y, x] = steps[order][np.searchsorted(share, 0.5 + 1e-5)]
+    return low, high

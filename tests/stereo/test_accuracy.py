@@ -1,6 +1,6 @@
 """Golden accuracy on real scenes: what was measured once must not get worse unnoticed.
 
-Middlebury v2, bad > 1 px, missing counts as bad. A figure that improves is welcome: lower the golden one.
+Middlebury, bad > 1 px, missing counts as bad. A figure that improves is welcome: lower the golden one.
 """
 
 from __future__ import annotations
@@ -11,8 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from depthcli.core.config_file import load_config
 from depthcli.evaluation.metrics import middlebury_v2
 from depthcli.io.scenes import find_scenes
+from depthcli.jobs.presets import find_config
+from depthcli.jobs.stereo import StereoConfig
 from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.aggregation.cross import Cross
@@ -23,8 +26,12 @@ from depthcli.stereo.pipeline.opencv_sgbm import OpencvSgbm
 from depthcli.stereo.volume import StereoPair
 from depthcli.stereo.winner import winners
 
-DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "middlebury_v2"
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not DATA.is_dir(), reason="Middlebury v2 is not in ../shared/data")]
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+V2 = "middlebury_v2"
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not (DATA / V2).is_dir(), reason="Middlebury v2 is not in ../shared/data"),
+]
 
 AD_CENSUS = Combined.model_validate(
     {"parts": [{"cost": "absolute_difference", "lambda": 10}, {"cost": "census", "lambda": 30}]}
@@ -32,8 +39,10 @@ AD_CENSUS = Combined.model_validate(
 
 
 @cache
-def scenes():
-    found = {scene.name: scene for scene in find_scenes(DATA)}
+def scenes(folder=V2):
+    if not (DATA / folder).is_dir():
+        pytest.skip(f"{folder} is not in ../shared/data")
+    found = {scene.name: scene for scene in find_scenes(DATA / folder)}
     return {name: (StereoPair(*s.load_pair()), s.load_truth(), s.max_disparity) for name, s in found.items()}
 
 
@@ -73,3 +82,23 @@ def test_aggregation_without_refinement(cost, aggregate, golden):
     for pair, truth, most in scenes().values():
         rates.append(errors(winners(aggregate(cost(pair, most + 1), pair).costs)[0], truth)[0])
     assert np.mean(rates) <= golden + 0.2
+
+
+@pytest.mark.parametrize(
+    ("preset", "folder", "most"),
+    [
+        ("fast", V2, 9.4),
+        ("cross", V2, 6.8),
+        ("ad-census", V2, 5.2),
+        ("adaptive-weight", V2, 6.0),
+        ("accurate", V2, 5.8),
+        ("accurate", "middlebury_2001", 1.2),
+        ("accurate", "middlebury_2005", 10.5),
+    ],
+)
+def test_presets_keep_their_accuracy(preset, folder, most):
+    """Mean of nonocc, all and disc over the scenes of a data set."""
+    pipeline = load_config(StereoConfig, find_config("stereo", preset)).pipeline
+    found = scenes(folder).values()
+    rates = [errors(pipeline(pair, top).disparity.values, truth) for pair, truth, top in found]
+    assert np.mean(rates) <= most

@@ -19,9 +19,14 @@ from depthcli.stereo.cost.rank import Rank
 from depthcli.stereo.optimization.scanline import Scanline
 from depthcli.stereo.refinement._evidence import Evidence
 from depthcli.stereo.refinement.background_fill import BackgroundFill
+from depthcli.stereo.refinement.discontinuity_adjustment import DiscontinuityAdjustment
+from depthcli.stereo.refinement.interpolation import Interpolation
 from depthcli.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.stereo.refinement.median import Median
+from depthcli.stereo.refinement.region_voting import RegionVoting
 from depthcli.stereo.refinement.subpixel import Subpixel
+from depthcli.stereo.refinement.surface_fill import SurfaceFill
+from depthcli.stereo.refinement.weighted_median import WeightedMedian
 from depthcli.stereo.volume import CostVolume, StereoPair
 from depthcli.stereo.winner import winners
 from tests.naive import stereo as naive
@@ -229,3 +234,68 @@ def test_subpixel(height, width, disparities):
 def test_cells_outside_are_where_the_fixture_says():
     assert not inside((2, 3, 5))[:, 0, 1:].any()
     assert inside((2, 3, 5))[:, 2, :3].all()
+
+
+@sizes
+def test_region_voting(height, width, disparities):
+    disparity, evidence = holes(height, width, disparities)
+    few = DisparityMap(np.minimum(disparity.values, 2).astype(np.float32), disparity.status)  # so that supports agree
+    step = RegionVoting(length=5, threshold=40, inner_length=3, inner_threshold=20, votes=3, iterations=1)
+    arms = naive.cross_arms(evidence.pair.color8[0], 5, 40, 3, 20)
+    expected = naive.region_voting(few.values, arms, disparities, 3, step.majority)
+    np.testing.assert_array_equal(step(few, evidence).values, expected)
+
+
+@sizes
+def test_interpolation(height, width, disparities):
+    disparity, evidence = holes(height, width, disparities)
+    status = disparity.status.copy()
+    status[:, ::2][status[:, ::2] != 0] = Status.OCCLUDED
+    result = Interpolation()(DisparityMap(disparity.values, status), evidence).values
+    expected = naive.interpolation(disparity.values, status == Status.OCCLUDED, evidence.pair.color8[0])
+    # Where two values are equally like in color the twin has no opinion.
+    decided = ~np.isnan(expected)
+    np.testing.assert_array_equal(result[decided], expected[decided])
+    assert not np.any(np.isnan(result) & decided)
+
+
+@sizes
+def test_discontinuity_adjustment(height, width, disparities):
+    disparity, evidence = holes(height, width, disparities)
+    result = DiscontinuityAdjustment()(disparity, evidence)
+    np.testing.assert_array_equal(
+        result.values, naive.discontinuity_adjustment(disparity.values, evidence.volume.costs)
+    )
+
+
+@sizes
+@pytest.mark.parametrize("filled_weight", [0.0, 0.5, 1.0])
+def test_weighted_median(height, width, disparities, filled_weight):
+    disparity, evidence = holes(height, width, disparities)
+    status = disparity.status.copy()
+    status[::3][disparity.valid[::3]] = Status.OCCLUDED | Status.FILLED
+    step = WeightedMedian(radius=3, color_scale=20, distance_scale=4, filled_weight=filled_weight, passes=1)
+    result = step(DisparityMap(disparity.values, status), evidence).values
+    trust = np.where(status & Status.FILLED, filled_weight, 1.0)
+    low, high = naive.weighted_median(disparity.values, trust, evidence.pair.color8[0], 3, 20, 4)
+    valid = disparity.valid
+    np.testing.assert_array_equal(np.isnan(result), ~valid)
+    assert np.all((result[valid] >= low[valid]) & (result[valid] <= high[valid]))
+
+
+def test_surface_fill_continues_the_farther_plane_into_the_gap():
+    y, x = np.mgrid[0:40, 0:90].astype(np.float32)
+    background = 8 + 0.1 * x + 0.05 * y
+    truth = np.where(x < 60, background, 30).astype(np.float32)
+    gap = (x >= 42) & (x < 60)  # hidden behind what begins at 60
+    left_strip = x < 7
+    values = np.where(gap | left_strip, np.float32(np.nan), truth)
+    status = np.where(np.isnan(values), Status.OCCLUDED, 0).astype(np.uint8)
+    volume = random_volume(40, 90, 40)
+    evidence = Evidence(blocky_pair(40, 90), volume, winners(volume.costs)[1])
+    result = SurfaceFill()(DisparityMap(values, status), evidence)
+    np.testing.assert_allclose(result.values[gap | left_strip], truth[gap | left_strip], atol=0.3)
+    np.testing.assert_array_equal(result.values[~np.isnan(values)], values[~np.isnan(values)])
+    # Holding the last value is wrong by more than a pixel at the far end of the gap.
+    held = BackgroundFill()(DisparityMap(values, status), evidence)
+    assert np.abs(held.values - truth)[gap].max() > 1
