@@ -130,8 +130,8 @@ class CompileWatch(numba.core.event.Listener):
             self.seconds += time.perf_counter() - self._begin
 
     def __enter__(self) -> CompileWatch:
-        numba.core.event.register("numba:compile", self)  # type: ignore[no-untyped-call]
+        numba.core.event.register("numba:compile", self)
         return self
 
     def __exit__(self, *error: object) -> None:
-        numba.core.event.unregister("numba:compile", self)  # type: ignore[no-untyped-call]
+        numba.core.event.unregister("numba:compile", self)
