@@ -15,6 +15,7 @@ from depthcli.confidence import confidence_maps, measures
 from depthcli.core.errors import InputError
 from depthcli.core.maps import DisparityMap
 from depthcli.fusion.blend import UNIT, add_weighted, blend, squash
+from depthcli.fusion.given import Given
 from depthcli.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
 from depthcli.fusion.weights import comparable, left_right_difference, measure_weights
 from depthcli.stereo.aggregation import Aggregation
@@ -22,6 +23,7 @@ from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.cost import Cost
 from depthcli.stereo.optimization import Optimization
 from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
+from depthcli.stereo.pipeline.segments import Segments
 from depthcli.stereo.refinement import RefinementStep
 from depthcli.stereo.refinement._evidence import Evidence
 from depthcli.stereo.volume import CostVolume, StereoPair, StereoResult
@@ -117,10 +119,24 @@ class Fusion(BaseModel):
     outside: float | None = Field(
         None, ge=0, le=1, description="cost of a match outside the right image; default: the mean of the others"
     )
+    segments: dict[str, Any] | None = Field(
+        None,
+        description="parameters of stereo's segment pipeline, without its cost: it then works on the fused costs, "
+        "in the place of optimization and refinement; null: not used",
+    )
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the disparity map, in order")
     confidence: tuple[str, ...] = Field(
         (), description="confidence maps to write: measures of the final costs, or 'consensus', the share of votes"
     )
+
+    @field_validator("segments")
+    @classmethod
+    def _segments_fit(cls, fields: dict[str, Any] | None) -> dict[str, Any] | None:
+        if fields is not None:
+            if "cost" in fields:
+                raise ValueError("the cost is the fused one: leave it out")
+            Segments.model_validate({**fields, "cost": "census"})
+        return fields
 
     @field_validator("vote_confidence")
     @classmethod
@@ -153,6 +169,11 @@ class Fusion(BaseModel):
         """
         clock = _Clock()
         fused = self.fuse(pair, max_disparity, volumes or {}, clock)
+        if self.segments is not None:
+            result = Segments.model_validate({**self.segments, "cost": Given(volume=fused.volume)})(pair, max_disparity)
+            result.seconds = clock.seconds | {name: t for name, t in result.seconds.items() if name != "cost"}
+            result.figures |= fused.figures
+            return result
         volume = self.optimization(fused.volume, pair)
         left, right = winners(volume.costs)
         clock.stop("optimization")

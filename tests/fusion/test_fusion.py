@@ -222,6 +222,17 @@ def test_impossible_configs_are_refused(fields):
         fusion(**fields)
 
 
+def test_the_segment_pipeline_works_on_fused_costs():
+    pair = shifted_pair()
+    result = fusion(aggregation=None, segments={"window_radius": 2, "min_plane_size": 20})(pair, 15)
+    assert np.nanmean(np.abs(result.disparity.values[:, 14:] - 7) < 0.6) > 0.9
+    assert "weights" in result.seconds
+    with pytest.raises(ValidationError, match="leave it out"):
+        fusion(segments={"cost": "census"})
+    with pytest.raises(ValidationError, match="windoww"):
+        fusion(segments={"windoww": 3})
+
+
 def test_a_config_survives_its_own_dump():
     first = fusion(measures=["census", {"cost": {"method": "rank", "window": [5, 5]}, "scale": 3}])
     assert Fusion.model_validate(first.model_dump(mode="json")) == first
