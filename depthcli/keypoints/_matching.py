@@ -145,3 +145,24 @@ def _nearest(  # type: ignore[no-untyped-def]
             nearest[k] = winner
             distance[k] = np.sqrt(best)
     return nearest, distance
+
+
+def consistent(matches: Matches, neighbors: int = 8, agreeing: int = 2, tolerance: float = 2.0) -> Matches:
+    """Matches whose disparity some of the matches around them share.
+
+    A blob that straddles the rim of an object is matched, but by the object, not by the ground it lies on.
+
+    Parameters
+    ----------
+    neighbors : how many of the nearest matches are asked
+    agreeing : how many of them must have a disparity within ``tolerance``
+    tolerance : pixels
+    """
+    kept = np.zeros(len(matches), bool)
+    for k in range(len(matches)):
+        apart = (matches.x - matches.x[k]) ** 2 + (matches.y - matches.y[k]) ** 2
+        apart[k] = np.inf
+        near = np.argsort(apart, kind="stable")[:neighbors]
+        near = near[near != k]
+        kept[k] = np.count_nonzero(np.abs(matches.disparity[near] - matches.disparity[k]) <= tolerance) >= agreeing
+    return Matches(*(getattr(matches, name)[kept] for name in Matches.__dataclass_fields__))

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from depthcli.core.method import Family
 from depthcli.keypoints import Detector
-from depthcli.keypoints._matching import Matches, match_rectified
+from depthcli.keypoints._matching import Matches, consistent, match_rectified
 from depthcli.labelling.graph_cut import alpha_expansion
 from depthcli.segmentation import Segmentation
 from depthcli.segmentation._regions import region_graph
@@ -23,7 +23,13 @@ from depthcli.stereo.refinement import RefinementStep
 from depthcli.stereo.refinement._evidence import Evidence
 from depthcli.stereo.segments import energy, report
 from depthcli.stereo.segments.assignment import Assignment, Scene, regrouped
-from depthcli.stereo.segments.first_estimate import forbid_outside, search_ranges, segment_window, select
+from depthcli.stereo.segments.first_estimate import (
+    forbid_outside,
+    search_ranges,
+    segment_window,
+    select,
+    tells_anything,
+)
 from depthcli.stereo.segments.planes import Members, PlaneFit, Planes, distinct, evaluate
 from depthcli.stereo.segments.splitting import split_segments
 from depthcli.stereo.volume import CostVolume, StereoPair, StereoResult
@@ -54,6 +60,13 @@ class Segments(StereoPipeline):
         le=1,
         description="alpha (eq. 2.5): key-point ranges grow by this part of the whole range, each side",
     )
+    range_neighbors: int = Field(
+        0,
+        ge=0,
+        le=1000,
+        description="a segment's range also covers this many key points nearest to it; 0: only its own",
+    )
+    range_reach: float = Field(40.0, gt=0, description="where they are not all this near, they do not count, pixels")
     cost: Cost = Field(description="matching cost of two pixels")
     window_radius: int = Field(
         4,
@@ -124,7 +137,9 @@ class Segments(StereoPipeline):
         clock.stop("cost")
         volume = segment_window(raw, labels, self.window_radius) if self.window_radius else raw
         clock.stop("window")
-        ranges = search_ranges(labels, matches, max_disparity, self.range_margin)
+        ranges = search_ranges(
+            labels, matches, max_disparity, self.range_margin, self.range_neighbors, self.range_reach
+        )
         optimized = self.optimization(volume, pair)
         # The optimizer sees the whole volume: forbidden cells would push their cost along its paths.
         first = select(forbid_outside(optimized, labels, ranges), self.check_tolerance, self.subpixel)
@@ -138,7 +153,8 @@ class Segments(StereoPipeline):
             ranges = ranges[report.parents(labels, coarse)]
         clock.stop("splitting")
         scene = Scene.of(labels, first, region_graph(labels, image), max_disparity)
-        assignment = self._assign(scene, volume, ranges, fit, clock)
+        # On a flat image an optimizer would still carry the borders' costs everywhere.
+        assignment = self._assign(scene, volume, ranges, fit, clock) if tells_anything(raw) else None
         if assignment is None:
             disparity = report.nothing_known(labels.shape)
         else:
@@ -161,7 +177,7 @@ class Segments(StereoPipeline):
         if self.keypoints is None:
             return None
         left, right = pair.grey8
-        return match_rectified(self.keypoints(left), self.keypoints(right), max_disparity)
+        return consistent(match_rectified(self.keypoints(left), self.keypoints(right), max_disparity))
 
     def _assign(
         self, scene: Scene, volume: CostVolume, ranges: NDArray[np.int32], fit: PlaneFit, clock: report.Clock

@@ -10,7 +10,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels._jit import jit, parallel_jit
 from depthcli.keypoints._matching import Matches
 from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
 from depthcli.stereo.volume import CostVolume
@@ -36,7 +36,12 @@ class FirstEstimate:
 
 
 def search_ranges(
-    labels: NDArray[np.int32], matches: Matches | None, max_disparity: int, margin: float
+    labels: NDArray[np.int32],
+    matches: Matches | None,
+    max_disparity: int,
+    margin: float,
+    neighbors: int = 0,
+    reach: float = np.inf,
 ) -> NDArray[np.int32]:
     """Lowest and highest disparity to search in every segment (eq. 2.2-2.5).
 
@@ -48,6 +53,9 @@ def search_ranges(
     ----------
     labels : (H, W) segments 0 .. n - 1
     matches : matched key points, or None
+    neighbors : the key points nearest to the segment's center that count as if they were its own, so that
+        segments without any (the bars of a fence) are limited too; 0 for the thesis's rule
+    reach : the farthest of them must be this near to the center, pixels
 
     Returns
     -------
@@ -62,11 +70,30 @@ def search_ranges(
         segment = labels[rows, columns]
         np.minimum.at(low, segment, matches.disparity)
         np.maximum.at(high, segment, matches.disparity)
+        if neighbors and len(matches) >= neighbors:
+            index, farthest = _nearest(labels, matches, neighbors)
+            near = matches.disparity[index]
+            around = farthest <= reach
+            low = np.where(around, np.minimum(low, near.min(axis=1)), low)
+            high = np.where(around, np.maximum(high, near.max(axis=1)), high)
     widening = margin * max_disparity
     ranges = np.empty((count, 2), np.int32)
     ranges[:, 0] = np.clip(np.floor(np.where(np.isinf(low), 0, low - widening)), 0, max_disparity)
     ranges[:, 1] = np.clip(np.ceil(np.where(np.isinf(high), max_disparity, high + widening)), 0, max_disparity)
     return ranges
+
+
+def _nearest(
+    labels: NDArray[np.int32], matches: Matches, neighbors: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """(n, neighbors) the matches nearest to the center of every segment; (n,) distance of the last of them."""
+    flat = labels.ravel()
+    sizes = np.maximum(np.bincount(flat), 1)
+    y, x = np.divmod(np.arange(flat.size), labels.shape[1])
+    center_x, center_y = np.bincount(flat, x) / sizes, np.bincount(flat, y) / sizes
+    apart = (center_x[:, None] - matches.x[None]) ** 2 + (center_y[:, None] - matches.y[None]) ** 2
+    order = np.argsort(apart, axis=1, kind="stable")[:, :neighbors]
+    return order, np.sqrt(np.take_along_axis(apart, order[:, -1:], axis=1)[:, 0])
 
 
 def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -> CostVolume:
@@ -168,6 +195,22 @@ def _parabola(costs: Any, winner: Any, values: Any) -> None:
             bend = before + after - 2.0 * here
             if bend > 0.0:
                 values[y, x] = d + 0.5 * (before - after) / bend
+
+
+def tells_anything(volume: CostVolume) -> bool:
+    """Whether any pixel has different costs for disparities inside the right image: not so on a flat image."""
+    return bool(_tells_anything(volume.costs))
+
+
+@jit
+def _tells_anything(costs: Any) -> Any:
+    height, width, depth = costs.shape
+    for y in range(height):
+        for x in range(width):
+            for d in range(1, min(depth, x + 1)):
+                if costs[y, x, d] != costs[y, x, 0]:
+                    return True
+    return depth == 1
 
 
 @parallel_jit
