@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import cv2
-import llvmlite.binding as llvm  # type: ignore[import-untyped]
+import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
 from numba import float32, int32, prange, types

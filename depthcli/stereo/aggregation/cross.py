@@ -41,7 +41,7 @@ class Cross(Aggregator):
     def arms(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """(4, H, W) uint8 arms of a (H, W, C) image."""
         if self.smoothing:
-            image = cv2.medianBlur(image, 3)
+            image = np.asarray(cv2.medianBlur(image, 3), np.uint8)
         return cross_arms(image, self.length, self.threshold, self.inner_length, self.inner_threshold)
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
