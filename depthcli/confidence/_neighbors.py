@@ -33,6 +33,23 @@ def agreement(winner: Any, radius: int, out: Any) -> None:
 
 
 @parallel_jit
+def mutual_agreement(winner: Any, right: Any, radius: int, out: Any) -> None:
+    """The same share in the right view's map, in the window around the match, (H, W)."""
+    height, width = winner.shape
+    for y in prange(height):
+        top, bottom = max(0, y - radius), min(height, y + radius + 1)
+        for x in range(width):
+            d = winner[y, x]
+            left, stop = max(0, x - d - radius), min(width, x - d + radius + 1)
+            count = np.int32(0)
+            for q in range(top, bottom):
+                row = right[q, left:stop]
+                for i in range(row.size):
+                    count += np.int32(abs(row[i] - d) <= 1)
+            out[y, x] = np.float32(count) / np.float32((stop - left) * (bottom - top))
+
+
+@parallel_jit
 def average_peak_ratio(costs: Any, valid: Any, winner: Any, second: Any, eps: Any, radius: int, out: Any) -> None:
     """Mean over the window of c_q(d2m) / c_q(d1), with the center's d1 and d2m (Kim et al. 2014)."""
     height, width, _ = costs.shape

@@ -11,8 +11,8 @@ from depthcli.kernels._jit import parallel_jit
 
 
 @parallel_jit
-def measure_views(costs: Any, eps: Any, margin: Any, consistency: Any, distinctness: Any) -> None:
-    """LRC and LRD of (H, W, D) costs; cells with d > x take no part.
+def measure_views(costs: Any, eps: Any, margin: Any, consistency: Any, distinctness: Any, right: Any) -> None:
+    """LRC, LRD and the right view's winners (int32) of (H, W, D) costs; cells with d > x take no part.
 
     ``margin`` is (H, W) float32 c2 - c1 and only read for LRD. Ties go to the smaller disparity.
     """
@@ -31,6 +31,7 @@ def measure_views(costs: Any, eps: Any, margin: Any, consistency: Any, distinctn
                 places[i] = np.int32(i) if better else places[i]
                 values[i] = v if better else values[i]
         for x in range(width):
+            right[y, x] = chosen[width - 1 - x]
             row = costs[y, x, : min(depth, x + 1)]
             lowest = row[0]
             for i in range(row.size):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.confidence._curves import CURVE_MEASURES, measure_curves, moments
-from depthcli.confidence._neighbors import agreement, average_peak_ratio
+from depthcli.confidence._neighbors import agreement, average_peak_ratio, mutual_agreement
 from depthcli.confidence._views import measure_views
 
 _DESCRIPTIONS = {
@@ -30,12 +30,12 @@ _DESCRIPTIONS = {
     "lrd": "left-right difference: (c2 - c1) / (c1 - cheapest cost of the right pixel)",
     "da": "disparity agreement: share of a 25 x 25 window within 1 px of d1",
     "apkr": "average peak ratio: peak ratio of the 5 x 5 window at the center's two disparities",
-    "dap": "da in a 17 x 17 window, times (1 - 1 / apkr)^0.5, times (1 - lrc)^-0.3: all three must agree",
+    "dap": "da of both views in 13 x 13 windows around the match, times (1 - 1 / apkr)^0.5: what all agree on",
 }
 _VIEW_MEASURES = ("lrc", "lrd")
 _AGREEMENT_RADIUS = 12
 _PEAK_RADIUS = 2
-_JOINT_RADIUS = 8
+_JOINT_RADIUS = 6
 
 
 def measures() -> dict[str, str]:
@@ -142,12 +142,14 @@ def confidence_maps(costs: NDArray[Any], names: Iterable[str]) -> dict[str, NDAr
     if {*_VIEW_MEASURES, "dap"} & set(wanted):
         eps = curves.eps if "lrd" in wanted else 1.0
         maps["lrc"], maps["lrd"] = np.empty_like(blank), np.empty_like(blank)
-        measure_views(costs, np.float32(eps), maps.get("mmn", blank), maps["lrc"], maps["lrd"])
+        right = np.empty((height, width), np.int32)
+        measure_views(costs, np.float32(eps), maps.get("mmn", blank), maps["lrc"], maps["lrd"], right)
     if "dap" in wanted:
-        agreed = np.empty_like(blank)
-        agreement(curves.winner, _JOINT_RADIUS, agreed)
+        ours, theirs = np.empty_like(blank), np.empty_like(blank)
+        agreement(curves.winner, _JOINT_RADIUS, ours)
+        mutual_agreement(curves.winner, right, _JOINT_RADIUS, theirs)
         distinct = np.sqrt(np.maximum(1 - 1 / maps["apkr"], 0))
-        maps["dap"] = (agreed * distinct * (1 - maps["lrc"]) ** -0.3).astype(np.float32)
+        maps["dap"] = (ours * theirs * distinct).astype(np.float32)
     return {name: maps[name] for name in wanted}
 
 

@@ -51,7 +51,9 @@ def test_measures_that_look_at_other_pixels_agree_with_their_twins(dtype, width,
     np.testing.assert_allclose(maps["da"], naive.agreement(curves.winner, 12), rtol=1e-6)
     apkr = naive.average_peak_ratio(costs, curves.winner, curves.second, curves.eps, 2)
     np.testing.assert_allclose(maps["apkr"], apkr, rtol=1e-3)
-    joint = naive.agreement(curves.winner, 8) * np.sqrt(np.maximum(1 - 1 / apkr, 0)) * (1 - lrc) ** -0.3
+    right, _ = naive.right_view(costs)
+    joint = naive.agreement(curves.winner, 6) * naive.mutual_agreement(curves.winner, right, 6)
+    joint *= np.sqrt(np.maximum(1 - 1 / apkr, 0))
     np.testing.assert_allclose(maps["dap"], joint, rtol=1e-2, atol=1e-3)
 
 

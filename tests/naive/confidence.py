@@ -100,6 +100,18 @@ def agreement(winner, radius):
     return out
 
 
+def mutual_agreement(winner, right, radius):
+    """Share of the right view's window around the match within 1 of the disparity."""
+    height, width = winner.shape
+    out = np.zeros((height, width))
+    for y in range(height):
+        for x in range(width):
+            u = x - winner[y, x]
+            window = right[max(0, y - radius) : y + radius + 1, max(0, u - radius) : u + radius + 1]
+            out[y, x] = np.mean(np.abs(window.astype(int) - int(winner[y, x])) <= 1)
+    return out
+
+
 def average_peak_ratio(costs, winner, second, eps, radius):
     """Mean peak ratio of the window at the center's two disparities; 1 without a second minimum."""
     height, width, _ = costs.shape

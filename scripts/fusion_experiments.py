@@ -1,0 +1,276 @@
+#!/usr/bin/env python3
+"""The experiments of chapter 6: confidences, consensus windows, fusion of measures, what it changes later on.
+
+    python scripts/fusion_experiments.py DATA OUT [--only windows fusion ...] [--quick]
+
+DATA holds the folders ``middlebury_v2``, ``_2001``, ``_2005``, ``_2006`` and ``kitti``. OUT receives one Markdown
+table an experiment, ``fusion.md`` with all of them, ``fusion.csv`` with every figure by scene, and plots (SVG).
+``--quick`` takes four scenes only. Error rates: bad > 1 px in non-occluded regions, %, missing counts as
+bad; KITTI: > 3 px. "wins": scenes better than equal weights; "worst": largest ratio to equal weights.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from depthcli.confidence import confidence_maps, measures
+from depthcli.evaluation.curves import sparsification
+from depthcli.evaluation.report import Line, Table, line_plot, number
+from depthcli.evaluation.summary import compare
+from depthcli.fusion import Fusion
+from depthcli.io.scenes import Scene, find_scenes
+from depthcli.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.stereo.pipeline.local import Local
+from depthcli.stereo.volume import StereoPair
+from depthcli.stereo.winner import winners
+from depthcli.synthetic.cross_modal import cross_modal_pair
+
+CONFIGS = Path(__file__).resolve().parent.parent / "configs"
+SETS = ("middlebury_v2", "middlebury_2001", "middlebury_2005", "middlebury_2006")
+QUICK = ("Teddy", "Cones", "Lampshade1", "Baby2")
+ALL = ("absolute_difference", "gradient", "rank", "census")
+EQUAL: dict[str, Any] = {"weights": "equal", "consensus": {"vote_cost": 0}}
+SHORT = {"absolute_difference": "AD", "gradient": "GRAD", "rank": "RANK", "census": "CENSUS"}
+
+
+def preset(name: str, **fields: Any) -> dict[str, Any]:
+    config: dict[str, Any] = yaml.safe_load((CONFIGS / "fuse" / f"{name}.yaml").read_text("utf-8"))
+    return {**config, **fields}
+
+
+def equal_of(config: dict[str, Any]) -> dict[str, Any]:
+    """The same pipeline with equal weights and without votes."""
+    return {**config, **EQUAL, "vote_aggregation": "constant_window", "vote_optimization": "winner_takes_all"}
+
+
+class Bench:
+    """Runs configs over scenes, remembers every figure."""
+
+    def __init__(self, data: Path, quick: bool) -> None:
+        self.scenes = [s for name in SETS for s in find_scenes(data / name)]
+        if quick:
+            self.scenes = [s for s in self.scenes if s.name.rpartition("/")[2] in QUICK]
+        self.kitti = [s for s in find_scenes(data / "kitti") if s.disparity_left] if (data / "kitti").is_dir() else []
+        self.rows: list[dict[str, object]] = []
+        self.plots: dict[str, str] = {}
+
+    def bad(self, scenes: list[Scene], match: Callable[[StereoPair, int], np.ndarray], limit: float = 1.0,
+            change: Callable[[StereoPair], StereoPair] = lambda pair: pair) -> list[float]:  # fmt: skip
+        rates = []
+        for scene in scenes:
+            truth = scene.load_truth()
+            mask = truth.masks.get("nonocc", truth.masks.get("noc", next(iter(truth.masks.values()))))
+            mask = mask & ~np.isnan(truth.disparity)
+            pair = change(StereoPair(*scene.load_pair()))
+            values = match(pair, scene.max_disparity or 255)
+            rates.append(100 * float(np.mean(~(np.abs(values[mask] - truth.disparity[mask]) <= limit))))
+        return rates
+
+    def table(self, title: str, configs: dict[str, dict[str, Any]], base: str | None = None, **how: Any) -> Table:
+        """One row a config: mean, and against ``base`` wins, mean difference, worst ratio and p."""
+        scenes = how.pop("scenes", self.scenes)
+        found: dict[str, list[float]] = {}
+        for name, config in configs.items():
+            model = Fusion.model_validate(config)
+            found[name] = self.bad(scenes, lambda pair, top, model=model: model(pair, top).disparity.values, **how)
+            for scene, rate in zip(scenes, found[name], strict=True):
+                self.rows.append({"experiment": title, "config": name, "scene": scene.name, "bad": round(rate, 3)})
+        rows = []
+        for name, rates in found.items():
+            cells = [name, number(float(np.mean(rates)))]
+            if base is not None:
+                against = compare(found[base], rates)
+                cells += [f"{against.wins}/{against.scenes}", number(against.mean_difference)]
+                cells += [number(against.worst_ratio, 3), number(against.p_value, 4)]
+            rows.append(tuple(cells))
+        header = ("config", "mean bad") + (("wins", "difference", "worst", "p (sign)") if base is not None else ())
+        return Table(title, header, tuple(rows), f"{len(scenes)} scenes" + (f"; against {base}" if base else ""))
+
+
+def confidences(bench: Bench) -> list[Table]:
+    """6.4.1: AUC of every measure for each similarity, CW 11, all known pixels; also of the final map's."""
+    tables = []
+    chosen = [s for s in bench.scenes if s.name.rpartition("/")[2] in ("Teddy", "Cones")]
+    for scene in chosen:
+        pair, truth = StereoPair(*scene.load_pair()), scene.load_truth()
+        known = ~np.isnan(truth.disparity)
+        columns: dict[str, dict[str, float]] = {}
+        for cost in ALL:
+            volume = Fusion.model_validate({"measures": [cost], **EQUAL, "aggregation": None}).measures[0].cost
+            assert volume is not None
+            costs = ConstantWindow(window=11)(volume(pair, (scene.max_disparity or 0) + 1), pair).costs
+            wrong = ~(np.abs(winners(costs)[0] - truth.disparity) <= 1)[known]
+            columns[cost], lines = _areas(confidence_maps(costs, measures()), known, wrong)
+            if cost == "census":
+                title = f"Sparsification, {scene.name}, census CW 11"
+                name = f"sparsification_{scene.name.rpartition('/')[2]}.svg"
+                bench.plots[name] = line_plot(lines, title, "most confident pixels, %", "bad > 1 px, %")
+        final = Fusion.model_validate(preset("accurate", confidence=[*measures(), "consensus"]))
+        result = final(pair, scene.max_disparity or 0)
+        wrong = ~(np.abs(result.disparity.values - truth.disparity) <= 1)[known]
+        columns["accurate"], _ = _areas(result.confidence, known, wrong)
+        names = [*measures(), "consensus", "optimal", "random"]
+        body = tuple((n, *(number(columns[c].get(n, float("nan")), 4) for c in columns)) for n in names)
+        tables.append(Table(f"AUC of confidences, {scene.name}", ("measure", *columns), body, "all known pixels"))
+    return tables
+
+
+def _areas(maps: dict[str, Any], known: np.ndarray, wrong: np.ndarray) -> tuple[dict[str, float], list[Line]]:
+    areas: dict[str, float] = {}
+    lines = []
+    for name, values in maps.items():
+        curve = sparsification(np.ascontiguousarray(values[known]), wrong)
+        areas |= {name: curve.auc, "optimal": curve.optimal, "random": curve.random}
+        if name in ("msm", "pkr", "mlm", "lrd", "da", "apkr", "dap"):
+            lines.append(Line(name, curve.percentages, [100 * rate for rate in curve.rates]))
+    return areas, lines
+
+
+def windows(bench: Bench) -> list[Table]:
+    """6.4.2: sizes of the consensus window, for both kinds of support."""
+    tables, lines = [], []
+    for support in ("window", "color"):
+        configs = {"equal": preset("equal")}
+        sizes = (3, 7, 11, 21, 33, 65, 129)
+        for size in sizes:
+            consensus = {"support": support, "window": size, "softness": 15, "vote_cost": 0}
+            configs[f"{support} {size}"] = preset("window", consensus=consensus)
+        table = bench.table(f"Consensus windows, {support}, weights only", configs, "equal")
+        tables.append(table)
+        lines.append(Line(support, sizes, [float(row[1]) for row in table.rows[1:]]))
+    plot = line_plot(lines, "Consensus windows", "window, px", "bad > 1 px, %, mean")
+    bench.plots["windows.svg"] = plot
+    return tables
+
+
+def fusion(bench: Bench) -> list[Table]:
+    """6.4.3: all measures; what is due to confidence, consensus and votes."""
+    configs = {SHORT[cost]: {"measures": [cost], **EQUAL} for cost in ALL}
+    configs["equal"] = preset("equal")
+    for confidence in ("pkr", "mlm", "lrc"):
+        configs[f"confidence {confidence}"] = {
+            "measures": ALL, "weights": "confidence", "vote_confidence": confidence,
+            "blend": "after", "consensus": {"vote_cost": 0},
+        }  # fmt: skip
+    configs["select"] = {"measures": ALL, "weights": "select", "blend": "after", "consensus": {"vote_cost": 0}}
+    configs["vote"] = {"measures": ALL, "weights": "vote"}
+    configs["window 21, unit confidence"] = preset("window", vote_confidence=None)
+    configs["window 21, LRC"] = preset("window")
+    configs["color, weights only"] = preset("weights-only")
+    configs["consensus"] = preset("consensus")
+    configs["consensus, 1 more round"] = preset("consensus", consensus={"rounds": 1, "map_vote_cost": 0.4})
+    return [bench.table("Fusion of all measures, CW 11", configs, "equal")]
+
+
+def pairs(bench: Bench) -> list[Table]:
+    """6.4.4: AD fused with each other measure."""
+    tables = []
+    for cost in ALL[1:]:
+        both = ["absolute_difference", cost]
+        configs = {SHORT[m]: {"measures": [m], **EQUAL} for m in both}
+        configs |= {"equal": {"measures": both, **EQUAL}, "consensus": preset("consensus", measures=both)}
+        tables.append(bench.table(f"AD fused with {SHORT[cost]}", configs, "equal"))
+    return tables
+
+
+def later_stages(bench: Bench) -> list[Table]:
+    """6.4.5 and 6.4.7: does the gain survive other aggregations, optimizers, refinement, segments?"""
+    tables = []
+    for name in ("consensus", "cross", "adaptive-weight", "scanline", "accurate"):
+        config = preset(name)
+        tables.append(bench.table(f"After {name}", {"equal": equal_of(config), "fused": config}, "equal"))
+    file = CONFIGS / "stereo" / "segments.yaml"
+    if file.is_file():
+        segments = {k: v for k, v in yaml.safe_load(file.read_text("utf-8")).items() if k not in ("pipeline", "cost")}
+        config = preset("scanline", optimization="winner_takes_all", segments=segments)
+        tables.append(bench.table("After segments", {"equal": equal_of(config), "fused": config}, "equal"))
+    stereo = yaml.safe_load((CONFIGS / "stereo" / "accurate.yaml").read_text("utf-8"))
+    stereo.pop("pipeline")
+    local, fused = Local.model_validate(stereo), Fusion.model_validate(preset("accurate"))
+    a = bench.bad(bench.scenes, lambda pair, top: local(pair, top).disparity.values)
+    b = bench.bad(bench.scenes, lambda pair, top: fused(pair, top).disparity.values)
+    against = compare(a, b)
+    body = (("stereo accurate", number(float(np.mean(a))), ""), ("fuse accurate", number(float(np.mean(b))),
+            f"{against.wins}/{against.scenes}"))  # fmt: skip
+    tables.append(Table("The two accurate presets", ("config", "mean bad", "wins"), body))
+    return tables
+
+
+def kitti(bench: Bench) -> list[Table]:
+    """6.4.8: driving scenes, 3 px."""
+    configs = {"equal": equal_of(preset("consensus")), "consensus": preset("consensus")}
+    tables = [bench.table("KITTI, CW 11", configs, "equal", scenes=bench.kitti, limit=3.0)]
+    configs = {"equal": equal_of(preset("kitti")), "kitti": preset("kitti")}
+    return [*tables, bench.table("KITTI, preset kitti", configs, "equal", scenes=bench.kitti, limit=3.0)]
+
+
+def cross_modal(bench: Bench) -> list[Table]:
+    """6.4.9: the right view as another sensor would see it; AD misleads."""
+
+    def infrared(pair: StereoPair) -> StereoPair:
+        return StereoPair(*cross_modal_pair(pair.left, pair.right, seed=0))
+
+    configs = {SHORT[cost]: {"measures": [cost], **EQUAL} for cost in ALL}
+    configs |= {"equal": preset("equal"), "weights only": preset("weights-only", exponent=6)}
+    configs |= {"consensus": preset("consensus"), "cross-modal": preset("cross-modal")}
+    return [bench.table("Cross-modal pairs", configs, "equal", change=infrared)]
+
+
+def seconds(bench: Bench) -> list[Table]:
+    """6.4.6: time by stage on Cones, best of nine."""
+    scene = next(s for s in bench.scenes if s.name.rpartition("/")[2] == "Cones")
+    pair, top = StereoPair(*scene.load_pair()), scene.max_disparity or 0
+    rows = []
+    for name in ("equal", "consensus", "weights-only", "accurate"):
+        model = Fusion.model_validate(preset(name))
+        model(pair, top)
+        runs = []
+        for _ in range(9):
+            start = time.perf_counter()
+            stages = model(pair, top).seconds
+            runs.append((time.perf_counter() - start, stages))
+        total, stages = min(runs, key=lambda run: run[0])
+        rows.append((name, number(1e3 * total, 0), ", ".join(f"{k} {1e3 * v:.0f}" for k, v in stages.items())))
+    return [Table("Time on Cones, ms", ("preset", "total", "by stage"), tuple(rows))]
+
+
+EXPERIMENTS = {
+    "confidences": confidences, "windows": windows, "fusion": fusion, "pairs": pairs, "later": later_stages,
+    "kitti": kitti, "cross-modal": cross_modal, "seconds": seconds,
+}  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--only", nargs="+", choices=list(EXPERIMENTS), default=list(EXPERIMENTS))
+    parser.add_argument("--quick", action="store_true")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    bench = Bench(arguments.data, arguments.quick)
+    document = []
+    for name in arguments.only:
+        text = "\n".join(table.markdown() for table in EXPERIMENTS[name](bench))
+        document.append(text)
+        (arguments.out / f"{name}.md").write_text(text, "utf-8")
+        print(text, flush=True)
+    (arguments.out / "fusion.md").write_text("# Fusion of similarity measures\n\n" + "\n".join(document), "utf-8")
+    for name, picture in bench.plots.items():
+        (arguments.out / name).write_text(picture, "utf-8")
+    with (arguments.out / "fusion.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, ["experiment", "config", "scene", "bad"])
+        writer.writeheader()
+        writer.writerows(bench.rows)
+
+
+if __name__ == "__main__":
+    main()
