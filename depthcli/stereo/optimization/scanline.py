@@ -13,7 +13,10 @@ from depthcli.core import memory
 from depthcli.kernels._jit import jit, parallel_jit
 from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
 from depthcli.stereo.optimization import Optimizer
+from depthcli.stereo.optimization._path_step import LANES, path_step
 from depthcli.stereo.volume import CostVolume, StereoPair
+
+_TOO_DEAR = 20000
 
 
 class Scanline(Optimizer):
@@ -33,6 +36,10 @@ class Scanline(Optimizer):
         if volume.costs.dtype == np.float32:
             volume = as_fixed_point(volume)
         costs = volume.costs
+        disparities = volume.disparities
+        if disparities < LANES:  # too dear to ever win; cut off again below
+            padding = ((0, 0), (0, 0), (0, LANES - disparities))
+            costs = np.pad(costs.astype(np.uint16), padding, constant_values=_TOO_DEAR)
         # The penalties are capped so that sums of eight paths fit into 16 bits.
         p1, p2 = (round(min(p * volume.scale, FixedPoint.LARGEST)) for p in (self.p1, self.p2))
         table = np.array(
@@ -42,7 +49,8 @@ class Scanline(Optimizer):
         sums = [memory.empty(costs.shape, np.uint16) for _ in range(2)]
         _sweep_both(costs, sums[0], sums[1], edges, table, self.paths == 8)
         _add(sums[0], sums[1])
-        return CostVolume(sums[0], volume.scale * self.paths)
+        total = sums[0] if disparities >= LANES else np.ascontiguousarray(sums[0][:, :, :disparities])
+        return CostVolume(total, volume.scale * self.paths)
 
 
 def _path_edges(image: NDArray[np.uint8], threshold: int) -> NDArray[np.uint8]:
@@ -92,76 +100,60 @@ def _sweep_both(costs: Any, down: Any, up: Any, edges: Any, table: Any, diagonal
 
 
 @jit
-def _advance(costs: Any, before: Any, least: Any, p1: Any, p2: Any, after: Any, total: Any, first: bool) -> Any:
-    """One pixel of one path: path costs ``after`` from those ``before``; both have a guard cell at each end.
-
-    Path costs are stored less their own minimum, which is then 0.
-    """
-    depth = costs.size
-    same = before[1 : depth + 1]
-    lower = before[:depth]
-    upper = before[2 : depth + 2]
-    out = after[1 : depth + 1]
-    smallest = np.uint16(0xFFFF)
-    for i in range(out.size):
-        jump = p2
-        step = np.uint16(min(lower[i], upper[i]) + p1)
-        best = min(same[i], jump)
-        best = min(best, step)
-        value = np.uint16(best + np.uint16(costs[i]))
-        out[i] = value
-        smallest = min(smallest, value)
-    if first:
-        for i in range(out.size):
-            total[i] = out[i]
-            out[i] = np.uint16(out[i] - smallest)
-    else:
-        for i in range(out.size):
-            total[i] = np.uint16(total[i] + out[i])
-            out[i] = np.uint16(out[i] - smallest)
-    return smallest
-
-
-@jit
 def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upwards: bool) -> None:
-    """Paths from the left, upper left, above and upper right; upwards: their opposites."""
+    """Paths from the left, above, upper left and upper right; upwards: their opposites.
+
+    ``state`` holds the path costs, D + 2 cells a pixel: two pixels of the row path, then for each of the
+    three directions from above two rows of W + 2 pixels in turn. Margin pixels start paths anew.
+    """
     height, width, depth = costs.shape
-    guard = np.uint16(0x7FFF)
-    zero = np.uint16(0)
-    # rows[k, x + 1]: path costs of the row before, per direction; a margin pixel at each end starts paths anew
-    old = np.full((3, width + 2, depth + 2), guard, np.uint16)
-    new = np.full((3, width + 2, depth + 2), guard, np.uint16)
-    old[:, :, 1 : depth + 1] = 0
-    new[:, 0, 1 : depth + 1] = 0
-    new[:, width + 1, 1 : depth + 1] = 0
-    line = np.full((2, depth + 2), guard, np.uint16)
+    cells = depth + 2
+    row_cells = (width + 2) * cells
+    state = np.full(2 * cells + 6 * row_cells, 0x7FFF, np.uint16)
+    for pixel in range(2 + 6 * (width + 2)):
+        for i in range(pixel * cells + 1, pixel * cells + 1 + depth):
+            state[i] = 0
+    least = np.zeros(2 + 6 * (width + 2), np.uint16)
+    flat_costs = costs.reshape(height * width * depth)
+    flat_sums = sums.reshape(height * width * depth)
     step = -1 if upwards else 1
     for row in range(height):
         y = height - 1 - row if upwards else row
-        line[:, 1 : depth + 1] = 0
+        from_row = y + 1 if upwards else y  # the row of ``edges`` that looks across to the row before
+        old, new = 2 + (row & 1) * 3 * (width + 2), 2 + (1 - (row & 1)) * 3 * (width + 2)
+        least[:2] = 0
+        for i in range(depth):
+            state[1 + i] = 0
         for column in range(width):
             x = width - 1 - column if upwards else column
-            cost = costs[y, x]
-            total = sums[y, x]
-            # path along the row
-            e = 0
+            at = (y * width + x) * depth
+            back, front = column & 1, 1 - (column & 1)
+            above_old, above_new = old + width + 2 + x + 1, new + width + 2 + x + 1
+            e = f = 0
             if column > 0:
                 e = edges[0, y, x + 1] if upwards else edges[0, y, x]
-            _advance(cost, line[column & 1], zero, table[e, 0], table[e, 1], line[1 - (column & 1)], total, True)
-            # from above (below)
-            e = 0
             if row > 0:
-                e = edges[2, y + 1, x] if upwards else edges[2, y, x]
-            _advance(cost, old[1, x + 1], zero, table[e, 0], table[e, 1], new[1, x + 1], total, False)
-            if diagonal:
-                u = x - step
-                e = 0
-                if row > 0 and 0 <= u < width:
-                    e = edges[1, y + 1, u] if upwards else edges[1, y, x]
-                _advance(cost, old[0, u + 1], zero, table[e, 0], table[e, 1], new[0, x + 1], total, False)
-                u = x + step
-                e = 0
-                if row > 0 and 0 <= u < width:
-                    e = edges[3, y + 1, u] if upwards else edges[3, y, x]
-                _advance(cost, old[2, u + 1], zero, table[e, 0], table[e, 1], new[2, x + 1], total, False)
-        old, new = new, old
+                f = edges[2, from_row, x]
+            if not diagonal:
+                path_step(
+                    flat_costs, at, state, (back * cells, above_old * cells), (front * cells, above_new * cells),
+                    least, (back, above_old), (front, above_new),
+                    (table[e, 0], table[f, 0]), (table[e, 1], table[f, 1]), flat_sums, at, depth,
+                )  # fmt: skip
+                continue
+            u, v = x - step, x + step
+            left_old, left_new = old + u + 1, new + x + 1
+            right_old, right_new = old + 2 * (width + 2) + v + 1, new + 2 * (width + 2) + x + 1
+            g = h = 0
+            if row > 0 and 0 <= u < width:
+                g = edges[1, from_row, u if upwards else x]
+            if row > 0 and 0 <= v < width:
+                h = edges[3, from_row, v if upwards else x]
+            path_step(
+                flat_costs, at, state,
+                (back * cells, above_old * cells, left_old * cells, right_old * cells),
+                (front * cells, above_new * cells, left_new * cells, right_new * cells),
+                least, (back, above_old, left_old, right_old), (front, above_new, left_new, right_new),
+                (table[e, 0], table[f, 0], table[g, 0], table[h, 0]),
+                (table[e, 1], table[f, 1], table[g, 1], table[h, 1]), flat_sums, at, depth,
+            )  # fmt: skip

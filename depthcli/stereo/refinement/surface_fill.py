@@ -23,8 +23,8 @@ class SurfaceFill(Refinement):
     by least squares with Huber weights, and the gap's pixels take the plane's values.
     """
 
-    rows: int = Field(12, ge=0, le=64, description="rows above and below that the plane is fitted to")
-    reach: int = Field(40, ge=1, le=255, description="pixels of each row that the plane is fitted to")
+    rows: int = Field(20, ge=0, le=64, description="rows above and below that the plane is fitted to")
+    reach: int = Field(20, ge=1, le=255, description="pixels of each row that the plane is fitted to")
     support: int = Field(30, ge=3, description="with fewer pixels than this the last value is held")
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:

@@ -1,0 +1,111 @@
+"""One pixel of several scanline paths, written in vector instructions.
+
+The loop over disparities reads and writes too many arrays for the compiler to prove that they do not
+overlap, so it would not vectorize it; here the vectors are spelled out as LLVM IR, which every processor's
+back end turns into its own instructions.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+LANES = 16
+"""16-bit numbers in a vector; no volume may have fewer disparities."""
+
+
+@intrinsic
+def path_step(
+    typingctx: Any, costs: Any, cost_at: Any, state: Any, before: Any, after: Any,
+    least: Any, least_before: Any, least_after: Any, p1: Any, p2: Any, total: Any, total_at: Any, depth: Any,
+) -> Any:  # fmt: skip
+    """``L(d) = C(d) + min(B(d), B(d +- 1) + P1, min B + P2) - min B`` for K paths at once.
+
+    Parameters
+    ----------
+    costs : flat uint8 or uint16; the pixel's D costs start at ``cost_at``
+    state : flat uint16 path costs. ``before`` and ``after`` (K offsets each) point at D + 2 cells: a guard
+        cell, D path costs, a guard cell
+    least : flat uint16 minima of the path costs, read at ``least_before``, written at ``least_after``
+    p1, p2 : K penalties
+    total : flat uint16; the pixel's D sums over the K paths are written from ``total_at`` on
+    depth : D, at least LANES
+    """
+    paths = len(before)
+    signature = types.void(
+        costs, types.intp, state, types.UniTuple(types.intp, paths), types.UniTuple(types.intp, paths),
+        least, types.UniTuple(types.intp, paths), types.UniTuple(types.intp, paths),
+        types.UniTuple(types.uint16, paths), types.UniTuple(types.uint16, paths), total, types.intp, types.intp,
+    )  # fmt: skip
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        half, word = ir.IntType(16), ir.IntType(64)
+        vector = ir.VectorType(half, LANES)
+
+        def data(k: int) -> Any:
+            return context.make_array(signature.args[k])(context, builder, args[k]).data
+
+        def member(k: int, path: int) -> Any:
+            return builder.extract_value(args[k], path)
+
+        def at(pointer: Any, offset: Any, kind: Any) -> Any:
+            return builder.bitcast(builder.gep(pointer, [offset]), kind.as_pointer())
+
+        def splat(value: Any) -> Any:
+            single = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+            mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+            return builder.shuffle_vector(single, ir.Constant(vector, ir.Undefined), mask)
+
+        def smaller(a: Any, b: Any) -> Any:
+            return builder.select(builder.icmp_unsigned("<", a, b), a, b)
+
+        cost_data, state_data, least_data, total_data = data(0), data(2), data(5), data(10)
+        depth_value = args[12]
+        lanes = ir.Constant(word, LANES)
+        minima = [builder.load(builder.gep(least_data, [member(6, k)])) for k in range(paths)]
+        offsets = [splat(value) for value in minima]
+        steps = [splat(member(8, k)) for k in range(paths)]
+        jumps = [splat(builder.add(minima[k], member(9, k))) for k in range(paths)]
+        found = [cgutils.alloca_once(builder, vector) for _ in range(paths)]
+        for slot in found:
+            builder.store(ir.Constant(vector, [0xFFFF] * LANES), slot)
+        chunks = builder.sdiv(builder.add(depth_value, ir.Constant(word, LANES - 1)), lanes)
+        last = builder.sub(depth_value, lanes)
+        with cgutils.for_range(builder, chunks) as loop:
+            # The last chunk is moved back to end at D: cells done twice are done alike.
+            start = builder.mul(loop.index, lanes)
+            start = builder.select(builder.icmp_signed("<", start, last), start, last)
+            place = builder.add(args[1], start)
+            if signature.args[0].dtype.bitwidth == 8:
+                narrow = builder.load(at(cost_data, place, ir.VectorType(ir.IntType(8), LANES)), align=1)
+                cost = builder.zext(narrow, vector)
+            else:
+                cost = builder.load(at(cost_data, place, vector), align=2)
+            summed = None
+            for k in range(paths):
+                origin = builder.add(member(3, k), start)
+                lower, same, upper = (
+                    builder.load(at(state_data, builder.add(origin, ir.Constant(word, n)), vector), align=2)
+                    for n in range(3)
+                )
+                best = smaller(builder.add(smaller(lower, upper), steps[k]), jumps[k])
+                best = smaller(best, same)
+                value = builder.add(builder.sub(best, offsets[k]), cost)
+                target = builder.add(builder.add(member(4, k), start), ir.Constant(word, 1))
+                builder.store(value, at(state_data, target, vector), align=2)
+                builder.store(smaller(builder.load(found[k]), value), found[k])
+                summed = value if summed is None else builder.add(summed, value)
+            builder.store(summed, at(total_data, builder.add(args[11], start), vector), align=2)
+        reduce = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(half, [vector]), f"llvm.vector.reduce.umin.v{LANES}i16"
+        )
+        for k in range(paths):
+            smallest = builder.call(reduce, [builder.load(found[k])])
+            builder.store(smallest, builder.gep(least_data, [member(7, k)]))
+        return context.get_dummy_value()
+
+    return signature, codegen
