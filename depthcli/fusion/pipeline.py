@@ -230,8 +230,9 @@ class Fusion(BaseModel):
 
     def _vote_costs(self, parts: list[CostVolume], pair: StereoPair) -> Iterator[CostVolume]:
         for part in parts:
-            volume = part if self.vote_aggregation is None else self.vote_aggregation(part, pair)
-            yield self.vote_optimization(volume, pair)
+            yield self.vote_optimization(
+                part if self.vote_aggregation is None else self.vote_aggregation(part, pair), pair
+            )
 
     def _voters(self, volumes: Iterable[CostVolume]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """(M, H, W) disparity of every volume, and how much it counts."""
@@ -245,12 +246,14 @@ class Fusion(BaseModel):
                 trust.append(left_right_difference(left, right))
             else:
                 trust.append(confidence_maps(volume.costs, [self.vote_confidence])[self.vote_confidence])
+            del volume  # before the next one is made
         weights = np.stack(trust)
         return np.stack(chosen), weights if self.vote_confidence is None else comparable(weights, self.vote_confidence)
 
     def _blend(self, parts: list[CostVolume], weights: NDArray[np.float32], pair: StereoPair) -> CostVolume:
         if self.blend == "before":
             fused = blend(parts, weights)
+            parts.clear()  # what follows needs room for volumes of its own
             if self.aggregation is not None:
                 return self.aggregation(fused, pair)
             return CostVolume(fused.costs.astype(np.uint16) * np.uint16(16), fused.scale * 16)
