@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from depthcli.cli import main
+from depthcli.io.disparity import read_pfm
+from depthcli.io.images import write_png
+from depthcli.stereo.cost.census import Census
+from depthcli.stereo.volume import StereoPair
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(a) for a in arguments])
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(0)
+    wide = np.kron(rng.integers(0, 256, (20, 40)), np.ones((2, 2))).astype(np.uint8)
+    folder = tmp_path / "data" / "shifted"
+    folder.mkdir(parents=True)
+    left, right = np.ascontiguousarray(wide[:, :70]), np.ascontiguousarray(wide[:, 5:75])
+    write_png(folder / "left.png", left)
+    write_png(folder / "right.png", right)
+    np.save(folder / "learned.npy", Census()(StereoPair(left, right), 12).costs.astype(np.float32))
+    return folder
+
+
+def config(tmp_path: Path, **fields: object) -> Path:
+    path = tmp_path / "fuse.yaml"
+    path.write_text(yaml.safe_dump({"measures": ["census", {"volume": "learned.npy"}], **fields}), "utf-8")
+    return path
+
+
+def test_a_volume_from_the_scene_folder_and_confidence_maps(scene: Path, tmp_path: Path):
+    file = config(tmp_path, max_disparity=11, confidence=["pkr", "consensus"])
+    assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 0
+    made = tmp_path / "run" / "shifted"
+    assert np.mean(read_pfm(made / "disp_left.pfm")[:, 12:] == 5) > 0.98
+    share = read_pfm(made / "confidence_consensus.pfm")
+    assert 0 <= np.nanmin(share) <= np.nanmax(share) <= 1
+    assert (made / "confidence_pkr.pfm").is_file()
+    # run.yaml is a config again: the same run, nothing to do.
+    before = (made / "disp_left.pfm").stat().st_mtime_ns
+    assert run("fuse", tmp_path / "run" / "run.yaml", "-i", scene.parent, "-o", tmp_path / "run", "-q") == 0
+    assert (made / "disp_left.pfm").stat().st_mtime_ns == before
+
+
+def test_a_scene_whose_volume_is_missing_or_damaged_fails_alone(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    for name, data in (("missing", None), ("damaged", b"\x93NUMPY no"), ("flat", np.zeros((40, 70)))):
+        other = scene.parent / name
+        other.mkdir()
+        for file in ("left.png", "right.png"):
+            (other / file).write_bytes((scene / file).read_bytes())
+        if isinstance(data, bytes):
+            (other / "learned.npy").write_bytes(data)
+        elif data is not None:
+            np.save(other / "learned.npy", data)
+    file = config(tmp_path, max_disparity=11)
+    assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 3
+    err = capsys.readouterr().err
+    assert "no such file" in err
+    assert "not an .npy array" in err
+    assert "(H, W, D)" in err
+    assert (tmp_path / "run" / "shifted" / "disp_left.pfm").is_file()
+
+
+def test_mistakes_in_the_config_are_named(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    file = config(tmp_path, max_disparity=11, weights="best", consensus={"windw": 3}, confidence=["pkx"])
+    assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run") == 2
+    err = capsys.readouterr().err
+    assert "weights" in err
+    assert "windw" in err
+    assert "pkx" in err

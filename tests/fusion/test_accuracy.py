@@ -1,0 +1,56 @@
+"""Fusion and confidences on real scenes: the figures must not get worse."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.confidence import confidence_maps
+from depthcli.evaluation.curves import sparsification
+from depthcli.fusion import Fusion
+from depthcli.io.scenes import find_scenes
+from depthcli.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.stereo.cost.census import Census
+from depthcli.stereo.volume import StereoPair
+from depthcli.stereo.winner import winners
+
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "middlebury_v2"
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="Middlebury v2 is not in ../shared/data")
+MEASURES = ["absolute_difference", "gradient", "rank", "census"]
+
+
+@cache
+def scene(name):
+    found = next(s for s in find_scenes(DATA) if s.name == name)
+    return StereoPair(*found.load_pair()), found.load_truth(), found.max_disparity
+
+
+def bad(name, **fields):
+    pair, truth, top = scene(name)
+    values = Fusion.model_validate({"measures": MEASURES, **fields})(pair, top).disparity.values
+    mask = truth.masks["nonocc"] & ~np.isnan(truth.disparity)
+    return 100 * np.mean(~(np.abs(values[mask] - truth.disparity[mask]) <= 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "equal", "weighed", "fused"),
+    [("Teddy", 10.8, 9.6, 8.5), ("Cones", 5.6, 4.8, 4.4), ("Venus", 2.4, 1.75, 1.4)],
+)
+def test_consensus_beats_equal_weights_and_votes_beat_weights(name, equal, weighed, fused):
+    assert bad(name, weights="equal", consensus={"vote_cost": 0}) == pytest.approx(equal, abs=0.15)
+    assert bad(name, consensus={"vote_cost": 0}, blend="after") < weighed + 0.1
+    assert bad(name) < fused + 0.1
+
+
+@pytest.mark.parametrize(("name", "most"), [("Teddy", 0.045), ("Cones", 0.022)])
+def test_the_best_confidence_orders_pixels_well(name, most):
+    pair, truth, top = scene(name)
+    costs = ConstantWindow(window=11)(Census()(pair, top + 1), pair).costs
+    known = ~np.isnan(truth.disparity)
+    wrong = ~(np.abs(winners(costs)[0] - truth.disparity) <= 1)[known]
+    areas = {n: sparsification(m[known], wrong).auc for n, m in confidence_maps(costs, ["dap", "da", "pkr"]).items()}
+    assert areas["dap"] <= most
+    assert areas["dap"] < areas["pkr"] < np.mean(wrong) / 2
