@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numba import prange
 from pydantic import Field
@@ -14,6 +15,7 @@ from depthcli.stereo.refinement import Refinement
 from depthcli.stereo.refinement._evidence import Evidence
 
 _PER_PIXEL = 8  # bins
+_BLOCK = 16
 
 
 class WeightedMedian(Refinement):
@@ -31,68 +33,88 @@ class WeightedMedian(Refinement):
     passes: int = Field(1, ge=1, le=8, description="number of times the filter is applied")
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
-        planes = np.ascontiguousarray(evidence.pair.color8[0].transpose(2, 0, 1))
+        radius = self.radius
+        height, width = disparity.values.shape
+        frame = ((radius, radius), (radius, radius + -width % _BLOCK))
+        planes = np.pad(evidence.pair.color8[0].transpose(2, 0, 1), ((0, 0), *frame))
         by_color = np.exp(-np.arange(766) / (3.0 * self.color_scale)).astype(np.float32)
-        offsets = np.arange(-self.radius, self.radius + 1)
+        offsets = np.arange(-radius, radius + 1)
         distance = np.hypot(offsets[:, None], offsets[None, :])
         by_distance = np.exp(-distance / self.distance_scale).astype(np.float32)
+        valid = disparity.valid
         filled = (disparity.status & np.uint8(Status.FILLED)) != 0
-        trust = np.where(filled, np.float32(self.filled_weight), np.float32(1))
-        trust[~disparity.valid] = 0
+        trust = np.where(filled, np.float32(self.filled_weight), np.float32(1)) * valid.astype(np.float32)
+        trust = np.pad(trust, frame)
         values = disparity.values
-        bins = evidence.volume.disparities * _PER_PIXEL + 1
         for _ in range(self.passes):
-            filtered = np.empty_like(values)
-            _filter(planes, values, trust, by_color, by_distance, bins, filtered)
+            bins = np.where(valid, values * np.float32(_PER_PIXEL) + np.float32(0.5), 0).astype(np.uint16)
+            window = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+            lowest = cv2.erode(np.where(valid, bins, np.uint16(0xFFFF)), window)
+            highest = cv2.dilate(bins, window)
+            filtered = values.copy()
+            _filter(planes, np.pad(bins, frame), trust, by_color, by_distance, lowest, highest, filtered)
             values = filtered
-        changed = disparity.valid & (values != disparity.values)
+        changed = valid & (values != disparity.values)
         return DisparityMap(values, disparity.status | np.where(changed, np.uint8(Status.SMOOTHED), np.uint8(0)))
 
 
 @parallel_jit
 def _filter(
-    planes: Any, values: Any, trust: Any, by_color: Any, by_distance: Any, bins: int, filtered: Any
+    planes: Any, bins: Any, trust: Any, by_color: Any, by_distance: Any, lowest: Any, highest: Any, filtered: Any
 ) -> None:
-    height, width = values.shape
-    radius = by_distance.shape[0] // 2
+    # All inputs but the last three have a margin without trust. Weights are computed for a block of pixels at
+    # a time (SIMD), then each pixel fills and reads its histogram.
+    height, width = filtered.shape
+    size = by_distance.shape[0]
     for y in prange(height):
-        weight_of = np.zeros(bins, np.float32)
-        weights = np.empty(2 * radius + 1, np.float32)
-        y0, y1 = max(0, y - radius), min(height, y + radius + 1)
-        for x in range(width):
-            if np.isnan(values[y, x]):
-                filtered[y, x] = np.float32(np.nan)
+        histogram = np.zeros(np.max(highest[y]) + 1, np.float32)
+        weights = np.empty((size * size, _BLOCK), np.float32)
+        for x0 in range(0, width, _BLOCK):
+            x1 = min(width, x0 + _BLOCK)
+            uniform = True
+            for x in range(x0, x1):
+                if lowest[y, x] < highest[y, x]:
+                    uniform = False
+            if uniform:
                 continue
-            x0, x1 = max(0, x - radius), min(width, x + radius + 1)
-            red, green, blue = np.int32(planes[0, y, x]), np.int32(planes[1, y, x]), np.int32(planes[2, y, x])
-            total = np.float32(0)
-            low, high = bins, 0
-            for v in range(y0, y1):
-                reds = planes[0, v, x0:x1]
-                greens = planes[1, v, x0:x1]
-                blues = planes[2, v, x0:x1]
-                near = by_distance[v - y + radius, x0 - x + radius : x1 - x + radius]
-                trusted = trust[v, x0:x1]
-                row = values[v, x0:x1]
-                for i in range(row.size):
-                    color = (
-                        abs(np.int32(reds[i]) - red) + abs(np.int32(greens[i]) - green) + abs(np.int32(blues[i]) - blue)
-                    )
-                    weights[i] = by_color[color] * near[i] * trusted[i]
-                for i in range(row.size):
-                    weight = weights[i]
-                    if weight > np.float32(0):
-                        k = int(row[i] * np.float32(_PER_PIXEL) + np.float32(0.5))
-                        weight_of[k] += weight
+            middle = x0 + size // 2
+            reds = planes[0, y + size // 2, middle : middle + _BLOCK]
+            greens = planes[1, y + size // 2, middle : middle + _BLOCK]
+            blues = planes[2, y + size // 2, middle : middle + _BLOCK]
+            for dy in range(size):
+                for dx in range(size):
+                    start = x0 + dx
+                    red = planes[0, y + dy, start : start + _BLOCK]
+                    green = planes[1, y + dy, start : start + _BLOCK]
+                    blue = planes[2, y + dy, start : start + _BLOCK]
+                    trusted = trust[y + dy, start : start + _BLOCK]
+                    near = by_distance[dy, dx]
+                    out = weights[dy * size + dx]
+                    for i in range(_BLOCK):
+                        color = (
+                            abs(np.int32(red[i]) - np.int32(reds[i]))
+                            + abs(np.int32(green[i]) - np.int32(greens[i]))
+                            + abs(np.int32(blue[i]) - np.int32(blues[i]))
+                        )
+                        out[i] = by_color[np.uint32(color)] * near * trusted[i]
+            for x in range(x0, x1):
+                low, high = lowest[y, x], highest[y, x]
+                if low >= high or np.isnan(filtered[y, x]):
+                    continue
+                total = np.float32(0)
+                for dy in range(size):
+                    row = bins[y + dy, x : x + size]
+                    first = dy * size
+                    for dx in range(row.size):
+                        weight = weights[first + dx, x - x0]
+                        histogram[row[dx]] += weight
                         total += weight
-                        low = min(low, k)
-                        high = max(high, k)
-            filtered[y, x] = values[y, x]
-            below = np.float32(0)
-            found = False
-            for k in range(low, high + 1):
-                below += weight_of[k]
-                if not found and np.float32(2) * below >= total:
-                    filtered[y, x] = np.float32(k) / np.float32(_PER_PIXEL)
-                    found = True
-                weight_of[k] = 0
+                below = np.float32(0)
+                for k in range(low, high + 1):
+                    below += histogram[k]
+                    if np.float32(2) * below >= total:
+                        filtered[y, x] = np.float32(k) / np.float32(_PER_PIXEL)
+                        break
+                for k in range(low, high + 1):
+                    histogram[k] = 0
+                histogram[0] = 0  # where pixels without trust were counted, with weight 0
