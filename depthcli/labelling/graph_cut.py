@@ -75,6 +75,9 @@ def alpha_expansion(
 
     before = potts_energy(labels, costs, ends, strength)
     energy = before
+    incident = np.zeros(nodes) + np.bincount(ends[:, 0], strength, nodes) + np.bincount(ends[:, 1], strength, nodes)
+    by_label = np.ascontiguousarray(costs.T)  # a column of a large matrix misses the cache at every node
+    keep = costs[np.arange(nodes), labels]
     since_change = 0  # labels tried since the last move that helped: after all of them, nothing can
     sweeps = 0
     while sweeps < max_sweeps and since_change < label_count:
@@ -83,13 +86,14 @@ def alpha_expansion(
             if since_change >= label_count:
                 break
             since_change += 1
-            moved = _expand(labels, alpha, costs, ends, strength)
+            moved = _expand(labels, alpha, keep, by_label[alpha], ends, strength, incident)
             if moved is None:
                 continue
             moved_energy = potts_energy(moved, costs, ends, strength)
             # Rounding alone must not keep the loop alive.
             if moved_energy < energy - 1e-9 * max(1.0, abs(energy)):
                 labels, energy, since_change = moved, moved_energy, 0
+                keep = costs[np.arange(nodes), labels]
     return Labelling(labels, before, energy, sweeps)
 
 
@@ -109,16 +113,21 @@ def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArra
 def _expand(
     labels: NDArray[np.int32],
     alpha: int,
-    costs: NDArray[np.float64],
+    keep: NDArray[np.float64],
+    switch: NDArray[np.float64],
     ends: NDArray[np.int32],
     strength: NDArray[np.float64],
+    incident: NDArray[np.float64],
 ) -> NDArray[np.int32] | None:
     """The best labels among those where any set of nodes switched to ``alpha``; None = no better ones."""
     nodes = len(labels)
-    movable = labels != alpha
-    keep = costs[np.arange(nodes), labels]
-    rise = costs[:, alpha] - keep  # what switching costs a node by itself
-    first, second = ends[:, 0], ends[:, 1]
+    rise = switch - keep  # what switching costs a node by itself
+    # Whatever the others do, a switch saves a node at most all its edges: where it costs more, it stays.
+    movable = (labels != alpha) & (rise < incident)
+    if not movable.any():
+        return None
+    near = movable[ends[:, 0]] | movable[ends[:, 1]]
+    first, second, strength = ends[near, 0], ends[near, 1], strength[near]
     cut = strength * (labels[first] != labels[second])
     # At best a switch saves every cut edge at the node. Where not even that pays for any node, no set
     # of nodes can gain: each edge of the set is counted at least once.
@@ -127,7 +136,8 @@ def _expand(
         return None
 
     # Binary problem over the movable nodes, x = 1 means alpha. Pair costs are E(0,0) = cut (or 0),
-    # E(0,1) = E(1,0) = w, E(1,1) = 0; a neighbour fixed at alpha adds w to x = 0.
+    # E(0,1) = E(1,0) = w, E(1,1) = 0. A neighbor that is at alpha adds w to x = 0; one that stays
+    # elsewhere adds its cut cost to x = 0 and w to x = 1.
     index = np.cumsum(movable, dtype=np.int32) - 1
     both = movable[first] & movable[second]
     p, q, same_pair, w = index[first[both]], index[second[both]], cut[both], strength[both]
@@ -137,7 +147,8 @@ def _expand(
     score += np.bincount(p, w - same_pair, count) - np.bincount(q, w, count)
     for one, other in ((first, second), (second, first)):
         fixed = movable[one] & ~movable[other]
-        score -= np.bincount(index[one[fixed]], strength[fixed], count)
+        there = np.where(labels[other[fixed]] == alpha, -strength[fixed], strength[fixed] - cut[fixed])
+        score += np.bincount(index[one[fixed]], there, count)
 
     graph: Any = maxflow.GraphFloat(count, len(p))
     ids = graph.add_nodes(count)

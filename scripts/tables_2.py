@@ -1,0 +1,116 @@
+#!/usr/bin/env python3
+"""Tables 2.1 and 2.2 of the thesis as Markdown, its figures beside ours.
+
+    python scripts/tables_2.py DATA [--repetitive 4] > tables_2.md
+
+DATA is the folder with the four scenes of Middlebury v2 (Tsukuba, Venus, Teddy, Cones). Every figure is the
+percentage of pixels whose disparity is off by more than 1 px, missing ones included. The presets
+``segments``, ``segments-dedc``, ``segments-kp`` and ``segments-baseline`` are run as they ship, with
+the same parameters for all scenes. ``--repetitive N`` adds N generated scenes with repeating patterns.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from depthcli.core.config_file import load_config
+from depthcli.evaluation.metrics import middlebury_v2
+from depthcli.evaluation.summary import average_ranks
+from depthcli.io.scenes import find_scenes
+from depthcli.jobs.presets import find_config
+from depthcli.jobs.stereo import StereoConfig
+from depthcli.stereo.pipeline import StereoPipeline
+from depthcli.stereo.volume import StereoPair
+from depthcli.synthetic.stereo_scenes import make_scene
+
+SCENES = ("Tsukuba", "Venus", "Teddy", "Cones")
+MASKS = ("nonocc", "all", "disc")
+ROWS = {
+    "baseline": "segments-baseline",
+    "KP": "segments-kp",
+    "DEDC": "segments-dedc",
+    "DEDC and KP": "segments",
+}
+THESIS_2_1 = {
+    "baseline": (2.64, 3.26, 11.8),
+    "KP": (1.56, 2.23, 7.42),
+    "DEDC": (1.25, 1.75, 6.28),
+    "DEDC and KP": (1.08, 1.59, 5.82),
+}
+THESIS_2_2 = {
+    "thesis": (1.08, 1.59, 5.82, 0.08, 0.16, 1.11, 4.49, 8.06, 12.2, 3.59, 9.40, 11.0),
+    "ADCensus": (1.07, 1.48, 5.73, 0.09, 0.25, 1.15, 4.10, 6.22, 10.9, 2.42, 7.25, 6.95),
+    "AdaptingBP": (1.11, 1.37, 5.79, 0.10, 0.21, 1.44, 4.22, 7.06, 11.8, 2.48, 7.92, 7.32),
+    "CoopRegion": (0.87, 1.16, 4.61, 0.11, 0.21, 1.54, 5.16, 8.31, 13.0, 2.79, 7.18, 8.01),
+    "DoubleBP": (0.88, 1.29, 4.76, 0.13, 0.45, 1.87, 3.53, 8.30, 9.63, 2.90, 8.78, 7.79),
+}
+
+
+def preset(name: str) -> StereoPipeline:
+    return load_config(StereoConfig, find_config("stereo", name)).pipeline
+
+
+def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
+    """The twelve figures: nonocc, all, disc of every scene."""
+    by_name = {scene.name.rpartition("/")[2]: scene for scene in find_scenes(data)}
+    figures: list[float] = []
+    for name in SCENES:
+        scene = by_name[name]
+        assert scene.max_disparity is not None
+        truth = scene.load_truth()
+        values = pipeline(StereoPair(*scene.load_pair()), scene.max_disparity).disparity.values
+        scores = middlebury_v2(values, truth.disparity, truth.masks, (1.0,))
+        rates = {score.mask: score.value for score in scores if score.metric == "bad"}
+        figures += [rates[mask] for mask in MASKS]
+    return figures
+
+
+def repetitive(pipeline: StereoPipeline, seed: int) -> float:
+    """Error on the visible pixels of a generated scene with repeating patterns."""
+    scene = make_scene("repetitive", seed=seed)
+    values = pipeline(StereoPair(scene.left, scene.right), scene.max_disparity).disparity.values
+    return float(100 * np.mean(~(np.abs(values - scene.disparity_left) <= 1)[scene.nonocc]))
+
+
+def line(*cells: object) -> str:
+    return "| " + " | ".join(f"{c:.2f}" if isinstance(c, float) else str(c) for c in cells) + " |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path, help="folder with the four scenes of Middlebury v2")
+    parser.add_argument("--repetitive", type=int, default=0, metavar="N", help="generated scenes to add")
+    options = parser.parse_args()
+    ours = {row: measure(preset(name), options.data) for row, name in ROWS.items()}
+
+    print("## Table 2.1: Tsukuba, bad > 1 px (thesis / ours)\n")
+    print(line("", *MASKS, "ours, mean of 4 scenes"))
+    print("|---" * 5 + "|")
+    for row, thesis in THESIS_2_1.items():
+        print(line(row, *(f"{t:.2f} / {o:.2f}" for t, o in zip(thesis, ours[row], strict=False)), np.mean(ours[row])))
+
+    table = {**THESIS_2_2, "ours": tuple(ours["DEDC and KP"])}
+    table = {"ours": table.pop("ours"), **table}
+    rank = average_ranks(np.array(list(table.values())))
+    print("\n## Table 2.2: bad > 1 px, nonocc / all / disc\n")
+    print(line("method", "average rank", *SCENES, "mean of 12"))
+    print("|---" * 7 + "|")
+    for (name, row12), r in zip(table.items(), rank, strict=True):
+        cells = [" / ".join(f"{v:.2f}" for v in row12[3 * k : 3 * k + 3]) for k in range(4)]
+        print(line(name, float(r), *cells, float(np.mean(row12))))
+
+    if options.repetitive:
+        seeds = range(options.repetitive)
+        print("\n## Generated repetitive scenes: nonocc, bad > 1 px\n")
+        print(line("", *(f"seed {seed}" for seed in seeds), "mean"))
+        print("|---" * (options.repetitive + 2) + "|")
+        for row, name in ROWS.items():
+            errors = [repetitive(preset(name), seed) for seed in seeds]
+            print(line(row, *errors, float(np.mean(errors))))
+
+
+if __name__ == "__main__":
+    main()
