@@ -42,9 +42,11 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     if size < _SMALLEST:
         return np.empty(shape, kind)
     block = _take(size)
-    lease = (ctypes.c_uint8 * block.size).from_buffer(block)
+    # Views of an array hold on to what lies under it, so the lease lives as long as the last view.
+    lease = (ctypes.c_uint8 * block.size).from_buffer(block.data)
     weakref.finalize(lease, _give, block).atexit = False
-    return np.frombuffer(lease, np.uint8, size).view(kind).reshape(shape)
+    leased: NDArray[Any] = np.frombuffer(memoryview(lease), np.uint8, size).view(kind).reshape(shape)
+    return leased
 
 
 def _take(size: int) -> NDArray[np.uint8]:

@@ -12,7 +12,7 @@ import difflib
 import importlib
 import pkgutil
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 from pydantic import (
     BaseModel,
@@ -50,7 +50,7 @@ class Family:
     key : the config key that names the method
     """
 
-    _known: dict[str, Family] = {}
+    _known: ClassVar[dict[str, Family]] = {}
 
     def __init__(self, package: str, key: str = "method") -> None:
         self.package = package
@@ -110,9 +110,10 @@ class Family:
 def _load(package: str, name: str) -> type[Method]:
     module = importlib.import_module(f"{package}.{name}")
     for value in vars(module).values():
-        if isinstance(value, type) and issubclass(value, Method) and value.__module__ == module.__name__:
-            if any("__call__" in vars(base) for base in value.__mro__[:-1]):
-                return value
+        if not (isinstance(value, type) and issubclass(value, Method) and value.__module__ == module.__name__):
+            continue
+        if any("__call__" in vars(base) for base in value.__mro__[:-1]):
+            return value
     raise KeyError(f"{package}.{name} defines no Method")
 
 
@@ -122,4 +123,4 @@ def method_of(package: str, key: str = "method") -> Any:
     >>> class Config(BaseModel):
     ...     cost: Annotated[CostMeasure, *method_of("depthcli.stereo.cost")]
     """
-    return (BeforeValidator(Family(package, key).parse), SerializeAsAny())
+    return (BeforeValidator(Family(package, key).parse), SerializeAsAny())  # type: ignore[type-arg]  # a class at run time, an alias to mypy

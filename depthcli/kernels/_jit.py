@@ -59,6 +59,7 @@ os.environ["NUMBA_CACHE_DIR"] = str(cache_folder())
 
 import numba  # noqa: E402
 import numba.core.event  # noqa: E402
+import numba.extending  # noqa: E402
 
 
 def _load_without_scipy() -> None:
@@ -93,6 +94,11 @@ def jit(function: _F) -> _F:
 def parallel_jit(function: _F) -> _F:
     """Compile one kernel whose ``prange`` loops run on all threads."""
     return cast(_F, numba.njit(**_OPTIONS, parallel=True)(function))
+
+
+def intrinsic(function: Callable[..., Any]) -> Any:
+    """Define an operation that kernels call, by the code it becomes (callers leave out the typing context)."""
+    return numba.extending.intrinsic(function)
 
 
 def set_threads(count: int) -> None:

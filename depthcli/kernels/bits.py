@@ -6,7 +6,8 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+
+from depthcli.kernels._jit import intrinsic
 
 
 @intrinsic

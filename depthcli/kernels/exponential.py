@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 from numba import types
-from numba.extending import intrinsic
 
-from depthcli.kernels._jit import jit
+from depthcli.kernels._jit import intrinsic, jit
 
 
 def _float_bits(typingctx: Any, value: Any) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import cv2
 import numpy as np
@@ -59,16 +59,14 @@ class StereoPair:
 
     def mirrored(self) -> StereoPair:
         """The pair seen from the right camera: matching it yields the right view's disparities, mirrored."""
-        return StereoPair(
-            np.ascontiguousarray(self.right[:, ::-1]), np.ascontiguousarray(self.left[:, ::-1])
-        )
+        left, right = (np.ascontiguousarray(view[:, ::-1]) for view in (self.right, self.left))
+        return StereoPair(cast(Image, left), cast(Image, right))
 
 
 def _grey(image: Image) -> Image:
     if image.ndim == 2:
         return image
-    grey: Image = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return grey
+    return cast(Image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
 
 
 def _eight_bit(image: Image) -> NDArray[np.uint8]:

@@ -13,12 +13,11 @@ import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
 from numba import float32, int32, prange, types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from depthcli.core import memory
-from depthcli.kernels._jit import jit, parallel_jit
+from depthcli.kernels._jit import intrinsic, jit, parallel_jit
 from depthcli.stereo.aggregation import Aggregator
 from depthcli.stereo.volume import CostVolume, StereoPair
 

@@ -30,10 +30,9 @@ class ConstantWindow(Aggregator):
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         if volume.costs.dtype != np.uint8:
             volume = as_fixed_point(volume)
-        height, width, depth = volume.costs.shape
         factor = FixedPoint.FRACTION if volume.costs.dtype == np.uint8 else 1
         means = memory.empty(volume.costs.shape, np.uint16)
-        bands = max(1, min(height // 32, 64))
+        bands = max(1, min(volume.costs.shape[0] // 32, 64))
         _box_means(volume.costs, means, self.window // 2, np.float32(factor), bands)
         return CostVolume(means, volume.scale * factor)
 

@@ -55,6 +55,7 @@ class Cross(Aggregator):
             return CostVolume(source, volume.scale)
         sums = memory.empty(source.shape, np.uint16)
         means = memory.empty(source.shape, np.uint16)
+        # The sum of an arm is kept in 16 bits, rounded: cut off, small costs would come out too low.
         shift = max(0, (FixedPoint.LARGEST * (2 * self.length + 1)).bit_length() - 16)
         for iteration in range(self.iterations):
             horizontal_first = iteration % 2 == 0
@@ -104,9 +105,9 @@ def _row_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, shif
                     mean = np.float32(np.int32(high[i] - low[i])) * factor + np.float32(0.5)
                     target[i] = np.uint16(np.int32(mean))
             else:
-                amount = np.uint32(shift)
+                amount, half = np.uint32(shift), np.uint32((1 << shift) >> 1)
                 for i in range(target.size):
-                    target[i] = np.uint16(np.uint32(high[i] - low[i]) >> amount)
+                    target[i] = np.uint16(np.uint32(high[i] - low[i] + half) >> amount)
 
 
 @parallel_jit
@@ -138,6 +139,6 @@ def _column_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, s
                         mean = np.float32(np.int32(high[i] - low[i])) * factor + np.float32(0.5)
                         target[i] = np.uint16(np.int32(mean))
                 else:
-                    amount = np.uint32(shift)
+                    amount, half = np.uint32(shift), np.uint32((1 << shift) >> 1)
                     for i in range(target.size):
-                        target[i] = np.uint16(np.uint32(high[i] - low[i]) >> amount)
+                        target[i] = np.uint16(np.uint32(high[i] - low[i] + half) >> amount)

@@ -12,7 +12,8 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
+
+from depthcli.kernels._jit import intrinsic
 
 LANES = 16
 """16-bit numbers in a vector; no volume may have fewer disparities."""

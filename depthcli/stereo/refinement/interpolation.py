@@ -54,7 +54,7 @@ def _interpolate(values: Any, occluded: Any, image: Any, directions: Any, filled
                 lowest = min(lowest, values[v, u])
                 difference = 0
                 for c in range(3):
-                    difference += abs(np.int32(image[y, x, c]) - np.int32(image[v, u, c]))
+                    difference += int(abs(np.int32(image[y, x, c]) - np.int32(image[v, u, c])))
                 if difference < closest:
                     closest = difference
                     similar = values[v, u]

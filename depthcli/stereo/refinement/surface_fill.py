@@ -54,7 +54,7 @@ def _continue_surfaces(values: Any, filled: Any, rows: int, reach: int, support:
             if end < width:
                 right_slope, right_value = _plane_along_row(values, y, end, 1, rows, reach, support, sample)
             for u in range(x, end):
-                value = np.inf
+                value: float = np.inf
                 if x > 0:
                     value = left_value + left_slope * (u - x + 1)
                 if end < width:
@@ -110,18 +110,18 @@ def _plane_along_row(
     for iteration in range(4):
         s = sx = sy = sxx = sxy = syy = sd = sxd = syd = 0.0
         for i in range(count):
-            u, v, d = float(sample[0, i]), float(sample[1, i]), float(sample[2, i])
-            residual = abs(d - (slope_x * u + slope_y * v + offset_d))
+            across, down, d = float(sample[0, i]), float(sample[1, i]), float(sample[2, i])
+            residual = abs(d - (slope_x * across + slope_y * down + offset_d))
             weight = 1.0 if iteration == 0 else 1.0 / max(1.0, 2.0 * residual)
             s += weight
-            sx += weight * u
-            sy += weight * v
+            sx += weight * across
+            sy += weight * down
             sd += weight * d
-            sxx += weight * u * u
-            sxy += weight * u * v
-            syy += weight * v * v
-            sxd += weight * u * d
-            syd += weight * v * d
+            sxx += weight * across * across
+            sxy += weight * across * down
+            syy += weight * down * down
+            sxd += weight * across * d
+            syd += weight * down * d
         mean_x, mean_y, mean_d = sx / s, sy / s, sd / s
         # One pixel of variance is added: a thin sample must not yield a steep plane.
         xx = sxx / s - mean_x * mean_x + 1.0

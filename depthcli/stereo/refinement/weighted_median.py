@@ -34,8 +34,7 @@ class WeightedMedian(Refinement):
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         radius = self.radius
-        height, width = disparity.values.shape
-        frame = ((radius, radius), (radius, radius + -width % _BLOCK))
+        frame = ((radius, radius), (radius, radius + -disparity.values.shape[1] % _BLOCK))
         planes = np.pad(evidence.pair.color8[0].transpose(2, 0, 1), ((0, 0), *frame))
         by_color = np.exp(-np.arange(766) / (3.0 * self.color_scale)).astype(np.float32)
         offsets = np.arange(-radius, radius + 1)
