@@ -22,11 +22,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("stereo")(stereo.stereo)
-app.command("fuse")(fuse.fuse)
-app.command("evaluate")(evaluate.evaluate)
-app.command("sample")(sample.sample)
-app.command("presets")(presets.presets)
+app.command("stereo", short_help="Image pairs to disparity maps.")(stereo.stereo)
+app.command("fuse", short_help="The same, by several measures weighed pixel by pixel.")(fuse.fuse)
+app.command("evaluate", short_help="Runs against ground truth, side by side.")(evaluate.evaluate)
+app.command("sample", short_help="Generated scenes with exact ground truth.")(sample.sample)
+app.command("presets", short_help="List the presets, or show one in full.")(presets.presets)
 
 
 def _version(value: bool) -> None:

@@ -14,12 +14,20 @@ if TYPE_CHECKING:
 Config = Annotated[str, typer.Argument(metavar="CONFIG", help="YAML file, or the name of a preset.")]
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write into.")]
 Scenes = Annotated[str, typer.Option("--scenes", metavar="GLOB", help="Only scenes whose name matches.")]
-Layout = Annotated[str | None, typer.Option("--layout", help="Layout of the folder, where it is not recognized.")]
+Layout = Annotated[
+    str | None, typer.Option("--layout", metavar="NAME", help="Layout of the folder, where it is not recognized.")
+]
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override one key; repeatable.")]
-Jobs = Annotated[int, typer.Option("--jobs", "-j", min=1, max=512, help="Scenes at a time, each in a process.")]
-Threads = Annotated[int | None, typer.Option("--threads", min=1, max=1024, help="Threads of each process.")]
+Jobs = Annotated[
+    int, typer.Option("--jobs", "-j", metavar="N", min=1, max=512, help="Scenes at a time, each in a process.")
+]
+Threads = Annotated[
+    int | None, typer.Option("--threads", metavar="N", min=1, max=1024, help="Threads of each process.")
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run; compute everything anew.")]
-MaxMemory = Annotated[str | None, typer.Option("--max-memory", metavar="SIZE", help="Such as 2GiB; default: all free.")]
+MaxMemory = Annotated[
+    str | None, typer.Option("--max-memory", metavar="SIZE", help="Such as 2GiB. Default: all that is free.")
+]
 Evaluate = Annotated[bool, typer.Option("--evaluate", help="Compare with the ground truth of the input folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of a table.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more on stderr.")]

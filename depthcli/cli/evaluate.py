@@ -16,7 +16,9 @@ def evaluate(
     output: o.Output,
     scenes: o.Scenes = "*",
     layout: o.Layout = None,
-    scale: Annotated[float | None, typer.Option(min=1e-6, help="Codes per pixel of the maps' PNG files.")] = None,
+    scale: Annotated[
+        float | None, typer.Option(metavar="CODES", min=1e-6, help="Codes per pixel of the maps' PNG files.")
+    ] = None,
     json: o.Json = False,
     verbose: o.Verbose = False,
     quiet: o.Quiet = False,

@@ -10,8 +10,8 @@ from depthcli.core.errors import ConfigError
 
 
 def presets(
-    action: Annotated[str | None, typer.Argument(metavar="[show]", help="'show' prints one preset.")] = None,
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="NAME, or COMMAND/NAME.")] = None,
+    action: Annotated[str | None, typer.Argument(metavar="show", help="'show' prints one preset.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="NAME, or COMMAND/NAME.")] = None,
 ) -> None:
     """List the presets, or print one with every field and what it means: presets show NAME."""
     from depthcli.jobs.commands import show_preset

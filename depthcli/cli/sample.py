@@ -12,17 +12,23 @@ from depthcli.cli import _options as o
 
 def sample(
     output: o.Output,
-    count: Annotated[int, typer.Option("--count", "-n", help="Number of scenes.")] = 6,
-    kind: Annotated[list[str] | None, typer.Option(help="planes, foreground, repetitive, curved; repeatable.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the first scenes.")] = 0,
-    width: Annotated[int, typer.Option(help="Width, pixels.")] = 400,
-    height: Annotated[int, typer.Option(help="Height, pixels.")] = 300,
-    max_disparity: Annotated[int, typer.Option(help="Largest disparity, pixels; at most width / 2.")] = 48,
-    noise: Annotated[float, typer.Option(help="Standard deviation of the noise, grey levels.")] = 0.0,
-    radiometric: Annotated[float, typer.Option(help="How differently the right camera sees the light, 0 to 1.")] = 0.0,
-    wall_contrast: Annotated[float, typer.Option(help="Texture of the walls, 0 (bare) to 1.")] = 1.0,
+    count: Annotated[int, typer.Option("--count", "-n", metavar="N", help="Number of scenes.")] = 6,
+    kind: Annotated[
+        list[str] | None, typer.Option(metavar="KIND", help="planes, foreground, repetitive, curved; repeatable.")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the first scenes.")] = 0,
+    width: Annotated[int, typer.Option(metavar="PIXELS", help="Width.")] = 400,
+    height: Annotated[int, typer.Option(metavar="PIXELS", help="Height.")] = 300,
+    max_disparity: Annotated[int, typer.Option(metavar="PIXELS", help="Largest disparity, at most width / 2.")] = 48,
+    noise: Annotated[float, typer.Option(metavar="LEVELS", help="Standard deviation of the noise, grey levels.")] = 0.0,
+    radiometric: Annotated[
+        float, typer.Option(metavar="SHARE", help="How differently the right camera sees the light, 0 to 1.")
+    ] = 0.0,
+    wall_contrast: Annotated[float, typer.Option(metavar="SHARE", help="Texture of the walls, 0 (bare) to 1.")] = 1.0,
     cross_modal: Annotated[bool, typer.Option("--cross-modal", help="Right image as an infrared camera's.")] = False,
-    speckles: Annotated[float, typer.Option(help="With --cross-modal: share of pixels with a dot.")] = 0.0,
+    speckles: Annotated[
+        float, typer.Option(metavar="SHARE", help="With --cross-modal: share of pixels with a dot.")
+    ] = 0.0,
     source: Annotated[
         Path | None, typer.Option("--from", metavar="DIR", help="With --cross-modal: convert these scenes instead.")
     ] = None,

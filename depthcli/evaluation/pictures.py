@@ -15,6 +15,12 @@ LEGEND = {
 }
 """RGB color of every kind of pixel."""
 
+LEGEND_TEXT = (
+    "grey: right; black: wrong; dark red: no value; light blue: right, occluded; "
+    "dark blue: wrong, occluded; white: truth unknown or not evaluated"
+)
+"""The same in words."""
+
 
 def error_picture(
     estimate: NDArray[np.float32],

@@ -67,16 +67,18 @@ def _is_number(text: str) -> bool:
 
 @dataclass(frozen=True)
 class Line:
-    """One line of a plot: a name for the legend, points, and whether it is drawn dashed."""
+    """One line of a plot: a name for the legend, points, and whether it is a bound: drawn grey and dotted."""
 
     name: str
     x: Sequence[float]
     y: Sequence[float]
-    dashed: bool = False
+    bound: bool = False
 
 
 # Okabe & Ito's palette: told apart by color-blind readers too.
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d1f", "#000000")
+_DASHES = ("", "6 4", "2 2 8 2")
+_BOUND = ("#888888", "2 3")
 
 
 def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str) -> str:
@@ -84,7 +86,7 @@ def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str) -> 
 
     Parameters
     ----------
-    lines : at least one point each; colors are given in turn, more than eight lines are also dashed
+    lines : at least one point each; colors are given in turn, from the ninth line on with dashes
     title, x_label, y_label : plain text
     """
     width, height, left, top = 560, 360, 62, 34
@@ -122,8 +124,10 @@ def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str) -> 
     y_at = top + plot_h / 2
     out.append(f'<text transform="translate(16 {y_at}) rotate(-90)" text-anchor="middle">{escape(y_label)}</text>')
     for i, line in enumerate(lines):
-        color = _COLORS[i % len(_COLORS)]
-        style = ' stroke-dasharray="6 4"' if line.dashed or i >= len(_COLORS) else ""
+        color, dashes = _COLORS[i % len(_COLORS)], _DASHES[i // len(_COLORS) % len(_DASHES)]
+        if line.bound:
+            color, dashes = _BOUND
+        style = f' stroke-dasharray="{dashes}"' if dashes else ""
         points = [(x, y) for x, y in zip(line.x, line.y, strict=True) if math.isfinite(x) and math.isfinite(y)]
         path = " ".join(f"{px(x):.1f},{py(y):.1f}" for x, y in points)
         out.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="1.6"{style}/>')

@@ -14,7 +14,7 @@ from depthcli.core.config_file import ConfigData, load_config, validate
 from depthcli.core.errors import ConfigError
 from depthcli.io.scenes import Scene, find_scenes
 from depthcli.jobs import record
-from depthcli.jobs.presets import describe, find_config, list_presets
+from depthcli.jobs.presets import describe, find_config, leading_comment, list_presets
 from depthcli.jobs.reporter import Reporter
 from depthcli.jobs.runner import Options, run_scenes
 
@@ -123,15 +123,21 @@ def run_sample(
 
 
 def show_preset(name: str) -> str:
-    """A preset as YAML with every field and its description; ``name`` may be ``command/name``."""
+    """A preset as YAML with every field and its description; ``name`` may be ``command/name``.
+
+    A name alone means the first command that has it, in the order of ``_BATCHES``.
+    """
     command, _, preset = name.rpartition("/")
     found = [(c, p, about) for c, p, about in list_presets(command or None) if p == preset]
     if not found:
         raise ConfigError(f"no preset called {name!r}; see: depthcli presets")
-    if len(found) > 1:
-        raise ConfigError(f"several presets are called {name!r}: {', '.join(f'{c}/{p}' for c, p, _ in found)}")
-    command, preset, about = found[0]
-    return describe(load_config(root_config(command), find_config(command, preset)), about)
+    # A name that several commands have means the first command's, as in --help; the others are named.
+    (command, preset, _), *others = sorted(found, key=lambda entry: list(_BATCHES).index(entry[0]))
+    file = find_config(command, preset)
+    title = [leading_comment(file.read_text("utf-8"))]
+    title.append(f"Use it as it is: depthcli {command} {preset} ...; or save, change and name this text as a file.")
+    title += [f"There is another one: depthcli presets show {c}/{p}" for c, p, _ in others]
+    return describe(load_config(root_config(command), file), "\n".join(title))
 
 
 def _find_scenes(request: Request) -> list[Scene]:

@@ -19,7 +19,7 @@ from depthcli.core.errors import DepthcliError, InputError
 from depthcli.evaluation import metrics
 from depthcli.evaluation.curves import Sparsification, sparsification
 from depthcli.evaluation.metrics import Score
-from depthcli.evaluation.pictures import LEGEND, error_picture
+from depthcli.evaluation.pictures import LEGEND_TEXT, error_picture
 from depthcli.evaluation.report import Line, Table, line_plot, number
 from depthcli.evaluation.summary import average_ranks, compare
 from depthcli.io.atomic import write_text
@@ -429,12 +429,18 @@ def _v2_tables(data_set: str, runs: Sequence[str], results: Sequence[Result]) ->
     heads = ("run", *(f"bad {t:g}" for t in thresholds))
     tables.append(Table(f"{data_set} - mean of all figures at other thresholds (px)", heads, tuple(at)))
     if len(scenes) <= 4:
-        titles = [f"{s.rpartition('/')[2]} {m}" for s, m in columns]
         rows = [
-            (run, *(number(v) for v in grid[i]), number(_mean(grid[i])), number(rank[i], 1))
+            (
+                run,
+                *(" / ".join(number(cells[run, s, m]) for c, m in columns if c == s) for s in scenes),
+                number(_mean(grid[i])),
+                number(rank[i], 1),
+            )
             for i, run in enumerate(runs)
         ]
-        tables.append(Table(f"{data_set} - by scene", ("run", *titles, "mean", "avg rank"), tuple(rows)))
+        titles = [s.rpartition("/")[2] for s in scenes]
+        heading = f"{data_set} - by scene: {' / '.join(masks)}"
+        tables.append(Table(heading, ("run", *titles, "mean", "avg rank"), tuple(rows)))
     else:
         several = len(runs) > 1
         sides = [f"{run}: {m}" if several else m for run in runs for m in masks]
@@ -573,12 +579,13 @@ def _area_cells(curves: Sequence[Sparsification]) -> tuple[str, ...]:
 
 
 def _curve_svg(curves: dict[str, Sparsification], title: str) -> str:
-    lines = [Line(f"{name} {c.auc:.4f}", c.percentages, c.rates) for name, c in curves.items()]
+    ordered = sorted(curves.items(), key=lambda item: item[1].auc)
+    lines = [Line(f"{name} {c.auc:.4f}", c.percentages, c.rates) for name, c in ordered]
     some = next(iter(curves.values()))
     e = some.error_rate
     best = [max(0.0, 1 - (1 - e) * 100 / p) for p in some.percentages]
-    lines.append(Line(f"optimal {some.optimal:.4f}", some.percentages, best, dashed=True))
-    lines.append(Line(f"random {e:.4f}", some.percentages, [e] * len(some.percentages), dashed=True))
+    lines.append(Line(f"optimal {some.optimal:.4f}", some.percentages, best, bound=True))
+    lines.append(Line(f"random {e:.4f}", some.percentages, [e] * len(some.percentages), bound=True))
     return line_plot(lines, title, "most confident pixels, %", "error rate")
 
 
@@ -588,8 +595,7 @@ def _markdown(report: EvaluationReport) -> str:
     out += [table.markdown() for table in report.tables()]
     pictures = [r for r in report.results if not r.error]
     if pictures:
-        legend = ", ".join(f"{name} rgb{color}" for name, color in LEGEND.items())
-        out += ["## Error pictures", "", f"{legend}.", ""]
+        out += ["## Error pictures", "", f"{LEGEND_TEXT}.", ""]
         for r in pictures:
             out += [f"{r.run}, {r.scene}:", "", f"![{r.scene}]({_link(f'errors/{r.run}/{r.scene}.png')})", ""]
             for mask in r.curves:

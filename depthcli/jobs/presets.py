@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,11 +52,24 @@ def find_config(command: str, config: str) -> Path:
 
 
 def describe(config: BaseModel, title: str) -> str:
-    """A config as YAML with every field, its description as a comment above it."""
-    return f"# {title}\n" + "\n".join(_lines(config, 0, getattr(config, "flattened", ""))) + "\n"
+    """A config as YAML with every field, its description as a comment above it.
+
+    Parameters
+    ----------
+    config : the resolved config
+    title : first lines, one comment each
+    """
+    fields = "\n".join(_lines(config, 0, getattr(config, "flattened", ""), gap=("",)))
+    return "".join(f"# {line}\n" for line in title.splitlines()) + "\n" + fields.strip() + "\n"
 
 
-def _lines(model: BaseModel, depth: int, flat: str) -> Iterator[str]:
+def leading_comment(text: str) -> str:
+    """The comment lines that a file starts with, without their marks."""
+    lines = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+    return "\n".join(line.removeprefix("#").strip() for line in lines)
+
+
+def _lines(model: BaseModel, depth: int, flat: str, gap: tuple[str, ...] = ()) -> Iterator[str]:
     inner = getattr(model, flat, None) if flat else None
     pad = "  " * depth
     if isinstance(inner, BaseModel):
@@ -65,11 +79,12 @@ def _lines(model: BaseModel, depth: int, flat: str) -> Iterator[str]:
     for name, info in type(model).model_fields.items():
         if name == flat or info.exclude:
             continue
+        yield from gap
         if info.description:
             yield from _comment(info.description, pad)
         yield from _value(info.alias or name, getattr(model, name), depth)
     if isinstance(inner, BaseModel):
-        yield from _lines(inner, depth, "")
+        yield from _lines(inner, depth, "", gap)
 
 
 def _value(name: str, value: object, depth: int) -> Iterator[str]:
@@ -86,7 +101,7 @@ def _value(name: str, value: object, depth: int) -> Iterator[str]:
             for line in block:
                 # A comment stands before the dash, so that the item starts with its first key.
                 comment = line.lstrip().startswith("#") and mark == "- "
-                yield f"{pad}  {line}" if comment else f"{pad}{mark}{line}"
+                yield f"{pad}{line}" if comment else f"{pad}{mark}{line}"
                 mark = mark if comment else "  "
     else:
         dumped = [item.model_dump(mode="json") if isinstance(item, BaseModel) else item for item in items]
