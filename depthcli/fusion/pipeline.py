@@ -39,7 +39,9 @@ class Measure(BaseModel):
 
     cost: Cost | None = Field(None, description="a cost measure of the stereo command")
     volume: str | None = Field(
-        None, description="file of (H, W, D) costs in the scene's folder, .npy, lower is better; instead of cost"
+        None,
+        description="instead of cost: .npy file of (H, W, D) costs, lower is better, relative to the left image's "
+        "folder; {scene} stands for the scene's name",
     )
     scale: float | None = Field(
         None, gt=0, description="cost that counts as 1 - 1/e, in units of the measure; default: the pair's median cost"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from pydantic import Field
@@ -10,6 +11,7 @@ from pydantic import Field
 from depthcli.fusion import Fusion
 from depthcli.io.cost_volume import read_cost_volume
 from depthcli.io.scenes import Scene
+from depthcli.jobs.record import file_digests
 from depthcli.jobs.stereo import PairWork
 from depthcli.stereo.volume import StereoPair, StereoResult
 
@@ -29,9 +31,17 @@ class FuseWork(PairWork):
 
     config: FuseConfig
 
+    def settings(self, scene: Scene) -> dict[str, str]:
+        """The search range, and the content of the volumes made elsewhere."""
+        return super().settings(scene) | file_digests(self._volume_files(scene).values())
+
+    def _volume_files(self, scene: Scene) -> dict[str, Path]:
+        names = {measure.volume for measure in self.config.measures if measure.volume is not None}
+        last = scene.name.rpartition("/")[2]
+        return {name: scene.left.parent / name.replace("{scene}", last) for name in sorted(names)}
+
     def _match(self, scene: Scene, pair: StereoPair, top: int) -> StereoResult:
-        files = {measure.volume for measure in self.config.measures if measure.volume is not None}
-        return self.config(pair, top, {file: read_cost_volume(scene.left.parent / file) for file in files})
+        return self.config(pair, top, {n: read_cost_volume(file) for n, file in self._volume_files(scene).items()})
 
     def _peak_bytes(self, shape: tuple[int, int], top: int) -> int:
         return self.config.peak_bytes(shape, top)

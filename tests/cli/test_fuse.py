@@ -48,6 +48,17 @@ def test_a_volume_from_the_scene_folder_and_confidence_maps(scene: Path, tmp_pat
     before = (made / "disp_left.pfm").stat().st_mtime_ns
     assert run("fuse", tmp_path / "run" / "run.yaml", "-i", scene.parent, "-o", tmp_path / "run", "-q") == 0
     assert (made / "disp_left.pfm").stat().st_mtime_ns == before
+    # Another volume is another input.
+    np.save(scene / "learned.npy", np.load(scene / "learned.npy")[:, :, ::-1])
+    assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 0
+    assert (made / "disp_left.pfm").stat().st_mtime_ns != before
+
+
+def test_the_name_of_a_volume_may_hold_the_scene(scene: Path, tmp_path: Path):
+    (scene / "learned.npy").rename(scene / "shifted_costs.npy")
+    file = config(tmp_path, measures=[{"volume": "{scene}_costs.npy"}], max_disparity=11)
+    assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 0
+    assert np.mean(read_pfm(tmp_path / "run" / "shifted" / "disp_left.pfm")[:, 12:] == 5) > 0.98
 
 
 def test_a_scene_whose_volume_is_missing_or_damaged_fails_alone(
