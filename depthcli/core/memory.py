@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 _SMALLEST = 1 << 20  # below this, malloc itself recycles
-_KEPT = 384 << 20  # free bytes held back at most; the blocks of very large images are not worth it
+_KEPT = 256 << 20  # free bytes held back at most; the blocks of very large images are not worth it
 
 _lock = threading.RLock()  # re-entrant: a finalizer may run inside ``empty``
 _free: list[NDArray[np.uint8]] = []

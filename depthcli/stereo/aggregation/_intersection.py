@@ -20,7 +20,11 @@ _LENGTH_BITS = 9
 
 
 def intersected_means(
-    source: NDArray[np.uint16], arms: NDArray[np.uint8], target: NDArray[np.uint8], horizontal_first: bool
+    source: NDArray[np.uint16],
+    arms: NDArray[np.uint8],
+    target: NDArray[np.uint8],
+    horizontal_first: bool,
+    out: NDArray[np.uint16] | None = None,
 ) -> NDArray[np.uint16]:
     """One aggregation: the first arms of every pixel on the second arm.
 
@@ -28,13 +32,14 @@ def intersected_means(
     ----------
     source : (H, W, D) at most 4080
     arms, target : (4, H, W) left, right, up, down arms of the left and of the right view
+    out : where to write the means, ``source`` itself allowed; default: a new array
     """
     height, width, depth = source.shape
     # Along d the other view is read backwards; behind its border stands an arm that cuts nothing.
     mirrored = np.full((4, height, width + depth), 255, np.uint8)
     mirrored[:, :, :width] = target[:, :, ::-1]
     spans: NDArray[np.uint32] = memory.empty(source.shape, np.uint32)
-    means: NDArray[np.uint16] = memory.empty(source.shape, np.uint16)
+    means: NDArray[np.uint16] = memory.empty(source.shape, np.uint16) if out is None else out
     if horizontal_first:
         _row_spans(source, arms, mirrored, spans)
         _column_means(spans, arms, mirrored, means)

@@ -45,13 +45,15 @@ class Cross(Aggregator):
         return cross_arms(image, self.length, self.threshold, self.inner_length, self.inner_threshold)
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
+        given = volume.costs
         volume = as_fixed_point(volume)
         arms = self.arms(pair.color8[0])
         source = volume.costs
         if self.support == "intersection":
             target = self.arms(pair.color8[1])
             for iteration in range(self.iterations):
-                source = intersected_means(source, arms, target, iteration % 2 == 0)
+                out = None if source is given else source  # our own copy is overwritten: volumes are large
+                source = intersected_means(source, arms, target, iteration % 2 == 0, out)
             return CostVolume(source, volume.scale)
         sums = memory.empty(source.shape, np.uint16)
         means = memory.empty(source.shape, np.uint16)

@@ -67,7 +67,7 @@ class Local(StereoPipeline):
         return StereoResult(disparity, seconds, confidence)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Raw costs (1 byte a cell) beside either three aggregated volumes or two sums of path costs (2 bytes)."""
+        """By stage: two raw volumes; raw, aggregated and sums of arms; optimized beside aggregated or raw."""
         pixels = shape[0] * shape[1]
         aggregated = self.aggregation is not None
         optimized = not isinstance(self.optimization, WinnerTakesAll)
