@@ -40,8 +40,9 @@ class Scanline(Optimizer):
         if disparities < LANES:  # too dear to ever win; cut off again below
             padding = ((0, 0), (0, 0), (0, LANES - disparities))
             costs = np.pad(costs.astype(np.uint16), padding, constant_values=_TOO_DEAR)
-        # The penalties are capped so that sums of eight paths fit into 16 bits.
-        p1, p2 = (round(min(p * volume.scale, FixedPoint.LARGEST)) for p in (self.p1, self.p2))
+        # Sums of all paths have to fit into 16 bits; a path cost is at most the cost plus P2.
+        largest = 65535 // self.paths - (255 if volume.costs.dtype == np.uint8 else FixedPoint.LARGEST)
+        p1, p2 = (round(min(p * volume.scale, largest)) for p in (self.p1, self.p2))
         table = np.array(
             [[p1, max(p1, p2)], [round(p1 / self.edge_divisor), round(max(p1, p2) / self.edge_divisor)]], np.uint16
         )
