@@ -357,3 +357,78 @@ def weighted_median(values, trust, image, radius, color_scale, distance_scale):
         low[y, x] = steps[order][np.searchsorted(share, 0.5 - 1e-5)]
         high[y, x] = steps[order][np.searchsorted(share, 0.5 + 1e-5)]
     return low, high
+
+
+def speckle_filter(values, size, step):
+    """Empty what belongs to a 4-connected region of at most ``size`` pixels; neighbors differ by at most ``step``."""
+    out = values.copy()
+    unseen = {(int(y), int(x)) for y, x in np.argwhere(~np.isnan(values))}
+    while unseen:
+        region, border = [], [unseen.pop()]
+        while border:
+            y, x = border.pop()
+            region.append((y, x))
+            for v, u in ((y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
+                if (v, u) in unseen and abs(values[v, u] - values[y, x]) <= step:
+                    unseen.remove((v, u))
+                    border.append((v, u))
+        if len(region) <= size:
+            for y, x in region:
+                out[y, x] = np.nan
+    return out
+
+
+def surface_fill(values, rows, reach, support, largest):
+    """Both surfaces beside a gap, continued along its row; the one farther back."""
+    height, width = values.shape
+    out = values.copy()
+
+    def same(v, u, level):
+        return 0 <= v < height and 0 <= u < width and abs(values[v, u] - level) <= 1
+
+    def surface(y, x, away):
+        """The pixels (u, v, d) of the surface that (y, x) belongs to, relative to (y, x)."""
+        pixels = []
+        for lines in (range(y - 1, y - rows - 1, -1), range(y, y + rows + 1)):
+            column, level = x, values[y, x]
+            for v in lines:
+                near = [column + side * offset for offset in range(12) for side in (away, -away)]
+                column = next((u for u in near if same(v, u, level)), None)
+                if column is None:
+                    break
+                level = last = values[v, column]
+                strangers = 0
+                for u in range(column, column + away * reach, away):
+                    strangers = 0 if same(v, u, last) else strangers + 1
+                    if strangers > 3 or not 0 <= u < width:
+                        break
+                    if strangers == 0:
+                        last = values[v, u]
+                        pixels.append((u - x, v - y, last - values[y, x]))
+        return np.array(pixels, float)
+
+    def plane(y, x, away):
+        """(slope along the row, value at (y, x))"""
+        pixels = surface(y, x, away)
+        if len(pixels) < support:
+            return 0.0, values[y, x]
+        terms = np.column_stack([pixels[:, :2], np.ones(len(pixels))])
+        weights, solution = np.ones(len(pixels)), np.zeros(3)
+        for _ in range(4):
+            # One pixel of variance more in u and v.
+            normal = (terms * weights[:, None]).T @ terms + weights.sum() * np.diag([1.0, 1.0, 0.0])
+            solution = np.linalg.solve(normal, (terms * weights[:, None]).T @ pixels[:, 2])
+            weights = 1 / np.maximum(1, 2 * np.abs(pixels[:, 2] - terms @ solution))
+        return solution[0], values[y, x] + solution[2]
+
+    for y in range(height):
+        known = np.flatnonzero(~np.isnan(values[y]))
+        for x in np.flatnonzero(np.isnan(values[y])):
+            offers = []
+            for end, away in ((known[known < x][-1:], -1), (known[known > x][:1], 1)):
+                if end.size:
+                    slope, value = plane(y, end[0], away)
+                    offers.append(value + slope * (x - end[0]))
+            if offers:
+                out[y, x] = min(max(min(offers), 0), largest)
+    return out

@@ -24,6 +24,7 @@ from depthcli.stereo.refinement.interpolation import Interpolation
 from depthcli.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.stereo.refinement.median import Median
 from depthcli.stereo.refinement.region_voting import RegionVoting
+from depthcli.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.stereo.refinement.subpixel import Subpixel
 from depthcli.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.stereo.refinement.weighted_median import WeightedMedian
@@ -299,3 +300,97 @@ def test_surface_fill_continues_the_farther_plane_into_the_gap():
     # Holding the last value is wrong by more than a pixel at the far end of the gap.
     held = BackgroundFill()(DisparityMap(values, status), evidence)
     assert np.abs(held.values - truth)[gap].max() > 1
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("paths", [4, 8])
+@pytest.mark.parametrize("disparities", [1, 2, 15, 16, 17, 31, 33, 60])
+def test_scanline_at_every_number_of_disparities(disparities, paths, dtype):
+    """The kernel works in vectors of 16 disparities; the last one overlaps, and fewer than 16 are padded."""
+    pair, volume = blocky_pair(7, 13), random_volume(7, 13, disparities, dtype)
+    method = Scanline(p1=17, p2=70, paths=paths, edge_threshold=20, edge_divisor=3)
+    result = method(volume, pair)
+    assert result.scale == paths
+    expected = naive.scanline(volume.costs, pair.left, 17, 70, paths, 20, 3)
+    np.testing.assert_array_equal(result.costs, expected)
+
+
+@pytest.mark.parametrize("disparities", [9, 16, 40])
+def test_scanline_of_the_largest_costs_and_penalties_fits_into_its_numbers(disparities):
+    pair = blocky_pair(6, 11)
+    costs = np.random.default_rng(3).choice(np.array([0, 4080], np.uint16), (6, 11, disparities))
+    result = Scanline(p1=1e6, p2=1e6, paths=8)(CostVolume(costs), pair)
+    method = Scanline()
+    cap = 65535 // 8 - 4080
+    expected = naive.scanline(costs, pair.left, cap, cap, 8, method.edge_threshold, method.edge_divisor)
+    np.testing.assert_array_equal(result.costs, expected)
+
+
+def fractional_holes(height, width, disparities, seed=6):
+    """Smooth surfaces with steps, fractions, holes and islands."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:height, 0:width]
+    values = 0.2 * disparities + 0.06 * x + 0.04 * y + np.where(x > 0.6 * width, 0.4 * disparities, 0)
+    values = np.clip(values + rng.normal(0, 0.3, values.shape), 0, disparities - 1).astype(np.float32)
+    islands = rng.random(values.shape) < 0.03
+    values[islands] = rng.uniform(0, disparities - 1, islands.sum())
+    values[rng.random(values.shape) < 0.1] = np.nan
+    gap = (x > 0.4 * width) & (x < 0.6 * width + y % 3)
+    values[gap | (x < disparities // 5)] = np.nan
+    values[height // 2] = np.nan
+    status = np.where(np.isnan(values), Status.OCCLUDED, 0).astype(np.uint8)
+    volume = random_volume(height, width, disparities, np.uint16)
+    return DisparityMap(values, status), Evidence(blocky_pair(height, width), volume, winners(volume.costs)[1])
+
+
+@pytest.mark.parametrize("width", [1, 15, 16, 17, 32, 33, 50])
+@pytest.mark.parametrize("filled_weight", [0.0, 0.3])
+def test_weighted_median_of_fractions_at_every_width(width, filled_weight):
+    """The kernel works on 16 pixels at a time and sorts into bins of 1/8."""
+    disparity, evidence = fractional_holes(12, width, 20)
+    status = disparity.status.copy()
+    status[::2][disparity.valid[::2]] = Status.OCCLUDED | Status.FILLED
+    step = WeightedMedian(radius=4, color_scale=20, distance_scale=4, filled_weight=filled_weight)
+    result = step(DisparityMap(disparity.values, status), evidence).values
+    trust = np.where(status & Status.FILLED, filled_weight, 1.0)
+    low, high = naive.weighted_median(disparity.values, trust, evidence.pair.color8[0], 4, 20, 4)
+    valid = disparity.valid
+    np.testing.assert_array_equal(np.isnan(result), ~valid)
+    assert np.all((result[valid] >= low[valid]) & (result[valid] <= high[valid]))
+
+
+@pytest.mark.parametrize(("height", "width", "disparities"), [*SMALL, (24, 60, 30)])
+def test_surface_fill(height, width, disparities):
+    disparity, evidence = fractional_holes(height, width, disparities)
+    for rows, reach, support in ((20, 20, 30), (2, 7, 3), (0, 3, 3)):
+        expected = naive.surface_fill(disparity.values, rows, reach, support, disparities - 1)
+        result = SurfaceFill(rows=rows, reach=reach, support=support)(disparity, evidence)
+        np.testing.assert_allclose(result.values, expected, atol=2e-3)
+
+
+@sizes
+@pytest.mark.parametrize(("size", "step"), [(1, 0.0), (4, 1.0), (30, 2.0)])
+def test_speckle_filter(height, width, disparities, size, step):
+    for disparity, evidence in (holes(height, width, disparities), fractional_holes(height, width, disparities)):
+        # OpenCV filters sixteenths.
+        rounded = (np.round(disparity.values * 16) / 16).astype(np.float32)
+        disparity = DisparityMap(rounded, disparity.status)
+        result = SpeckleFilter(size=size, step=step)(disparity, evidence)
+        np.testing.assert_array_equal(result.values, naive.speckle_filter(disparity.values, size, step))
+        assert np.all(result.status[disparity.valid & ~result.valid] & Status.MISMATCH)
+
+
+@pytest.mark.parametrize("level", [3, 77, 301])
+def test_means_of_small_integers_have_no_bias(level):
+    """Sums that are kept in 16 bits are rounded, not cut off: means must not come out too low."""
+    pair = blocky_pair(60, 80)
+    rng = np.random.default_rng(level)
+    costs = (level + rng.integers(-2, 3, (60, 80, 6))).astype(np.uint16)
+    for method in (
+        ConstantWindow(window=5),
+        Cross(length=34, threshold=90, inner_length=17, inner_threshold=90, iterations=1),
+        Cross(length=34, threshold=90, inner_length=17, inner_threshold=90, iterations=4),
+        Cross(length=34, threshold=90, inner_length=17, inner_threshold=90, iterations=1, support="intersection"),
+    ):
+        means = method(CostVolume(costs), pair).costs
+        assert abs(means.mean() - costs.mean()) < 0.5, method
