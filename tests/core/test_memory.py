@@ -1,0 +1,115 @@
+"""The pool of work arrays: recycled, never shared."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from depthcli.core import memory
+
+MEBI = 1 << 20
+
+
+@pytest.fixture(autouse=True)
+def _empty_pool() -> Iterator[None]:
+    gc.collect()
+    memory.release()
+    yield
+    memory.release()
+
+
+def address(array):
+    return array.__array_interface__["data"][0]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64, bool, "f4"])
+@pytest.mark.parametrize("shape", [(), (0,), (3, 5), (0, 7, 9), (1 << 20,), (301, 203, 37), (4 << 20, 1)])
+def test_shape_type_and_layout_are_those_of_numpy(shape, dtype):
+    ours, numpys = memory.empty(shape, dtype), np.empty(shape, dtype)
+    assert (ours.shape, ours.dtype, ours.nbytes) == (numpys.shape, numpys.dtype, numpys.nbytes)
+    assert ours.flags.c_contiguous and ours.flags.writeable and ours.flags.aligned
+    ours[...] = 1
+    assert np.all(ours == 1)
+
+
+def test_memory_is_used_again_once_the_last_view_is_gone():
+    array = memory.empty((3, MEBI), np.uint8)
+    place = address(array)
+    view = array[1:, ::2].T
+    view[...] = 7
+    del array
+    other = memory.empty((3, MEBI), np.uint8)
+    assert not np.shares_memory(other, view)
+    other[...] = 9
+    assert np.all(view == 7)
+    del view
+    assert address(memory.empty((3 * MEBI,), np.uint8)) == place
+
+
+def test_other_holders_of_a_buffer_count_as_views():
+    array = memory.empty((2 * MEBI,), np.uint8)
+    array[:] = 5
+    held = memoryview(array)[10:20]
+    del array
+    other = memory.empty((2 * MEBI,), np.uint8)
+    other[:] = 6
+    assert bytes(held) == b"\5" * 10
+
+
+def test_a_block_much_larger_than_asked_for_stays_for_larger_arrays():
+    large = memory.empty((16 * MEBI,), np.uint8)
+    place = address(large)
+    del large
+    small = memory.empty((2 * MEBI,), np.uint8)
+    assert address(small) != place
+    assert address(memory.empty((15 * MEBI,), np.uint8)) == place
+
+
+def test_what_is_kept_is_bounded_and_can_be_given_back():
+    for _ in range(2):
+        arrays = [memory.empty((48 * MEBI,), np.uint8) for _ in range(12)]
+        del arrays
+    assert 0 < sum(block.size for block in memory._free) <= memory._KEPT
+    memory.release()
+    assert not memory._free
+
+
+def test_arrays_alive_at_once_never_share_memory_in_any_order():
+    rng = np.random.default_rng(1)
+    alive: list[tuple[int, np.ndarray]] = []
+    for step in range(400):
+        if alive and rng.random() < 0.45:
+            mark, array = alive.pop(rng.integers(len(alive)))
+            assert np.all(array.reshape(-1)[:: array.size // 50] == mark)
+        array = memory.empty((int(rng.integers(1, 5)), MEBI // 2), np.uint16)
+        array[...] = step
+        alive.append((step, array[:, 1:]))
+        alive = alive[-20:]
+    ends = sorted((address(a), address(a) + (a.shape[0] - 1) * a.strides[0] + a[0].nbytes) for _, a in alive)
+    assert all(end <= start for (_, end), (start, _) in itertools.pairwise(ends))
+
+
+def test_threads_never_get_the_same_memory():
+    wrong = []
+
+    def work(mark):
+        rng = np.random.default_rng(mark)
+        for _ in range(150):
+            arrays = [memory.empty((int(rng.integers(1, 4)) * MEBI,), np.uint8) for _ in range(2)]
+            for k, array in enumerate(arrays):
+                array[::4096] = mark + k
+            for k, array in enumerate(arrays):
+                if not np.all(array[::4096] == mark + k):
+                    wrong.append(mark)
+
+    threads = [threading.Thread(target=work, args=(10 * k,)) for k in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
