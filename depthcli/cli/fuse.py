@@ -2,39 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+from depthcli.cli._pairs import pair_command
 
-import typer
-
-from depthcli.cli import _options as o
-
-
-def fuse(
-    config: o.Config,
-    output: o.Output,
-    input: Annotated[Path | None, typer.Option("--input", "-i", metavar="DIR", help="Folder of scenes.")] = None,
-    left: Annotated[Path | None, typer.Option(metavar="FILE", help="Left image, instead of --input.")] = None,
-    right: Annotated[Path | None, typer.Option(metavar="FILE", help="Right image, instead of --input.")] = None,
-    max_disparity: Annotated[int | None, typer.Option(metavar="PIXELS", help="Largest disparity searched.")] = None,
-    layout: o.Layout = None,
-    scenes: o.Scenes = "*",
-    set_: o.Set = None,
-    jobs: o.Jobs = 1,
-    threads: o.Threads = None,
-    max_memory: o.MaxMemory = None,
-    overwrite: o.Overwrite = False,
-    evaluate: o.Evaluate = False,
-    json: o.Json = False,
-    verbose: o.Verbose = False,
-    quiet: o.Quiet = False,
-) -> int:
-    """Match image pairs by several measures, each trusted where the pixels around agree with it."""
-    from depthcli.jobs.commands import Request, run_batch
-
-    settings = list(set_ or [])
-    if max_disparity is not None:
-        settings.append(f"max_disparity={max_disparity}")
-    request = Request(config, settings, output, input, left, right, layout, scenes, evaluate, json)
-    options = o.run_options(jobs, threads, max_memory, overwrite)
-    return run_batch("fuse", request, options, o.reporter(verbose, quiet))
+fuse = pair_command(
+    "fuse", "Match image pairs by several measures, each trusted where the pixels around agree with it."
+)
