@@ -1,0 +1,131 @@
+"""What the README says is true: its names exist and are complete, its commands parse, its example works."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+
+from depthcli.cli import app, main
+from depthcli.confidence import measures
+from depthcli.core.maps import Status
+from depthcli.core.method import Family
+from depthcli.io.disparity import read_pfm
+from depthcli.io.scenes import LAYOUTS
+from depthcli.jobs.presets import find_config, list_presets
+from depthcli.stereo import cost
+from tests.stereo._pairs import shifted_pair
+
+ROOT = Path(__file__).resolve().parent.parent
+TEXT = (ROOT / "README.md").read_text("utf-8")
+FAMILIES = (
+    "stereo/cost", "stereo/aggregation", "stereo/optimization", "stereo/refinement", "stereo/pipeline",
+    "keypoints", "segmentation",
+)  # fmt: skip
+
+
+def blocks(language: str) -> list[str]:
+    """Fenced blocks of a language, without comments' lines and with continued lines joined."""
+    found = re.findall(rf"^```{language}\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
+    return [block.replace("\\\n", " ") for block in found]
+
+
+def listed(heading: str) -> set[str]:
+    """Names in the first column of the table that follows ``heading``."""
+    assert TEXT.count(heading) == 1, heading
+    table = re.search(r"\n((?:\|[^\n]*\n)+)", TEXT[TEXT.index(heading) :])
+    assert table
+    return {match for line in table[1].splitlines()[2:] for match in re.findall(r"^\| `([^`]+)` \|", line)}
+
+
+def commands() -> list[str]:
+    """Every ``depthcli`` call of the shell and Makefile blocks, up to a pipe."""
+    lines = [line.strip() for language in ("sh", "make") for block in blocks(language) for line in block.splitlines()]
+    calls = [re.split(r" \| | > |  # ", line)[0] for line in lines if line.startswith("depthcli ")]
+    inline = re.findall(r"`(depthcli [^`]+)`", TEXT)
+    return calls + inline
+
+
+@pytest.mark.parametrize("folder", FAMILIES)
+def test_every_method_has_a_row_and_every_row_a_method(folder: str):
+    names = Family.of(f"depthcli.{folder.replace('/', '.')}").names()
+    assert listed(f"(`depthcli/{folder}/`)") == set(names)
+
+
+def test_every_confidence_measure_has_a_row():
+    assert listed("**Confidence measures**") == set(measures())
+
+
+def test_every_preset_has_a_row_and_every_name_in_the_text_is_one():
+    names = {f"{command} {name}" for command, name, _ in list_presets()}
+    assert listed("All presets:") == names
+    assert set(re.findall(r"`((?:stereo|fuse) [a-z-]+)`", TEXT)) <= names
+    advice = TEXT[TEXT.index("## Which preset") : TEXT.index("All presets:")]
+    short = {name for _, name, _ in list_presets()}
+    words = re.findall(r"`([a-z]+(?:-[a-z]+)*)`", advice)
+    assert set(words) <= short
+    assert words
+
+
+def test_layouts_status_bits_and_exit_codes():
+    assert listed("## Layouts") == set(LAYOUTS)
+    bits = TEXT[TEXT.index("| bit of `status.png`") : TEXT.index("| exit code")]
+    for flag in Status:
+        assert re.search(rf"^\| {flag.value} \| {flag.name.lower().replace('_', '.*')}", bits, re.MULTILINE), flag
+    for code in (0, 1, 2, 3, 130):
+        assert re.search(rf"^\| {code} \|", TEXT[TEXT.index("| exit code") :], re.MULTILINE)
+
+
+def test_commands_parse(tmp_path: Path):
+    tool = typer.main.get_command(app)
+    found = commands()
+    assert len(found) > 10
+    for line in found:
+        words = shlex.split(line)[1:]
+        # make_context reads every option and argument, checks types and bounds, and runs nothing.
+        context: Any = tool.make_context("depthcli", list(words), resilient_parsing=words == ["--help"])
+        if words == ["--help"]:
+            continue
+        _, command, rest = tool.resolve_command(context, words)  # type: ignore[attr-defined]
+        assert command is not None, line
+        parameters = command.make_context(words[0], rest, parent=context).params
+        if "config" in parameters and not parameters["config"].startswith("$"):
+            assert find_config(words[0], parameters["config"]).is_file(), line
+        if parameters.get("action") == "show" and parameters["name"] != "NAME":
+            assert main(words) == 0
+
+
+def test_files_that_are_named_exist():
+    named = re.findall(r"\b((?:scripts|depthcli|tests|configs)/[\w./-]*[\w/])", TEXT)
+    assert len(named) > 10
+    example = "depthcli/stereo/cost/squared_difference.py"
+    missing = [name for name in named if not (ROOT / name).exists() and name != example]
+    assert not missing
+
+
+@pytest.fixture
+def added_cost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The README's cost measure as a file of the family, found like any other."""
+    (source,) = blocks("python")
+    (tmp_path / "squared_difference.py").write_text(source)
+    monkeypatch.setattr(cost, "__path__", [*cost.__path__, str(tmp_path)])
+    yield "squared_difference"  # type: ignore[misc]
+    sys.modules.pop("depthcli.stereo.cost.squared_difference", None)
+
+
+def test_the_example_is_a_cost_measure(added_cost: str, made_scenes: Path, tmp_path: Path):
+    family = Family.of("depthcli.stereo.cost")
+    assert added_cost in family.names()
+    volume = family.parse(added_cost)(shifted_pair(20, 40, 3), 60)
+    assert volume.costs.shape == (20, 40, 60)
+    np.testing.assert_array_equal(volume.costs[:, 3:, 3], 0)
+    assert (volume.costs[np.broadcast_to(np.arange(60) > np.arange(40)[:, None], volume.costs.shape)] == 100).all()
+    run = ["stereo", "cross", "-i", str(made_scenes), "--scenes", "planes_0", "-o", str(tmp_path / "r"), "-q"]
+    assert main([*run, "--set", f"cost={added_cost}"]) == 0
+    assert np.isfinite(read_pfm(tmp_path / "r" / "planes_0" / "disp_left.pfm")).mean() > 0.5
