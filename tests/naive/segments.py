@@ -54,6 +54,15 @@ def segment_window(costs, labels, radius):
     return out
 
 
+def discourage_outside(costs, zones, ranges, penalty, most):
+    out = costs.astype(np.float64)
+    for y, x, d in np.ndindex(costs.shape):
+        low, high = ranges[zones[y, x]]
+        if low <= x and not low <= d <= high:
+            out[y, x, d] = min(out[y, x, d] + penalty, most)
+    return out
+
+
 def discrepancy(values, trusted, labels, coefficients, weight, truncation):
     count = labels.max() + 1
     unary = np.zeros((count, len(coefficients)))

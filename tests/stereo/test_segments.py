@@ -15,8 +15,15 @@ from depthcli.keypoints._matching import Matches, consistent
 from depthcli.segmentation._regions import region_graph
 from depthcli.stereo.pipeline.segments import Segments
 from depthcli.stereo.segments import energy
-from depthcli.stereo.segments.first_estimate import forbid_outside, search_ranges, segment_window, select
+from depthcli.stereo.segments.first_estimate import (
+    discourage_outside,
+    search_ranges,
+    search_zones,
+    segment_window,
+    select,
+)
 from depthcli.stereo.segments.planes import Members, PlaneFit, Planes, distinct, evaluate
+from depthcli.stereo.segments.report import by_segment
 from depthcli.stereo.segments.splitting import split_segments
 from depthcli.stereo.volume import CostVolume, StereoPair
 from depthcli.synthetic.stereo_scenes import make_scene
@@ -78,6 +85,35 @@ def test_ranges_can_borrow_from_key_points_around():
     assert search_ranges(labels, matches, 20, 0.0, neighbors=3).tolist() == [[8, 9], [0, 20], [0, 20]]
 
 
+def test_a_segment_has_a_zone_in_every_cell():
+    labels = np.zeros((5, 7), np.int32)
+    labels[:, 5:] = 1
+    zones = search_zones(labels, 4)
+    assert zones[0].tolist() == [0, 0, 0, 0, 1, 4, 4] and len(np.unique(zones)) == 6
+    assert np.array_equal(search_zones(labels, 100), labels)
+    ranges = np.arange(12, dtype=np.int32).reshape(6, 2)
+    assert by_segment(labels, zones, ranges).tolist() == [[0, 7], [8, 11]]
+
+
+@pytest.mark.parametrize(("dtype", "most"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, np.inf)])
+@pytest.mark.parametrize("penalty", [0.0, 20.0, 90.0])
+def test_disparities_outside_the_range_cost_more(dtype, most, penalty):
+    rng = np.random.default_rng(7)
+    costs = rng.integers(0, 250, (9, 12, 6)).astype(dtype)
+    ranges = np.array([[0, 5], [2, 3], [4, 5], [1, 1]], np.int32)
+    volume = discourage_outside(CostVolume(costs.copy(), 2.0), _labels(), ranges, penalty)
+    assert volume.costs.dtype == dtype
+    assert np.array_equal(volume.costs, naive.discourage_outside(costs, _labels(), ranges, 2 * penalty, most))
+
+
+def test_clear_costs_overrule_a_wrong_range():
+    costs = np.full((4, 30, 8), 100, np.uint8)
+    costs[:, :, 6] = 0
+    ranges = np.array([[0, 3]], np.int32)
+    volume = discourage_outside(CostVolume(costs), np.zeros((4, 30), np.int32), ranges, 40.0)
+    assert np.all(select(volume, 1.0, subpixel=False).values[:, 7:] == 6)
+
+
 def test_more_key_points_than_pixels():
     labels = np.zeros((1, 2), np.int32)
     matches = _matches(*[(0, 0, d) for d in range(9)])
@@ -97,7 +133,7 @@ def test_selection_respects_ranges_and_checks_both_views():
     costs[:, 3:, 3] = 0  # the true disparity
     labels = np.zeros((5, 20), np.int32)
     labels[:, 10:] = 1
-    volume = forbid_outside(CostVolume(costs.copy()), labels, np.array([[0, 5], [4, 5]], np.int32))
+    volume = discourage_outside(CostVolume(costs.copy()), labels, np.array([[0, 5], [4, 5]], np.int32), 300)
     first = select(volume, 0.0, subpixel=False)
     assert np.all(first.values[:, 3:10] == 3) and first.trusted[:, 3:10].all()
     assert np.all(first.values[:, 10:] >= 4)
@@ -158,18 +194,14 @@ def test_discrepancy_is_equation_2_9(truncation):
     assert np.all(unary[3] == 0)  # nothing trusted: any plane
 
 
-def test_matching_cost_sums_the_volume_and_forbids_other_ranges():
+def test_matching_cost_sums_the_volume():
     rng = np.random.default_rng(4)
     costs = rng.integers(0, 200, (9, 12, 6)).astype(np.uint8)
     trusted = rng.random((9, 12)) < 0.6
     rows = [(0.1, 0.0, 2.0), (0.0, 0.0, 5.0), (0.0, 0.0, 9.0)]
     members = Members.of(_labels(), trusted, 4)
-    volume = CostVolume(costs, 2.0)
-    everything = np.array([[0, 5]] * 4, np.int32)
     expected = naive.matching_cost(costs, trusted, _labels(), rows)
-    assert np.allclose(energy.matching_cost(volume, members, _planes(*rows), everything, 3.0), expected * 1.5)
-    narrow = energy.matching_cost(volume, members, _planes(*rows), np.array([[0, 4]] * 4, np.int32), 3.0)
-    assert np.allclose(narrow[:, 1], members.sizes * float(costs.max()) * 1.5)
+    assert np.allclose(energy.matching_cost(CostVolume(costs, 2.0), members, _planes(*rows), 3.0), expected * 1.5)
 
 
 def test_visibility_charges_planes_in_front_of_what_the_right_view_sees():

@@ -24,8 +24,9 @@ from depthcli.stereo.refinement._evidence import Evidence
 from depthcli.stereo.segments import energy, report
 from depthcli.stereo.segments.assignment import Assignment, Scene, regrouped
 from depthcli.stereo.segments.first_estimate import (
-    forbid_outside,
+    discourage_outside,
     search_ranges,
+    search_zones,
     segment_window,
     select,
     tells_anything,
@@ -67,6 +68,12 @@ class Segments(StereoPipeline):
         description="a segment's range also covers this many key points nearest to it; 0: only its own",
     )
     range_reach: float = Field(40.0, gt=0, description="where they are not all this near, they do not count, pixels")
+    range_cell: int = Field(
+        0, ge=0, le=4096, description="larger segments have a range for each cell of a grid this wide, pixels; 0: one"
+    )
+    range_penalty: float = Field(
+        100.0, ge=0, description="disparities outside the range cost this much more, in units of the cost"
+    )
     cost: Cost = Field(description="matching cost of two pixels")
     window_radius: int = Field(
         4,
@@ -135,26 +142,25 @@ class Segments(StereoPipeline):
         clock.stop("keypoints")
         raw = self.cost(pair, max_disparity + 1)
         clock.stop("cost")
+        informative = tells_anything(raw)
         volume = segment_window(raw, labels, self.window_radius) if self.window_radius else raw
         clock.stop("window")
-        ranges = search_ranges(
-            labels, matches, max_disparity, self.range_margin, self.range_neighbors, self.range_reach
-        )
+        zones = search_zones(labels, self.range_cell) if self.range_cell else labels
+        ranges = search_ranges(zones, matches, max_disparity, self.range_margin, self.range_neighbors, self.range_reach)
+        if matches is not None:
+            volume = discourage_outside(volume, zones, ranges, self.range_penalty)
         optimized = self.optimization(volume, pair)
-        # The optimizer sees the whole volume: forbidden cells would push their cost along its paths.
-        first = select(forbid_outside(optimized, labels, ranges), self.check_tolerance, self.subpixel)
+        first = select(optimized, self.check_tolerance, self.subpixel)
         clock.stop("first_estimate")
         fit = PlaneFit(self.plane_tolerance, self.plane_trials, self.max_slope, self.flatness, self.seed)
         if self.split_cells:
-            coarse = labels
             labels = split_segments(
                 labels, first.values, first.trusted, self.split_tolerance, self.split_misfits, self.split_cells, fit
             )
-            ranges = ranges[report.parents(labels, coarse)]
         clock.stop("splitting")
         scene = Scene.of(labels, first, region_graph(labels, image), max_disparity)
         # On a flat image an optimizer would still carry the borders' costs everywhere.
-        assignment = self._assign(scene, volume, ranges, fit, clock) if tells_anything(raw) else None
+        assignment = self._assign(scene, volume, fit, clock) if informative else None
         if assignment is None:
             disparity = report.nothing_known(labels.shape)
         else:
@@ -167,7 +173,7 @@ class Segments(StereoPipeline):
         clock.stop("refinement")
         result = StereoResult(disparity, figures=report.figures(scene, assignment, matches))
         if self.details:
-            result.tables = report.tables(scene, assignment, matches, ranges)
+            result.tables = report.tables(scene, assignment, matches, report.by_segment(labels, zones, ranges))
             result.pictures = report.pictures(pair, labels, matches)
             clock.stop("details")
         result.seconds = clock.seconds
@@ -179,9 +185,7 @@ class Segments(StereoPipeline):
         left, right = pair.grey8
         return consistent(match_rectified(self.keypoints(left), self.keypoints(right), max_disparity))
 
-    def _assign(
-        self, scene: Scene, volume: CostVolume, ranges: NDArray[np.int32], fit: PlaneFit, clock: report.Clock
-    ) -> Assignment | None:
+    def _assign(self, scene: Scene, volume: CostVolume, fit: PlaneFit, clock: report.Clock) -> Assignment | None:
         """Planes and their labels; None where nothing is trusted."""
         own = self._own_planes(scene, fit)
         if own is None:
@@ -198,7 +202,7 @@ class Segments(StereoPipeline):
                 )
                 initial = np.where(group >= 0, stands_for[group], -1).astype(np.int32)
                 clock.stop("planes")
-            unary = self._unary(scene, volume, ranges, planes)
+            unary = self._unary(scene, volume, planes)
             cheapest = np.argmin(unary, axis=1).astype(np.int32)
             initial = cheapest if initial is None else np.where(initial < 0, cheapest, initial)
             clock.stop("data_term")
@@ -223,15 +227,13 @@ class Segments(StereoPipeline):
         own = fit(values, scene.trusted, chosen)
         return Planes.joined(own, fit.flat(values, scene.trusted, chosen)) if self.flat_planes else own
 
-    def _unary(
-        self, scene: Scene, volume: CostVolume, ranges: NDArray[np.int32], planes: Planes
-    ) -> NDArray[np.float64]:
+    def _unary(self, scene: Scene, volume: CostVolume, planes: Planes) -> NDArray[np.float64]:
         unary = energy.out_of_range(scene.everything, scene.width, planes, scene.max_disparity)
         if self.data_term == "dedc":
             most = np.inf if self.truncation is None else self.truncation
             unary += energy.discrepancy(scene.first.values, scene.trusted, planes, self.data_weight, most)
         else:
-            unary += energy.matching_cost(volume, scene.trusted, planes, ranges, self.cost_weight)
+            unary += energy.matching_cost(volume, scene.trusted, planes, self.cost_weight)
         if self.visibility_weight:
             unary += energy.visibility(scene.first.right, scene.untrusted, planes, self.visibility_weight)
         return unary

@@ -76,30 +76,22 @@ def _discrepancy(  # type: ignore[no-untyped-def]
             unary[t, label] = weight * total * np.exp(-n / m)
 
 
-def matching_cost(
-    volume: CostVolume, trusted: Members, planes: Planes, ranges: NDArray[np.int32], weight: float
-) -> NDArray[np.float64]:
+def matching_cost(volume: CostVolume, trusted: Members, planes: Planes, weight: float) -> NDArray[np.float64]:
     """Sum of the matching costs of the segment's trusted pixels at every plane's disparity; (n, L) float64.
 
-    Disparities are rounded and limited to the volume's. Outside the segment's own range (n, 2) a match costs
-    as much as the worst in the volume. Costs are in units of the measure, times ``weight``.
+    Disparities are rounded and limited to the volume's. Costs are in units of the measure, times ``weight``.
     """
     unary = np.zeros((len(trusted.starts) - 1, len(planes)))
     width = volume.costs.shape[1]
     costs = volume.costs.reshape(-1, volume.disparities)
-    worst = float(costs.max())
-    _matching_cost(
-        costs, width, trusted.order, trusted.starts, planes.coefficients, ranges, worst, weight / volume.scale, unary
-    )
+    _matching_cost(costs, width, trusted.order, trusted.starts, planes.coefficients, weight / volume.scale, unary)
     return unary
 
 
 @parallel_jit
-def _matching_cost(costs, width, order, starts, coefficients, ranges, worst, weight, unary):  # type: ignore[no-untyped-def]
+def _matching_cost(costs, width, order, starts, coefficients, weight, unary):  # type: ignore[no-untyped-def]
     depth = costs.shape[1]
     for t in prange(unary.shape[0]):
-        low = ranges[t, 0]
-        high = ranges[t, 1]
         for i in range(starts[t], starts[t + 1]):
             pixel = order[i]
             x = pixel % width
@@ -108,7 +100,7 @@ def _matching_cost(costs, width, order, starts, coefficients, ranges, worst, wei
             for label in range(coefficients.shape[0]):
                 a, b, c = coefficients[label, 0], coefficients[label, 1], coefficients[label, 2]
                 d = min(max(int(np.floor(a * x + b * y + c + 0.5)), 0), depth - 1)
-                unary[t, label] += worst if d < low or d > high else row[d]
+                unary[t, label] += row[d]
         for label in range(coefficients.shape[0]):
             unary[t, label] *= weight
 

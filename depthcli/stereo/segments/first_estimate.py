@@ -16,8 +16,6 @@ from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
 from depthcli.stereo.volume import CostVolume
 from depthcli.stereo.winner import winners
 
-FORBIDDEN = 0xFFFF  # cost of a disparity outside the segment's range
-
 
 @dataclass(frozen=True)
 class FirstEstimate:
@@ -138,26 +136,48 @@ def _segment_window(costs: Any, labels: Any, radius: Any, sharper: Any, kind: An
                 target[i] = np.uint16(np.int32(np.float32(total[i]) * factor + half))
 
 
-def forbid_outside(volume: CostVolume, labels: NDArray[np.int32], ranges: NDArray[np.int32]) -> CostVolume:
-    """A uint16 volume whose disparities outside the segment's range cost ``FORBIDDEN``; changed in place."""
-    _forbid(volume.costs, labels, ranges)
+def search_zones(labels: NDArray[np.int32], cell: int) -> NDArray[np.int32]:
+    """What shares a search range: every segment, cut along a grid of ``cell`` pixels; (H, W) int32, 0 .. n - 1.
+
+    The bars of a fence are one segment, but the key points at its far end tell nothing about this one.
+    """
+    height, width = labels.shape
+    grid = (np.arange(height)[:, None] // cell) * (width // cell + 1) + np.arange(width)[None] // cell
+    keys = labels.astype(np.int64) * (int(grid.max()) + 1) + grid
+    _, zones = np.unique(keys, return_inverse=True)
+    return zones.reshape(labels.shape).astype(np.int32)
+
+
+def discourage_outside(
+    volume: CostVolume, zones: NDArray[np.int32], ranges: NDArray[np.int32], penalty: float
+) -> CostVolume:
+    """Make every disparity outside its zone's range dearer by ``penalty``, in units of the cost; in place.
+
+    Where the image border cuts all of the range off, nothing changes. Unlike a ban, a small penalty only decides
+    between matches that are about equally good: where the range of a segment misses its true disparity (all
+    key points around lie on something else), the costs still find it.
+    """
+    costs = volume.costs
+    most = np.inf if costs.dtype == np.float32 else np.iinfo(costs.dtype).max
+    kind = np.float32 if costs.dtype == np.float32 else np.int32
+    _discourage(costs, zones, ranges, kind(min(penalty * volume.scale, 65535)), kind(min(most, 65535)))
     return volume
 
 
 @parallel_jit
-def _forbid(costs: Any, labels: Any, ranges: Any) -> None:
+def _discourage(costs: Any, zones: Any, ranges: Any, penalty: Any, most: Any) -> None:
     height, width, depth = costs.shape
     for y in prange(height):
         for x in range(width):
-            low = ranges[labels[y, x], 0]
-            high = ranges[labels[y, x], 1]
-            # Where the image border cuts all of the range off, any disparity is as good as another.
+            low = ranges[zones[y, x], 0]
+            high = ranges[zones[y, x], 1]
             if low > x:
                 continue
+            row = costs[y, x]
             for d in range(low):
-                costs[y, x, d] = 65535
+                row[d] = min(row[d] + penalty, most)
             for d in range(high + 1, depth):
-                costs[y, x, d] = 65535
+                row[d] = min(row[d] + penalty, most)
 
 
 def select(volume: CostVolume, tolerance: float, subpixel: bool) -> FirstEstimate:
@@ -190,7 +210,7 @@ def _parabola(costs: Any, winner: Any, values: Any) -> None:
             before = np.float32(costs[y, x, d - 1])
             here = np.float32(costs[y, x, d])
             after = np.float32(costs[y, x, d + 1])
-            if before >= 65535.0 or after >= 65535.0 or before < here or after < here:
+            if before < here or after < here:
                 continue
             bend = before + after - 2.0 * here
             if bend > 0.0:
@@ -225,7 +245,6 @@ def _distrust_indifferent(costs: Any, trusted: Any) -> None:
             high = np.int64(-1)
             for i in range(row.size):
                 cost = np.int64(row[i])
-                if cost != FORBIDDEN:
-                    low = min(low, cost)
-                    high = max(high, cost)
+                low = min(low, cost)
+                high = max(high, cost)
             trusted[y, x] = high > low or depth == 1

@@ -51,11 +51,13 @@ def finished(values: NDArray[np.float32], first: FirstEstimate) -> DisparityMap:
     return DisparityMap(values, np.where(agrees, Status.SMOOTHED, reason).astype(np.uint8))
 
 
-def parents(labels: NDArray[np.int32], coarse: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(n,) the segment of ``coarse`` that every segment of the finer ``labels`` was cut from."""
-    _, where = np.unique(labels, return_index=True)
-    found: NDArray[np.int32] = coarse.ravel()[where]
-    return found
+def by_segment(labels: NDArray[np.int32], zones: NDArray[np.int32], ranges: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(n, 2) lowest and highest disparity of all zones that a segment of ``labels`` (H, W) overlaps."""
+    limits = np.empty((int(labels.max()) + 1, 2), np.int32)
+    limits[:] = np.iinfo(np.int32).max, -1
+    np.minimum.at(limits[:, 0], labels, ranges[zones, 0])
+    np.maximum.at(limits[:, 1], labels, ranges[zones, 1])
+    return limits
 
 
 def energy_of(
