@@ -91,6 +91,12 @@ class Family:
             )
         fields = dict(value)
         name = fields.pop(self.key, None)
+        if name is None:
+            raise PydanticCustomError(
+                "method_name",
+                "want '{key}' in this mapping; one of: {names}",
+                {"key": self.key, "names": ", ".join(self.names())},
+            )
         if not isinstance(name, str) or name not in self.names():
             hint = difflib.get_close_matches(str(name), self.names(), 1)
             raise PydanticCustomError(
