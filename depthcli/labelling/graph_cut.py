@@ -9,6 +9,8 @@ import maxflow
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from depthcli.kernels._jit import jit
+
 
 @dataclass(frozen=True)
 class Labelling:
@@ -75,7 +77,7 @@ def alpha_expansion(
 
     before = potts_energy(labels, costs, ends, strength)
     energy = before
-    incident = np.zeros(nodes) + np.bincount(ends[:, 0], strength, nodes) + np.bincount(ends[:, 1], strength, nodes)
+    graph = _Neighbors.of(nodes, ends, strength)
     by_label = np.ascontiguousarray(costs.T)  # a column of a large matrix misses the cache at every node
     keep = costs[np.arange(nodes), labels]
     since_change = 0  # labels tried since the last move that helped: after all of them, nothing can
@@ -86,7 +88,7 @@ def alpha_expansion(
             if since_change >= label_count:
                 break
             since_change += 1
-            moved = _expand(labels, alpha, keep, by_label[alpha], ends, strength, incident)
+            moved = _expand(labels, alpha, by_label[alpha] - keep, graph)
             if moved is None:
                 continue
             moved_energy = potts_energy(moved, costs, ends, strength)
@@ -95,6 +97,29 @@ def alpha_expansion(
                 labels, energy, since_change = moved, moved_energy, 0
                 keep = costs[np.arange(nodes), labels]
     return Labelling(labels, before, energy, sweeps)
+
+
+@dataclass(frozen=True)
+class _Neighbors:
+    """Edges by node: those of node n are ``starts[n] .. starts[n + 1] - 1``; ``total`` (N,) is their weight."""
+
+    starts: NDArray[np.int64]
+    other: NDArray[np.int32]
+    weight: NDArray[np.float64]
+    total: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, nodes: int, ends: NDArray[np.int32], strength: NDArray[np.float64]) -> _Neighbors:
+        source = np.concatenate([ends[:, 0], ends[:, 1]])
+        order = np.argsort(source, kind="stable")
+        counts = np.bincount(source, minlength=nodes)
+        weight = np.concatenate([strength, strength])
+        return cls(
+            np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+            np.concatenate([ends[:, 1], ends[:, 0]])[order].astype(np.int32),
+            weight[order],
+            np.bincount(source, weight, nodes).astype(np.float64),
+        )
 
 
 def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArray[np.float64]) -> None:
@@ -111,55 +136,124 @@ def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArra
 
 
 def _expand(
-    labels: NDArray[np.int32],
-    alpha: int,
-    keep: NDArray[np.float64],
-    switch: NDArray[np.float64],
-    ends: NDArray[np.int32],
-    strength: NDArray[np.float64],
-    incident: NDArray[np.float64],
+    labels: NDArray[np.int32], alpha: int, rise: NDArray[np.float64], neighbors: _Neighbors
 ) -> NDArray[np.int32] | None:
-    """The best labels among those where any set of nodes switched to ``alpha``; None = no better ones."""
-    nodes = len(labels)
-    rise = switch - keep  # what switching costs a node by itself
-    # Whatever the others do, a switch saves a node at most all its edges: where it costs more, it stays.
-    movable = (labels != alpha) & (rise < incident)
-    if not movable.any():
-        return None
-    near = movable[ends[:, 0]] | movable[ends[:, 1]]
-    first, second, strength = ends[near, 0], ends[near, 1], strength[near]
-    cut = strength * (labels[first] != labels[second])
-    # At best a switch saves every cut edge at the node. Where not even that pays for any node, no set
-    # of nodes can gain: each edge of the set is counted at least once.
-    saved = np.bincount(first, cut, nodes) + np.bincount(second, cut, nodes)
-    if not np.any(movable & (rise < saved)):
-        return None
+    """The best labels among those where any set of nodes switched to ``alpha``; None = no better ones.
 
-    # Binary problem over the movable nodes, x = 1 means alpha. Pair costs are E(0,0) = cut (or 0),
-    # E(0,1) = E(1,0) = w, E(1,1) = 0. A neighbor that is at alpha adds w to x = 0; one that stays
-    # elsewhere adds its cut cost to x = 0 and w to x = 1.
-    index = np.cumsum(movable, dtype=np.int32) - 1
-    both = movable[first] & movable[second]
-    p, q, same_pair, w = index[first[both]], index[second[both]], cut[both], strength[both]
-    count = int(movable.sum())
-    score = rise[movable]  # cost of x = 1 minus cost of x = 0
-    # E(0,0) + (w - E00) x_p + (0 - w) x_q + (2 w - E00) (1 - x_p) x_q
-    score += np.bincount(p, w - same_pair, count) - np.bincount(q, w, count)
-    for one, other in ((first, second), (second, first)):
-        fixed = movable[one] & ~movable[other]
-        there = np.where(labels[other[fixed]] == alpha, -strength[fixed], strength[fixed] - cut[fixed])
-        score += np.bincount(index[one[fixed]], there, count)
-
-    graph: Any = maxflow.GraphFloat(count, len(p))
-    ids = graph.add_nodes(count)
+    ``rise`` (N,) is what switching costs every node by itself.
+    """
+    starts, other, weight = neighbors.starts, neighbors.other, neighbors.weight
+    chosen = _candidates(labels, alpha, rise, starts, other, weight, neighbors.total)
+    if len(chosen) == 0:
+        return None
+    score, p, q, capacity = _binary_problem(labels, alpha, rise, starts, other, weight, chosen)
+    graph: Any = maxflow.GraphFloat(len(chosen), len(p))
+    ids = graph.add_nodes(len(chosen))
     # Source side is x = 0: a terminal edge that is cut belongs to the side the node is not on.
     graph.add_grid_tedges(ids, np.maximum(score, 0.0), np.maximum(-score, 0.0))
     if len(p):
-        graph.add_edges(ids[p], ids[q], 2.0 * w - same_pair, np.zeros_like(w))
+        graph.add_edges(p, q, capacity, np.zeros_like(capacity))
     graph.maxflow()
-    chosen = graph.get_grid_segments(ids)
-    if not chosen.any():
+    switched = graph.get_grid_segments(ids)
+    if not switched.any():
         return None
     moved = labels.copy()
-    moved[np.flatnonzero(movable)[chosen]] = alpha
+    moved[chosen[switched]] = alpha
     return moved
+
+
+@jit
+def _candidates(labels, alpha, rise, starts, other, weight, total):  # type: ignore[no-untyped-def]
+    """Nodes that some set worth switching could contain, in order; (K,) int64.
+
+    At best all neighbors of a node that may switch do, and all its edges to them and to ``alpha`` are saved. Where
+    that does not pay it stays, which makes staying more attractive for its neighbors, and so on. Of what is left
+    a connected part gains nothing where no node's switch is paid by the edges that are cut now: the gain of
+    a set is at most theirs, each counted at least once.
+    """
+    nodes = labels.size
+    may = labels != alpha
+    slack = rise - total
+    stack = np.empty(nodes, np.int64)
+    top = 0
+    for n in range(nodes):
+        if may[n] and slack[n] >= 0.0:
+            may[n] = False
+            stack[top] = n
+            top += 1
+    while top:
+        top -= 1
+        n = stack[top]
+        for e in range(starts[n], starts[n + 1]):
+            m = other[e]
+            if may[m]:
+                slack[m] += weight[e] if labels[m] != labels[n] else 2.0 * weight[e]
+                if slack[m] >= 0.0:
+                    may[m] = False
+                    stack[top] = m
+                    top += 1
+    seen = np.zeros(nodes, np.bool_)
+    for seed in range(nodes):
+        if not may[seed] or seen[seed]:
+            continue
+        seen[seed] = True
+        stack[0] = seed
+        count = 1
+        done = 0
+        pays = False
+        while done < count:
+            n = stack[done]
+            done += 1
+            saved = 0.0
+            for e in range(starts[n], starts[n + 1]):
+                m = other[e]
+                if labels[m] != labels[n]:
+                    saved += weight[e]
+                if may[m] and not seen[m]:
+                    seen[m] = True
+                    stack[count] = m
+                    count += 1
+            pays = pays or rise[n] < saved
+        if not pays:
+            for i in range(count):
+                may[stack[i]] = False
+    return np.flatnonzero(may)
+
+
+@jit
+def _binary_problem(labels, alpha, rise, starts, other, weight, chosen):  # type: ignore[no-untyped-def]
+    """Cost of x = 1 (switch) minus cost of x = 0 of the ``chosen`` nodes, and the edges between them.
+
+    Pair costs are E(0,0) = cut (0 where both have one label now), E(0,1) = E(1,0) = w, E(1,1) = 0, that is
+    E00 + (w - E00) x_p - w x_q + (2 w - E00) (1 - x_p) x_q. A neighbor at alpha adds w to x = 0;
+    one that stays elsewhere adds its cut cost to x = 0 and w to x = 1.
+    """
+    index = np.full(labels.size, -1, np.int64)
+    links = 0
+    for k in range(chosen.size):
+        index[chosen[k]] = k
+        links += starts[chosen[k] + 1] - starts[chosen[k]]
+    score = np.empty(chosen.size, np.float64)
+    p = np.empty(links, np.int64)
+    q = np.empty(links, np.int64)
+    capacity = np.empty(links, np.float64)
+    count = 0
+    for k in range(chosen.size):
+        n = chosen[k]
+        here = rise[n]
+        for e in range(starts[n], starts[n + 1]):
+            m = other[e]
+            w = weight[e]
+            cut = w if labels[m] != labels[n] else 0.0
+            if index[m] < 0:
+                here += -w if labels[m] == alpha else w - cut
+            elif n < m:
+                here += w - cut
+                p[count] = k
+                q[count] = index[m]
+                capacity[count] = 2.0 * w - cut
+                count += 1
+            else:
+                here -= w
+        score[k] = here
+    return score, p[:count].copy(), q[:count].copy(), capacity[:count].copy()
