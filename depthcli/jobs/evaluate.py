@@ -282,6 +282,8 @@ def _evaluate_map(
 ) -> Result:
     source = ""
     try:
+        if np.isnan(truth.disparity).all():
+            raise InputError(f"{scene.disparity_left}: the ground truth has no known pixel")
         path = _find_map(folder, keys)
         source = path.relative_to(folder).as_posix()
         own = scene.disparity_scale if scene.disparity_scale is not None and scene.disparity_scale < 256 else None

@@ -300,3 +300,17 @@ def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, trut
                 broken[rng.integers(len(broken))] ^= 1 << rng.integers(8)
             (run / "a" / "disp_left.pfm").write_bytes(broken)
         (run / "a" / "disp_left.pfm").write_bytes(data)
+
+
+def test_truth_without_a_known_pixel_is_a_reason_and_not_an_empty_column(tmp_path):
+    scene = tmp_path / "truth" / "a"
+    scene.mkdir(parents=True)
+    image = np.zeros((4, 5), np.uint8)
+    for side in ("left", "right"):
+        write_png(scene / f"{side}.png", image)
+    write_pfm(scene / "disp_left.pfm", np.full((4, 5), np.nan, np.float32))
+    (tmp_path / "run").mkdir()
+    write_pfm(tmp_path / "run" / "a.pfm", np.ones((4, 5), np.float32))
+    report = evaluate([tmp_path / "run"], tmp_path / "truth", tmp_path / "out")
+    assert [result.scene for result in report.failed] == ["a"]
+    assert "no known pixel" in report.failed[0].error

@@ -10,7 +10,7 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.stereo.refinement import Refinement
 from depthcli.stereo.refinement._evidence import Evidence
 
-_STEPS = 16  # OpenCV filters whole numbers: sixteenths of a pixel
+_STEPS = 16  # OpenCV filters 16-bit numbers: sixteenths of a pixel, coarser above 2000 disparities
 
 
 class SpeckleFilter(Refinement):
@@ -22,8 +22,9 @@ class SpeckleFilter(Refinement):
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         valid = disparity.valid
         none = -32768
-        fixed = np.where(valid, np.round(np.nan_to_num(disparity.values) * _STEPS), none).astype(np.int16)
-        cv2.filterSpeckles(fixed, none, self.size, self.step * _STEPS)
+        steps = max(1, min(_STEPS, 32767 // evidence.volume.disparities))
+        fixed = np.where(valid, np.round(np.nan_to_num(disparity.values) * steps), none).astype(np.int16)
+        cv2.filterSpeckles(fixed, none, self.size, self.step * steps)
         removed = valid & (fixed == none)
         values = np.where(removed, np.float32(np.nan), disparity.values)
         return DisparityMap(values, disparity.status | np.where(removed, np.uint8(Status.MISMATCH), np.uint8(0)))
