@@ -141,10 +141,22 @@ def out_of_range(everything: Members, width: int, planes: Planes, max_disparity:
 @parallel_jit
 def _out_of_range(order, starts, width, coefficients, max_disparity, unary):  # type: ignore[no-untyped-def]
     for t in prange(unary.shape[0]):
+        x0, x1 = width, 0
+        for i in range(starts[t], starts[t + 1]):
+            x0 = min(x0, order[i] % width)
+            x1 = max(x1, order[i] % width)
+        y0, y1 = 0, 0
+        if starts[t] < starts[t + 1]:
+            y0, y1 = order[starts[t]] // width, order[starts[t + 1] - 1] // width
         for label in range(coefficients.shape[0]):
             a = np.float32(coefficients[label, 0])
             b = np.float32(coefficients[label, 1])
             c = np.float32(coefficients[label, 2])
+            # Most planes stay inside at all corners of the segment's box, and then everywhere in it.
+            low = c + min(a * x0, a * x1) + min(b * y0, b * y1)
+            high = c + max(a * x0, a * x1) + max(b * y0, b * y1)
+            if low >= -0.99 and high <= max_disparity + 0.99:
+                continue
             outside = 0
             for i in range(starts[t], starts[t + 1]):
                 x = np.float32(order[i] % width)

@@ -90,8 +90,8 @@ def _nearest(
     y, x = np.divmod(np.arange(flat.size), labels.shape[1])
     center_x, center_y = np.bincount(flat, x) / sizes, np.bincount(flat, y) / sizes
     apart = (center_x[:, None] - matches.x[None]) ** 2 + (center_y[:, None] - matches.y[None]) ** 2
-    order = np.argsort(apart, axis=1, kind="stable")[:, :neighbors]
-    return order, np.sqrt(np.take_along_axis(apart, order[:, -1:], axis=1)[:, 0])
+    order = np.argpartition(apart, neighbors - 1, axis=1)[:, :neighbors]
+    return order, np.sqrt(np.take_along_axis(apart, order, axis=1).max(axis=1))
 
 
 def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -> CostVolume:
