@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from depthcli.core import memory
 from depthcli.kernels._jit import jit, parallel_jit
 from depthcli.kernels.exponential import exp_minus
+from depthcli.stereo.cost._fill import fill_outside
 from depthcli.stereo.volume import CostVolume
 
 UNIT = 255
@@ -49,7 +50,7 @@ def squash(volume: CostVolume, scale: float | None, outside: float | None = None
         squashed = 1.0 - np.exp(-np.arange(counts.size) / (middle if middle > 0 else 1.0))
         _look_up(costs, np.round(squashed * UNIT).astype(np.uint8), out)
         mean = float(squashed @ counts) / float(total[-1])
-    _fill_outside(out, np.uint8(round(UNIT * (mean if outside is None else outside))))
+    fill_outside(out, np.uint8(round(UNIT * (mean if outside is None else outside))))
     return CostVolume(out, float(UNIT))
 
 
@@ -111,15 +112,6 @@ def _squash(costs: Any, offset: Any, rate: Any, out: Any) -> None:
         cells = out[y].reshape(width * depth)
         for i in range(cells.size):
             cells[i] = np.uint8(np.int32(unit * (one - exp_minus((source[i] - offset) * rate)) + half))
-
-
-@parallel_jit
-def _fill_outside(costs: Any, value: Any) -> None:
-    height, width, depth = costs.shape
-    for y in prange(height):
-        for x in range(min(width, depth - 1)):
-            for d in range(x + 1, depth):
-                costs[y, x, d] = value
 
 
 @parallel_jit

@@ -72,6 +72,23 @@ def difference_volume(left: Any, right: Any, costs: Any, limit: Any, outside: An
                 out[i] = outside
 
 
+@parallel_jit
+def fill_outside(costs: Any, outside: Any) -> None:
+    """Set the cells of (H, W, D) costs whose match lies outside the right image, d > x."""
+    height, width, depth = costs.shape
+    for y in prange(height):
+        for x in range(min(width, depth - 1)):
+            for d in range(x + 1, depth):
+                costs[y, x, d] = outside
+
+
+def check_odd(window: tuple[int, int]) -> None:
+    """ValueError unless both sides of a (width, height) window are odd and positive."""
+    width, height = window
+    if width < 1 or height < 1 or width % 2 == 0 or height % 2 == 0:
+        raise ValueError("both sides of the window must be odd and positive")
+
+
 def empty_volume(shape: tuple[int, int], disparities: int) -> NDArray[np.uint8]:
     """An uninitialised (H, W, D) uint8 volume; every kernel here writes every cell."""
     return memory.empty((*shape, disparities), np.uint8)

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 from depthcli.core import memory
 from depthcli.kernels._jit import parallel_jit
 from depthcli.stereo.cost import CostMeasure
-from depthcli.stereo.cost._fill import empty_volume, hamming_volume
+from depthcli.stereo.cost._fill import check_odd, empty_volume, hamming_volume
 from depthcli.stereo.volume import CostVolume, Image, StereoPair
 
 
@@ -25,10 +25,8 @@ class Census(CostMeasure):
     @field_validator("window")
     @classmethod
     def _odd_and_small(cls, window: tuple[int, int]) -> tuple[int, int]:
-        width, height = window
-        if width < 1 or height < 1 or width % 2 == 0 or height % 2 == 0:
-            raise ValueError("both sides of the window must be odd and positive")
-        if not 2 <= width * height <= 65:
+        check_odd(window)
+        if not 2 <= window[0] * window[1] <= 65:
             raise ValueError("the window must have 1 to 64 neighbors (9 x 7 has 62)")
         return window
 

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from depthcli.core import memory
 from depthcli.kernels._jit import parallel_jit
 from depthcli.stereo.cost import Cost, CostMeasure
+from depthcli.stereo.cost._fill import fill_outside
 from depthcli.stereo.volume import CostVolume, StereoPair
 
 
@@ -37,7 +38,7 @@ class Combined(CostMeasure):
             volume = part.cost(pair, disparities)
             rate = 1.0 / (16.0 * volume.scale * part.lambda_)
             _add_exponential(volume.costs, np.float32(rate), np.float32(unit), total)
-        _fill_outside(total, np.uint8(min(255, round(self.outside * unit))))
+        fill_outside(total, np.uint8(min(255, round(self.outside * unit))))
         return CostVolume(total, float(unit))
 
 
@@ -59,12 +60,3 @@ def _add_exponential(costs: Any, rate: Any, unit: Any, total: Any) -> None:
             power *= power
             power *= power
             out[i] = np.uint8(out[i] + np.uint8(np.int32(unit * (one - power) + half)))
-
-
-@parallel_jit
-def _fill_outside(costs: Any, outside: Any) -> None:
-    height, width, depth = costs.shape
-    for y in prange(height):
-        for x in range(min(width, depth - 1)):
-            for d in range(x + 1, depth):
-                costs[y, x, d] = outside

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 
 from depthcli.kernels._jit import parallel_jit
 from depthcli.stereo.cost import CostMeasure
-from depthcli.stereo.cost._fill import difference_volume, empty_volume
+from depthcli.stereo.cost._fill import check_odd, difference_volume, empty_volume
 from depthcli.stereo.volume import CostVolume, Image, StereoPair
 
 
@@ -24,10 +24,8 @@ class Rank(CostMeasure):
     @field_validator("window")
     @classmethod
     def _odd_and_small(cls, window: tuple[int, int]) -> tuple[int, int]:
-        width, height = window
-        if width < 1 or height < 1 or width % 2 == 0 or height % 2 == 0:
-            raise ValueError("both sides of the window must be odd and positive")
-        if not 2 <= width * height <= 255:
+        check_odd(window)
+        if not 2 <= window[0] * window[1] <= 255:
             raise ValueError("the window must have 2 to 255 pixels")
         return window
 
