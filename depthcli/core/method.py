@@ -12,9 +12,10 @@ import difflib
 import importlib
 import pkgutil
 from functools import cache
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -23,6 +24,16 @@ from pydantic import (
     model_serializer,
 )
 from pydantic_core import PydanticCustomError
+
+
+def _odd(side: int) -> int:
+    if side % 2 == 0:
+        raise ValueError("must be odd, so that it has a center")
+    return side
+
+
+Odd = Annotated[int, AfterValidator(_odd)]
+"""Side of a window that has a center pixel."""
 
 
 class Method(BaseModel):

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from depthcli.confidence import confidence_maps, measures
 from depthcli.core.errors import InputError
 from depthcli.core.maps import DisparityMap
+from depthcli.core.method import Odd
 from depthcli.fusion.blend import UNIT, add_weighted, blend, squash
 from depthcli.fusion.given import Given
 from depthcli.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
@@ -69,7 +70,7 @@ class Consensus(BaseModel):
     support: Literal["color", "window"] = Field(
         "color", description="color: votes fade with distance and color change; window: all of a square count alike"
     )
-    window: int = Field(
+    window: Odd = Field(
         65, ge=1, le=255, description="side of the window, odd, pixels; votes across color fade to 1/e at half of it"
     )
     softness: float = Field(15.0, gt=0, description="color change at which a vote fades to 1/e, grey levels")
@@ -81,13 +82,6 @@ class Consensus(BaseModel):
         0, ge=0, le=8, description="further rounds: the optimized map votes, instead of the measures, for its costs"
     )
     map_vote_cost: float = Field(0.2, gt=0, description="vote_cost of the further rounds, in units of one measure")
-
-    @field_validator("window")
-    @classmethod
-    def _odd(cls, window: int) -> int:
-        if window % 2 == 0:
-            raise ValueError("the window must be odd")
-        return window
 
 
 class Fusion(BaseModel):

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 from numba import prange
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from depthcli.core import memory
+from depthcli.core.method import Odd
 from depthcli.kernels._jit import parallel_jit
 from depthcli.stereo.aggregation import Aggregator
 from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
@@ -18,14 +19,7 @@ from depthcli.stereo.volume import CostVolume, StereoPair
 class ConstantWindow(Aggregator):
     """Mean of the costs in an n x n window, clipped at the image border."""
 
-    window: int = Field(11, ge=1, description="side of the window, odd, pixels")
-
-    @field_validator("window")
-    @classmethod
-    def _odd(cls, window: int) -> int:
-        if window % 2 == 0:
-            raise ValueError("the window must be odd")
-        return window
+    window: Odd = Field(11, ge=1, description="side of the window, odd, pixels")
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         if volume.costs.dtype != np.uint8:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import cv2
-from pydantic import Field, field_validator
+from pydantic import Field
 
+from depthcli.core.method import Odd
 from depthcli.stereo.pipeline import StereoPipeline
 from depthcli.stereo.pipeline._opencv import Wls, match, search_range
 from depthcli.stereo.volume import StereoPair, StereoResult
@@ -17,7 +18,7 @@ class OpencvBm(StereoPipeline):
     are ``MISMATCH``.
     """
 
-    block: int = Field(15, ge=5, le=255, description="side of the matched block, pixels, odd")
+    block: Odd = Field(15, ge=5, le=255, description="side of the matched block, pixels, odd")
     pre_filter_cap: int = Field(31, ge=1, le=63, description="truncation of the pre-filtered gradients, grey levels")
     texture: int = Field(10, ge=0, description="blocks with less summed gradient are rejected")
     uniqueness: int = Field(10, ge=0, le=100, description="margin of the best cost over the second best, %")
@@ -26,13 +27,6 @@ class OpencvBm(StereoPipeline):
     speckle_range: int = Field(2, ge=0, description="largest step inside a region, pixels")
     wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; none: off")
     fill: bool = Field(True, description="fill what has no value with the background of its row")
-
-    @field_validator("block")
-    @classmethod
-    def _odd(cls, block: int) -> int:
-        if block % 2 == 0:
-            raise ValueError("the block must be odd, so that it has a center")
-        return block
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         matcher = cv2.StereoBM.create(search_range(max_disparity), self.block)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import cv2
-from pydantic import Field, field_validator
+from pydantic import Field
 
+from depthcli.core.method import Odd
 from depthcli.stereo.pipeline import StereoPipeline
 from depthcli.stereo.pipeline._opencv import Wls, match, search_range
 from depthcli.stereo.volume import StereoPair, StereoResult
@@ -27,7 +28,7 @@ class OpencvSgbm(StereoPipeline):
     """
 
     mode: Literal["sgbm", "hh", "hh4", "3way"] = Field("sgbm", description="paths: 5, 8, 4, or 3 per pixel")
-    block: int = Field(5, ge=1, le=11, description="side of the matched block, pixels, odd")
+    block: Odd = Field(5, ge=1, le=11, description="side of the matched block, pixels, odd")
     p1: int | None = Field(None, ge=0, description="penalty of a step of 1; none: 8 x channels x block^2")
     p2: int | None = Field(None, ge=1, description="penalty of a larger step, above p1; none: 32 x channels x block^2")
     pre_filter_cap: int = Field(0, ge=0, le=63, description="truncation of the pre-filtered gradients, grey levels")
@@ -37,13 +38,6 @@ class OpencvSgbm(StereoPipeline):
     speckle_range: int = Field(2, ge=0, description="largest step inside a region, pixels")
     wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; none: off")
     fill: bool = Field(True, description="fill what has no value with the background of its row")
-
-    @field_validator("block")
-    @classmethod
-    def _odd(cls, block: int) -> int:
-        if block % 2 == 0:
-            raise ValueError("the block must be odd, so that it has a center")
-        return block
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         """Match on 8 bits; color pairs are matched in color."""
