@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import middlebury_v2
 from depthcli.io.scenes import find_scenes
 from depthcli.stereo.aggregation import Aggregator
@@ -30,7 +31,6 @@ from depthcli.stereo.aggregation.cross import Cross
 from depthcli.stereo.cost import CostMeasure
 from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.stereo.cost.combined import Combined
-from depthcli.stereo.volume import StereoPair
 from depthcli.stereo.winner import winners
 
 MASKS = ("nonocc", "all", "disc")

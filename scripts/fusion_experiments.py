@@ -22,6 +22,7 @@ import numpy as np
 import yaml
 
 from depthcli.confidence import confidence_maps, measures
+from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.report import Line, Table, line_plot, number
 from depthcli.evaluation.summary import compare
@@ -29,7 +30,6 @@ from depthcli.fusion import Fusion
 from depthcli.io.scenes import Scene, find_scenes
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.pipeline.local import Local
-from depthcli.stereo.volume import StereoPair
 from depthcli.stereo.winner import winners
 from depthcli.synthetic.cross_modal import cross_modal_pair
 

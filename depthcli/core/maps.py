@@ -53,3 +53,43 @@ class DisparityMap:
     def density(self) -> float:
         """Share of pixels with a value, in [0, 1]."""
         return float(np.mean(self.valid))
+
+
+class DepthStatus(IntFlag):
+    """What was done to a pixel of a sensor's depth map; ``KEPT`` alone was measured and left as it was (or smoothed).
+
+    At most one of the bits up to ``EMPTY`` is set; ``SMOOTHED`` is information beside it.
+    """
+
+    KEPT = 0
+    GAP_FILLED = 1  # unknown, filled by the model
+    CORRECTED = 2  # measured, replaced by the model
+    FALLBACK = 4  # unknown to the model as well, filled from around
+    CARRIED = 8  # taken over from earlier frames
+    EMPTY = 16  # no value
+    SMOOTHED = 32
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """Depth of the color camera's pixels.
+
+    Attributes
+    ----------
+    values : (H, W) float32, meters, NaN = no value
+    status : (H, W) uint8, bits of :class:`DepthStatus`
+    """
+
+    values: NDArray[np.float32]
+    status: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or self.values.shape != self.status.shape:
+            raise ValueError(f"values {self.values.shape} and status {self.status.shape} must be the same (H, W)")
+        if self.values.dtype != np.float32 or self.status.dtype != np.uint8:
+            raise TypeError(f"want float32 values and uint8 status, got {self.values.dtype}, {self.status.dtype}")
+
+    @property
+    def density(self) -> float:
+        """Share of pixels with a value, in [0, 1]."""
+        return float(np.mean(~np.isnan(self.values)))

@@ -6,8 +6,9 @@ from typing import Any
 
 from pydantic import Field
 
+from depthcli.core.frames import StereoPair
 from depthcli.stereo.cost import CostMeasure
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 
 class Given(CostMeasure):

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from depthcli.confidence import confidence_maps, measures
 from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.method import Odd
 from depthcli.fusion.blend import UNIT, add_weighted, blend, squash
@@ -27,7 +28,7 @@ from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.stereo.pipeline.segments import Segments
 from depthcli.stereo.refinement import RefinementStep
 from depthcli.stereo.refinement._evidence import Evidence
-from depthcli.stereo.volume import CostVolume, StereoPair, StereoResult
+from depthcli.stereo.volume import CostVolume, StereoResult
 from depthcli.stereo.winner import winners
 
 _LARGEST = 4080  # of voted costs: the fixed point of aggregated costs, which scanline optimizers can sum
@@ -182,7 +183,7 @@ class Fusion(BaseModel):
         if "consensus" in self.confidence:
             confidence["consensus"] = fused.ballot.shares(left.astype(np.int32)[None])[0]
         clock.stop("confidence")
-        return StereoResult(disparity, clock.seconds, confidence, figures=fused.figures)
+        return StereoResult(disparity, seconds=clock.seconds, confidence=confidence, figures=fused.figures)
 
     def fuse(
         self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: _Clock | None = None

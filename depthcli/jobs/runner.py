@@ -208,9 +208,7 @@ def _row(known: dict[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _other_rows(
-    output: Path, run: str, earlier: dict[str, dict[str, Any]], chosen: set[str]
-) -> list[dict[str, Any]]:
+def _other_rows(output: Path, run: str, earlier: dict[str, dict[str, Any]], chosen: set[str]) -> list[dict[str, Any]]:
     """Rows of scenes that this call does not concern but that belong to the same run."""
     rows = []
     for name, row in earlier.items():

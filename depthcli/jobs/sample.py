@@ -38,7 +38,9 @@ class SampleOptions(BaseModel):
     max_disparity: int = Field(48, ge=4, description="Largest disparity to search, pixels; at most width / 2.")
     noise: float = Field(0.0, ge=0, le=100, description="Standard deviation of the cameras' noise, grey levels of 255.")
     radiometric: float = Field(
-        0.0, ge=0, le=1,
+        0.0,
+        ge=0,
+        le=1,
         description="How differently the right camera sees the light (gain, offset, gamma, dark corners): 0 = alike.",
     )
     wall_contrast: float = Field(1.0, ge=0, le=1, description="Contrast of the walls' texture: 0 = bare walls.")
@@ -272,7 +274,5 @@ def _source(options: SampleOptions, kind: Kind, seed: int) -> str:
 def _notes(kind: Kind, repetition: NDArray[np.float32]) -> str:
     notes = "Disparity at pixel centers and masks are exact; no pixel is unknown."
     if kind == "repetitive":
-        notes += (
-            f" The wall's pattern repeats after {np.nanmin(repetition):.2f} to {np.nanmax(repetition):.2f} pixels."
-        )
+        notes += f" The wall's pattern repeats after {np.nanmin(repetition):.2f} to {np.nanmax(repetition):.2f} pixels."
     return notes

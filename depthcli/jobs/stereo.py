@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
 from depthcli.io.atomic import write_text
 from depthcli.io.disparity import write_disparity_png, write_pfm
 from depthcli.io.images import write_png
@@ -23,7 +24,7 @@ from depthcli.jobs.record import to_csv
 from depthcli.jobs.resources import show_bytes
 from depthcli.jobs.runner import Outcome
 from depthcli.stereo.pipeline import Pipeline
-from depthcli.stereo.volume import StereoPair, StereoResult
+from depthcli.stereo.volume import StereoResult
 
 # The largest disparity a KITTI file can hold: its scenes come without a range of their own.
 _KITTI_RANGE = 255

@@ -227,8 +227,14 @@ class _Stage:
         return np.asarray(mean + self.wall_contrast * (picture - mean), np.float32)
 
     def board(
-        self, x: float, y: float, disparity: float, size: tuple[float, float], turn: NDArray[np.float64],
-        outline: Outline | None = None, maker: TextureMaker | None = None,
+        self,
+        x: float,
+        y: float,
+        disparity: float,
+        size: tuple[float, float],
+        turn: NDArray[np.float64],
+        outline: Outline | None = None,
+        maker: TextureMaker | None = None,
     ) -> None:
         """A flat board centred at a pixel; ``size`` in pixels."""
         wide, tall = size[0] / disparity, size[1] / disparity
@@ -291,8 +297,14 @@ class _Stage:
 
 def _moved(surface: Surface, shift: NDArray[np.float64]) -> Surface:
     return Surface(
-        surface.shape, surface.center + shift, surface.axes, surface.half_size, surface.texture,
-        surface.outline, surface.unbounded, surface.period,
+        surface.shape,
+        surface.center + shift,
+        surface.axes,
+        surface.half_size,
+        surface.texture,
+        surface.outline,
+        surface.unbounded,
+        surface.period,
     )
 
 
@@ -488,9 +500,7 @@ def _render(stage: _Stage, lightmaps: list[NDArray[np.float32] | None], right: b
     return image
 
 
-def _shade(
-    stage: _Stage, surface: Surface, lightmap: NDArray[np.float32] | None, point: Vector
-) -> NDArray[np.float32]:
+def _shade(stage: _Stage, surface: Surface, lightmap: NDArray[np.float32] | None, point: Vector) -> NDArray[np.float32]:
     """Colours of points that lie on a surface (others in the rectangle get some colour)."""
     column, row = surface.picture_position(point)
     # Rays of the rectangle that hit something else can lie far off, beyond what remap can index.
@@ -500,8 +510,11 @@ def _shade(
         height, width = surface.texture.shape[:2]
         side = _LIGHTMAP - 1
         light = cv2.remap(
-            lightmap, column * np.float32(side / max(width - 1, 1)), row * np.float32(side / max(height - 1, 1)),
-            cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE,
+            lightmap,
+            column * np.float32(side / max(width - 1, 1)),
+            row * np.float32(side / max(height - 1, 1)),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
         )
     else:
         nx, ny, nz = surface.normal(point)

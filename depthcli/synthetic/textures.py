@@ -158,8 +158,14 @@ def poster(rng: np.random.Generator, height: int, width: int, feature: float) ->
                 letters = "".join(_LETTERS[int(i)] for i in rng.integers(0, len(_LETTERS), int(rng.integers(1, 4))))
                 thick = max(1, int(feature / 9))
                 cv2.putText(
-                    picture, letters, at, int(rng.choice([cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_TRIPLEX])),
-                    max(radius, 5.0) / 18, paint, thick, cv2.LINE_AA,
+                    picture,
+                    letters,
+                    at,
+                    int(rng.choice([cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_TRIPLEX])),
+                    max(radius, 5.0) / 18,
+                    paint,
+                    thick,
+                    cv2.LINE_AA,
                 )
     paper = noise(rng, height, width, feature / 3, 3)
     return _tint(rng, _soft(picture, 0.5), paper, 0.04)
@@ -204,9 +210,7 @@ def camouflage(rng: np.random.Generator, height: int, width: int, feature: float
     return _tint(rng, _soft(picture, 0.7), noise(rng, height, width, feature / 2, 3), 0.06)
 
 
-def repeated(
-    rng: np.random.Generator, height: int, width: int, tile: int, landmarks: int, feature: float
-) -> Texture:
+def repeated(rng: np.random.Generator, height: int, width: int, tile: int, landmarks: int, feature: float) -> Texture:
     """A pattern that repeats exactly every ``tile`` texels along x (and y), with unique stickers on it.
 
     The stickers (``landmarks`` of them) are what tells the repetitions apart.

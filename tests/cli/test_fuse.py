@@ -7,10 +7,10 @@ import pytest
 import yaml
 
 from depthcli.cli import main
+from depthcli.core.frames import StereoPair
 from depthcli.io.disparity import read_pfm
 from depthcli.io.images import write_png
 from depthcli.stereo.cost.census import Census
-from depthcli.stereo.volume import StereoPair
 
 
 def run(*arguments: str | Path) -> int:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from depthcli.confidence import confidence_maps
+from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
 from depthcli.fusion import Fusion
 from depthcli.io.scenes import find_scenes
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.cost.census import Census
-from depthcli.stereo.volume import StereoPair
 from depthcli.stereo.winner import winners
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "middlebury_v2"

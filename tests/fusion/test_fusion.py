@@ -8,12 +8,13 @@ from pydantic import ValidationError
 
 from depthcli.confidence import confidence_maps
 from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
 from depthcli.fusion import Fusion
 from depthcli.fusion.blend import add_weighted, blend, squash
 from depthcli.fusion.votes import Ballot, ColorSupport, WindowSupport
 from depthcli.fusion.weights import comparable, left_right_difference, measure_weights
 from depthcli.stereo.cost.census import Census
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 from depthcli.stereo.winner import winners
 from tests.naive import fusion as naive
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from depthcli.core.frames import StereoPair
 from depthcli.core.method import Family, Method
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 # Parameters of methods that have no default for everything.
 PARAMETERS: dict[str, dict[str, Any]] = {

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from depthcli.core.config_file import load_config
+from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import kitti, middlebury_v2
 from depthcli.io.scenes import find_scenes
 from depthcli.jobs.presets import find_config
@@ -23,7 +24,6 @@ from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.stereo.cost.combined import Combined
 from depthcli.stereo.pipeline.opencv_bm import OpencvBm
 from depthcli.stereo.pipeline.opencv_sgbm import OpencvSgbm
-from depthcli.stereo.volume import StereoPair
 from depthcli.stereo.winner import winners
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.core.frames import StereoPair
+from depthcli.stereo.volume import CostVolume
 from tests.stereo._pairs import TINY, assert_pure, inside, methods, shifted_pair, texture
 
 COSTS = methods("depthcli.stereo.cost")

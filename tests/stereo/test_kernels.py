@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.cross_support import cross_arms
 from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
@@ -28,7 +29,7 @@ from depthcli.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.stereo.refinement.subpixel import Subpixel
 from depthcli.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.stereo.refinement.weighted_median import WeightedMedian
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 from depthcli.stereo.winner import winners
 from tests.naive import stereo as naive
 from tests.stereo._pairs import TINY, blocky_pair, inside, random_volume, texture

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
+from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.stereo.pipeline.opencv_bm import OpencvBm
 from depthcli.stereo.pipeline.opencv_sgbm import OpencvSgbm
-from depthcli.stereo.volume import StereoPair
 from tests.stereo._pairs import TINY, shifted_pair
 
 PEERS = [

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from depthcli.core.config_file import load_config
+from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.jobs.presets import find_config
 from depthcli.jobs.stereo import StereoConfig
@@ -25,7 +26,7 @@ from depthcli.stereo.segments.first_estimate import (
 from depthcli.stereo.segments.planes import Members, PlaneFit, Planes, distinct, evaluate
 from depthcli.stereo.segments.report import by_segment
 from depthcli.stereo.segments.splitting import split_segments
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 from depthcli.synthetic.stereo_scenes import make_scene
 from tests.naive import segments as naive
 

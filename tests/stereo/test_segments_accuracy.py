@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from depthcli.core.config_file import load_config
+from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import middlebury_v2
 from depthcli.io.scenes import find_scenes
 from depthcli.jobs.presets import find_config
 from depthcli.jobs.stereo import StereoConfig
-from depthcli.stereo.volume import StereoPair
 from depthcli.synthetic.stereo_scenes import make_scene
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"

@@ -28,9 +28,9 @@ def test_truth_maps_right_view_onto_left(scenes, case):
     scene = scenes[case]
     inner = scene.nonocc & ~scene.disc
     shifts = np.linspace(-0.5, 0.5, 11)
-    errors = np.array([
-        np.mean((_warped(scene.right, scene.disparity_left + s) - scene.left)[inner] ** 2) for s in shifts
-    ])
+    errors = np.array(
+        [np.mean((_warped(scene.right, scene.disparity_left + s) - scene.left)[inner] ** 2) for s in shifts]
+    )
     assert np.sqrt(errors[5]) < 4.0
     # The error is smallest at the truth itself: a parabola through it has its vertex within a tenth of a
     # pixel of 0, where rounding the disparity or taking pixel corners for centres would move it by a half.
@@ -73,8 +73,10 @@ def test_occlusion_is_what_a_left_right_check_finds(scenes, case):
     outline = cv2.dilate((~scene.nonocc).astype(np.uint8), np.ones((3, 3))) - cv2.erode(
         (~scene.nonocc).astype(np.uint8), np.ones((3, 3))
     )
-    edge = (outline > 0) | (cv2.dilate((~found).astype(np.uint8), np.ones((3, 3)))
-                            - cv2.erode((~found).astype(np.uint8), np.ones((3, 3))) > 0)
+    edge = (outline > 0) | (
+        cv2.dilate((~found).astype(np.uint8), np.ones((3, 3))) - cv2.erode((~found).astype(np.uint8), np.ones((3, 3)))
+        > 0
+    )
     assert not ((found != scene.nonocc) & ~edge).any()
     assert 0.02 < np.mean(~scene.nonocc) < 0.3
 

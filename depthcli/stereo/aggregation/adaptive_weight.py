@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
+from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.kernels._jit import intrinsic, jit, parallel_jit
 from depthcli.stereo.aggregation import Aggregator
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 _NARROW = 16
 # The sums of one chunk of disparities must stay in registers: 8 of 512 bit, or 8 of 256 bit.

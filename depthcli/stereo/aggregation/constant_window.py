@@ -9,11 +9,12 @@ from numba import prange
 from pydantic import Field
 
 from depthcli.core import memory
+from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.kernels._jit import parallel_jit
 from depthcli.stereo.aggregation import Aggregator
 from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 
 class ConstantWindow(Aggregator):

@@ -5,8 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Annotated
 
+from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 
 class CostMeasure(Method):

@@ -7,9 +7,10 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
+from depthcli.core.frames import StereoPair
 from depthcli.stereo.cost import CostMeasure
 from depthcli.stereo.cost._fill import difference_volume, empty_volume
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 
 class AbsoluteDifference(CostMeasure):

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from depthcli.core import memory
+from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels._jit import parallel_jit
 from depthcli.stereo.cost import CostMeasure
 from depthcli.stereo.cost._fill import check_odd, empty_volume, hamming_volume
-from depthcli.stereo.volume import CostVolume, Image, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 
 class Census(CostMeasure):

@@ -9,10 +9,11 @@ from numba import prange
 from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.core import memory
+from depthcli.core.frames import StereoPair
 from depthcli.kernels._jit import parallel_jit
 from depthcli.stereo.cost import Cost, CostMeasure
 from depthcli.stereo.cost._fill import fill_outside
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 
 class Part(BaseModel):

@@ -10,10 +10,11 @@ from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels._jit import parallel_jit
 from depthcli.stereo.cost import CostMeasure
 from depthcli.stereo.cost._fill import empty_volume
-from depthcli.stereo.volume import CostVolume, Image, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 
 class Gradient(CostMeasure):

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
+from depthcli.core.frames import StereoPair
 from depthcli.kernels._jit import jit, parallel_jit
 from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
 from depthcli.stereo.optimization import Optimizer
 from depthcli.stereo.optimization._path_step import LANES, path_step
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 _TOO_DEAR = 20000
 

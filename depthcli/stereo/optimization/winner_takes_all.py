@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from depthcli.core.frames import StereoPair
 from depthcli.stereo.optimization import Optimizer
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.stereo.volume import CostVolume
 
 
 class WinnerTakesAll(Optimizer):

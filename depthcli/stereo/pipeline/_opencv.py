@@ -76,7 +76,7 @@ def match(
     if fill:
         values, status = _fill_background(values, status)
         _lap(seconds, "fill", start)
-    return StereoResult(DisparityMap(values, status), seconds)
+    return StereoResult(DisparityMap(values, status), seconds=seconds)
 
 
 def _to_map(raw: NDArray[Any], max_disparity: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

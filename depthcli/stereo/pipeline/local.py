@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from depthcli.confidence import confidence_maps, measures
+from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.stereo.aggregation import Aggregation
 from depthcli.stereo.cost import Cost
@@ -16,7 +17,7 @@ from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.stereo.pipeline import StereoPipeline
 from depthcli.stereo.refinement import RefinementStep
 from depthcli.stereo.refinement._evidence import Evidence
-from depthcli.stereo.volume import StereoPair, StereoResult
+from depthcli.stereo.volume import StereoResult
 from depthcli.stereo.winner import winners
 
 
@@ -64,7 +65,7 @@ class Local(StereoPipeline):
         stop("refinement")
         confidence = confidence_maps(volume.costs, self.confidence) if self.confidence else {}
         stop("confidence")
-        return StereoResult(disparity, seconds, confidence)
+        return StereoResult(disparity, seconds=seconds, confidence=confidence)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """By stage: two raw volumes; raw, aggregated and sums of arms; optimized beside aggregated or raw."""

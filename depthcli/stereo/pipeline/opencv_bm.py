@@ -5,10 +5,11 @@ from __future__ import annotations
 import cv2
 from pydantic import Field
 
+from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.stereo.pipeline import StereoPipeline
 from depthcli.stereo.pipeline._opencv import Wls, match, search_range
-from depthcli.stereo.volume import StereoPair, StereoResult
+from depthcli.stereo.volume import StereoResult
 
 
 class OpencvBm(StereoPipeline):

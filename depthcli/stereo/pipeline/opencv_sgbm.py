@@ -7,10 +7,11 @@ from typing import Literal
 import cv2
 from pydantic import Field
 
+from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.stereo.pipeline import StereoPipeline
 from depthcli.stereo.pipeline._opencv import Wls, match, search_range
-from depthcli.stereo.volume import StereoPair, StereoResult
+from depthcli.stereo.volume import StereoResult
 
 _MODES = {
     "sgbm": cv2.STEREO_SGBM_MODE_SGBM,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
+from depthcli.core.frames import StereoPair
 from depthcli.core.method import Family
 from depthcli.keypoints import Detector
 from depthcli.keypoints._matching import Matches, consistent, match_rectified
@@ -33,7 +34,7 @@ from depthcli.stereo.segments.first_estimate import (
 )
 from depthcli.stereo.segments.planes import Members, PlaneFit, Planes, distinct, evaluate
 from depthcli.stereo.segments.splitting import split_segments
-from depthcli.stereo.volume import CostVolume, StereoPair, StereoResult
+from depthcli.stereo.volume import CostVolume, StereoResult
 
 
 def _detector_or_none(value: Any) -> Any:

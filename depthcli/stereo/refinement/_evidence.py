@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.stereo.volume import CostVolume, StereoPair
+from depthcli.core.frames import StereoPair
+from depthcli.stereo.volume import CostVolume
 
 
 @dataclass(frozen=True)

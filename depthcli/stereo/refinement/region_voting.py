@@ -27,9 +27,7 @@ class RegionVoting(Refinement):
     iterations: int = Field(5, ge=1, le=32, description="rounds; each uses what the last one filled")
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
-        arms = cross_arms(
-            evidence.pair.color8[0], self.length, self.threshold, self.inner_length, self.inner_threshold
-        )
+        arms = cross_arms(evidence.pair.color8[0], self.length, self.threshold, self.inner_length, self.inner_threshold)
         values = disparity.values
         for _ in range(self.iterations):
             voted = values.copy()

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.keypoints._matching import Matches
 from depthcli.labelling.graph_cut import potts_energy
 from depthcli.stereo.segments.assignment import Assignment, Scene
 from depthcli.stereo.segments.first_estimate import FirstEstimate
-from depthcli.stereo.volume import StereoPair
 
 
 class Clock:

@@ -1,0 +1,120 @@
+"""Inputs of the algorithms: a rectified pair, a frame of color and depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class StereoPair:
+    """A rectified pair: left ``(y, x)`` matches right ``(y, x - d)`` with ``d >= 0``.
+
+    Attributes
+    ----------
+    left, right : (H, W) grey or (H, W, 3) RGB, uint8 or uint16, same shape and dtype
+    """
+
+    left: Image
+    right: Image
+
+    def __post_init__(self) -> None:
+        if self.left.shape != self.right.shape:
+            raise ValueError(f"left {self.left.shape} and right {self.right.shape} differ in size")
+        if self.left.dtype != self.right.dtype or self.left.dtype not in (np.uint8, np.uint16):
+            raise TypeError(f"want two uint8 or two uint16 images, got {self.left.dtype}, {self.right.dtype}")
+        if self.left.ndim not in (2, 3) or (self.left.ndim == 3 and self.left.shape[2] != 3):
+            raise ValueError(f"want (H, W) or (H, W, 3), got {self.left.shape}")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.left.shape[0], self.left.shape[1]
+
+    @cached_property
+    def grey(self) -> tuple[Image, Image]:
+        """Both images as (H, W) luma in their own dtype."""
+        return _grey(self.left), _grey(self.right)
+
+    @cached_property
+    def color8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Both images as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey ones repeated."""
+        return _color8(self.left), _color8(self.right)
+
+    @cached_property
+    def grey8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Both images as (H, W) uint8."""
+        left, right = self.grey
+        return _eight_bit(left), _eight_bit(right)
+
+
+def _grey(image: Image) -> Image:
+    if image.ndim == 2:
+        return image
+    return cast(Image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+
+
+def _eight_bit(image: Image) -> NDArray[np.uint8]:
+    if image.dtype == np.uint8:
+        return image.view(np.uint8)
+    return ((image.astype(np.uint32) + 128) // 257).astype(np.uint8)
+
+
+def _color8(image: Image) -> NDArray[np.uint8]:
+    image = _eight_bit(image)
+    return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Pin-hole camera: focal lengths and principal point, pixels."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True)
+class RgbdFrame:
+    """A color image and the depth that a sensor measured for its pixels.
+
+    Attributes
+    ----------
+    color : (H, W, 3) uint8 RGB
+    depth : (H, W) float32, meters, NaN = unknown; registered to ``color``
+    fb : focal length x baseline of the sensor, pixel meters: its disparity is ``fb / depth`` pixels. The
+        default is that of Kinect v1 (580 pixels x 75 mm)
+    intrinsics : the color camera's, or None where they are not known
+    """
+
+    color: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    fb: float = 43.5
+    intrinsics: Intrinsics | None = None
+
+    def __post_init__(self) -> None:
+        if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
+            raise ValueError(f"want (H, W, 3) uint8 color, got {self.color.shape} {self.color.dtype}")
+        if self.depth.shape != self.color.shape[:2] or self.depth.dtype != np.float32:
+            raise ValueError(
+                f"want float32 depth of the color image's size {self.color.shape[:2]}, "
+                f"got {self.depth.shape} {self.depth.dtype}"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.color.shape[0], self.color.shape[1]
+
+    @cached_property
+    def disparity(self) -> NDArray[np.float32]:
+        """(H, W) float32, ``fb / depth``: affine in (x, y) on planes; pixels, NaN = unknown."""
+        return (np.float32(self.fb) / self.depth).astype(np.float32)

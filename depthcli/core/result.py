@@ -1,0 +1,55 @@
+"""What every pipeline gives back beside its main map, and the clock that times its stages."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(kw_only=True)
+class Result:
+    """The half of a result that does not depend on the problem.
+
+    Attributes
+    ----------
+    seconds : time by stage, in order
+    confidence : name -> (H, W) float32, higher is surer
+    tables : name -> list of rows (dicts), written as CSV
+    pictures : name -> (H, W), (H, W, 3) uint8 or (H, W) uint16, written as PNG
+    figures : name -> number, added to the item's row of the report
+    """
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    confidence: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    pictures: dict[str, NDArray[Any]] = field(default_factory=dict)
+    figures: dict[str, float] = field(default_factory=dict)
+
+
+class Clock:
+    """Adds up seconds by stage.
+
+    What ``untimed`` counts (seconds spent compiling kernels, where a runner says so) is left out: it happens
+    once on a machine and is not the method's time.
+    """
+
+    untimed: ClassVar[Callable[[], float]] = staticmethod(lambda: 0.0)
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = self._now()
+
+    def stop(self, stage: str) -> None:
+        """Book the time since the last call (or the start) under ``stage``."""
+        now = self._now()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + max(now - self._last, 0.0)
+        self._last = now
+
+    @staticmethod
+    def _now() -> float:
+        return time.perf_counter() - Clock.untimed()
