@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
+from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import middlebury_v2
 from depthcli.evaluation.summary import average_ranks
 from depthcli.io.scenes import find_scenes
-from depthcli.jobs.presets import find_config
 from depthcli.jobs.stereo import StereoConfig
 from depthcli.stereo.pipeline import StereoPipeline
 from depthcli.synthetic.stereo_scenes import make_scene

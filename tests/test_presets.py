@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from depthcli.batch.presets import find_config, list_presets, preset_folder
 from depthcli.cli import main
 from depthcli.core.config_file import dump_config, load_config, parse_config
 from depthcli.io.disparity import read_pfm
 from depthcli.jobs.commands import root_config, show_preset
-from depthcli.jobs.presets import find_config, list_presets, preset_folder
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import typer
 
+from depthcli.batch.presets import find_config, list_presets
 from depthcli.cli import app, main
 from depthcli.confidence import measures
 from depthcli.core.maps import Status
 from depthcli.core.method import Family
 from depthcli.io.disparity import read_pfm
 from depthcli.io.scenes import LAYOUTS
-from depthcli.jobs.presets import find_config, list_presets
 from depthcli.stereo import cost
 from tests.stereo._pairs import shifted_pair
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from depthcli.jobs.reporter import Reporter
-    from depthcli.jobs.runner import Options
+    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.runner import Options
 
 Config = Annotated[str, typer.Argument(metavar="CONFIG", help="YAML file, or the name of a preset.")]
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write into.")]
@@ -36,14 +36,14 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say only errors.")]
 
 def reporter(verbose: bool, quiet: bool) -> Reporter:
     """Where lines for people go."""
-    from depthcli.jobs.reporter import Reporter
+    from depthcli.batch.reporter import Reporter
 
     return Reporter(-1 if quiet else int(verbose))
 
 
 def run_options(jobs: int, threads: int | None, max_memory: str | None, overwrite: bool) -> Options:
     """How a run is done; ConfigError for a wrong size."""
-    from depthcli.jobs.resources import parse_bytes
-    from depthcli.jobs.runner import Options
+    from depthcli.batch.resources import parse_bytes
+    from depthcli.batch.runner import Options
 
     return Options(jobs, threads, parse_bytes(max_memory) if max_memory else None, overwrite)

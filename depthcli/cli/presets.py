@@ -14,8 +14,8 @@ def presets(
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="NAME, or COMMAND/NAME.")] = None,
 ) -> None:
     """List the presets, or print one with every field and what it means: presets show NAME."""
+    from depthcli.batch.presets import list_presets
     from depthcli.jobs.commands import show_preset
-    from depthcli.jobs.presets import list_presets
 
     if action is None:
         found = list_presets()

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
+from depthcli.batch import record
+from depthcli.batch.presets import describe, find_config, leading_comment, list_presets
+from depthcli.batch.reporter import Reporter
+from depthcli.batch.runner import Options, run_scenes
 from depthcli.core.config_file import ConfigData, load_config, validate
 from depthcli.core.errors import ConfigError
 from depthcli.io.scenes import Scene, find_scenes
-from depthcli.jobs import record
-from depthcli.jobs.presets import describe, find_config, leading_comment, list_presets
-from depthcli.jobs.reporter import Reporter
-from depthcli.jobs.runner import Options, run_scenes
 
 if TYPE_CHECKING:
     from depthcli.jobs.evaluate import EvaluationReport

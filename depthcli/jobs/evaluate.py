@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.batch.record import read_report
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.evaluation import metrics
 from depthcli.evaluation.curves import Sparsification, sparsification
@@ -26,7 +27,6 @@ from depthcli.io.atomic import write_text
 from depthcli.io.disparity import MAP_SUFFIXES, read_disparity
 from depthcli.io.images import write_png
 from depthcli.io.scenes import Metric, Scene, Truth, find_scenes
-from depthcli.jobs.record import read_report
 
 _CONFIDENCE_SUFFIXES = (".pfm", ".npy")
 # The measure that stands for a scene: the headline of its benchmark (v2: bad 1.0; v3: bad 2.0 with

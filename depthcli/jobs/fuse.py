@@ -8,11 +8,11 @@ from typing import Any
 
 from pydantic import Field
 
+from depthcli.batch.record import file_digests
 from depthcli.core.frames import StereoPair
 from depthcli.fusion import Fusion
 from depthcli.io.cost_volume import read_cost_volume
 from depthcli.io.scenes import Scene
-from depthcli.jobs.record import file_digests
 from depthcli.jobs.stereo import PairWork
 from depthcli.stereo.volume import StereoResult
 

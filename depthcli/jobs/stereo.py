@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.batch.config import JobConfig
+from depthcli.batch.record import to_csv
+from depthcli.batch.resources import show_bytes
+from depthcli.batch.runner import Outcome
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.io.atomic import write_text
 from depthcli.io.disparity import write_disparity_png, write_pfm
 from depthcli.io.images import write_png
 from depthcli.io.scenes import Scene
-from depthcli.jobs._config import JobConfig
-from depthcli.jobs.record import to_csv
-from depthcli.jobs.resources import show_bytes
-from depthcli.jobs.runner import Outcome
 from depthcli.stereo.pipeline import Pipeline
 from depthcli.stereo.volume import StereoResult
 

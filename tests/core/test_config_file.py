@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
+from depthcli.batch.config import JobConfig
 from depthcli.core.config_file import dump_config, load_config, parse_config, read_config
 from depthcli.core.errors import ConfigError
-from depthcli.jobs._config import JobConfig
 from tests.core.toys import AnyToy
 
 

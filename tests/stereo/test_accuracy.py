@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import kitti, middlebury_v2
 from depthcli.io.scenes import find_scenes
-from depthcli.jobs.presets import find_config
 from depthcli.jobs.stereo import StereoConfig
 from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.stereo.aggregation.constant_window import ConstantWindow

@@ -7,10 +7,10 @@ import numba
 import numpy as np
 import pytest
 
+from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.jobs.presets import find_config
 from depthcli.jobs.stereo import StereoConfig
 from depthcli.keypoints._matching import Matches, consistent
 from depthcli.segmentation._regions import region_graph

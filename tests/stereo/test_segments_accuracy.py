@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import middlebury_v2
 from depthcli.io.scenes import find_scenes
-from depthcli.jobs.presets import find_config
 from depthcli.jobs.stereo import StereoConfig
 from depthcli.synthetic.stereo_scenes import make_scene
 

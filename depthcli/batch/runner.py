@@ -23,11 +23,11 @@ from typing import Any, Protocol
 
 from pydantic import BaseModel
 
+from depthcli.batch import record, resources
+from depthcli.batch.reporter import Reporter
 from depthcli.core import memory
 from depthcli.core.errors import ConfigError, DepthcliError, OutputError
 from depthcli.io.atomic import write_text
-from depthcli.jobs import record, resources
-from depthcli.jobs.reporter import Reporter
 
 _HIDDEN = ".partial-"
 _HEAD_START = 1.0  # seconds the first worker may show that kernels have to be compiled

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from depthcli.batch.reporter import Reporter
+from depthcli.batch.runner import Options, Outcome, run_scenes
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.jobs.reporter import Reporter
-from depthcli.jobs.runner import Options, Outcome, run_scenes
 
 
 class Config(BaseModel):

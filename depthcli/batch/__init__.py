@@ -1,0 +1,1 @@
+"""What all commands share: the scene loop, worker processes, run folders, presets, lines for people."""
