@@ -17,3 +17,7 @@ class ConfigError(DepthcliError):
 
 class OutputError(DepthcliError):
     """A result cannot be written."""
+
+
+class IncompleteError(DepthcliError):
+    """Results stand in their files, but the report or the data for stdout cannot be written."""

@@ -12,7 +12,7 @@ class Option:
 
     Attributes
     ----------
-    name : ``max_disparity`` is ``--max-disparity`` on the command line
+    name : ``max_disparity`` is ``--max-disparity`` on the command line, ``from_`` is ``--from``
     type : ``str``, ``int``, ``float``, ``bool`` or ``Path``
     help : one sentence
     metavar : what the value is called in the help
@@ -39,4 +39,4 @@ class Option:
     @property
     def flag(self) -> str:
         """As written on the command line."""
-        return "--" + self.name.replace("_", "-")
+        return "--" + self.name.rstrip("_").replace("_", "-")
