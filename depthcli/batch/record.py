@@ -37,7 +37,7 @@ _MOST_BYTES = 1 << 28
 
 
 def run_text(command: str, config: BaseModel | Mapping[str, Any]) -> str:
-    """The text of ``run.yaml``: the resolved config and what the run was made with; itself a config."""
+    """The text of ``run.yaml``: the resolved config and what the run was made with; for configs, itself one."""
     versions = {"depthcli": __version__, "python": platform.python_version()}
     for name in _LIBRARIES:
         try:
@@ -45,11 +45,10 @@ def run_text(command: str, config: BaseModel | Mapping[str, Any]) -> str:
         except metadata.PackageNotFoundError:
             continue
     run = {"command": command, "versions": versions}
-    return (
-        f"# Written by depthcli: the resolved config of this run. Repeat it with: depthcli {command} run.yaml ...\n"
-        + (dump_config(config) if isinstance(config, BaseModel) else to_yaml(dict(config)))
-        + to_yaml({"run": run})
-    )
+    title = "# Written by depthcli: the resolved config of this run."
+    if isinstance(config, BaseModel):
+        return f"{title} Repeat it with: depthcli {command} run.yaml ...\n{dump_config(config)}{to_yaml({'run': run})}"
+    return f"{title}\n{to_yaml(dict(config))}{to_yaml({'run': run})}"
 
 
 def digest(data: bytes) -> str:

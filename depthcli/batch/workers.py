@@ -136,6 +136,7 @@ class _Here:
     limit: int
     begun: Any
     watch: CompileWatch
+    open = contextlib.ExitStack()  # never closed: the watch lasts as long as the process
 
 
 def _start_worker(work: Work, config: Any, threads: int, limit: int, begun: Any, compiling: Any) -> None:
@@ -147,7 +148,7 @@ def _start_worker(work: Work, config: Any, threads: int, limit: int, begun: Any,
         threading.Thread(target=_die_after, args=(parent,), daemon=True).start()
     use_threads(threads)
     _Here.work, _Here.config, _Here.limit, _Here.begun = work, config, limit, begun
-    _Here.watch = compile_watch(compiling.set).__enter__()
+    _Here.watch = _Here.open.enter_context(compile_watch(compiling.set))
 
 
 def _run(task: Task) -> tuple[dict[str, Any], int, float]:
