@@ -123,7 +123,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 def _check(record: Mapping[str, Any]) -> str:
     try:
-        return digest(to_json(record).encode("utf-8", "surrogatepass"))
+        return digest(to_json(record).encode("utf-8"))
     except (TypeError, ValueError, RecursionError):
         return ""
 
@@ -198,7 +198,13 @@ def to_csv(rows: list[dict[str, Any]]) -> str:
 
 def to_json(value: Any) -> str:
     """Strict JSON: numbers that are not finite become null."""
-    return json.dumps(_finite(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    plain = _finite(value)
+    text = json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False)
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:  # a file name that is not UTF-8: escaped, it reads back as it is
+        text = json.dumps(plain, indent=1, allow_nan=False)
+    return text + "\n"
 
 
 def _finite(value: Any) -> Any:

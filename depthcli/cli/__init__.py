@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -36,7 +37,7 @@ _SETTINGS: dict[str, Any] = {
 }
 
 
-class _Terminated(KeyboardInterrupt):
+class _Terminated(BaseException):
     """SIGTERM: end as by Ctrl-C, with another code."""
 
 
@@ -112,9 +113,7 @@ def _option(option: Option) -> Any:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code; messages go to stderr, never a traceback except for a bug."""
-    for stream in (sys.stdout, sys.stderr):  # a name that the terminal cannot show must not end a run
-        with contextlib.suppress(AttributeError, ValueError, OSError):
-            stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    _mend_streams()
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGTERM, _terminate)
     try:
@@ -147,6 +146,15 @@ def main(arguments: list[str] | None = None) -> int:
     finally:
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
+
+
+def _mend_streams() -> None:
+    """No reader, or one who cannot show a name, must end a run."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed; else the next file that is opened would take its number
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
+        with contextlib.suppress(AttributeError, ValueError, OSError):
+            getattr(sys, name).reconfigure(errors="backslashreplace")
 
 
 def _terminate(number: int, frame: Any) -> None:

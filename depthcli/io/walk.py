@@ -54,9 +54,8 @@ def find_items(
                     here += inside
             found += here
     if not found:
-        names = ", ".join(each.name for each in wanted)
-        files = "; ".join(f"{each.name}: {each.wants.replace('`', '')}" for each in wanted)
-        raise InputError(f"{folder}: no scenes found in it or two levels below (layouts: {names}; {files})")
+        files = "; ".join(f"{each.name}: {each.wants.replace('`', '').partition(';')[0]}" for each in wanted)
+        raise InputError(f"{folder}: no scenes found in it or two levels below (looked for {files})")
     found.sort(key=lambda item: item.name)
     chosen = [item for item in found if any(_matches(item.name, pattern) for pattern in patterns)]
     for pattern in patterns:

@@ -115,6 +115,7 @@ class ConfigCommand(BatchCommand):
 
     def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
         """Compute every item, then evaluate where that is asked for; the exit code."""
+        run_options(values)  # wrong ones are told before anything is looked at
         config = self._config(values)
         items = self.find(values, reporter)
         return self.run_on(config, items, values, reporter)

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from depthcli.core.errors import InputError
-from depthcli.core.frames import StereoPair
 from depthcli.core.option import Option
-from depthcli.io.disparity import read_disparity
-from depthcli.io.images import Image, read_grey, read_image
 from depthcli.io.items import Item, name_of, together
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.core.frames import StereoPair
+    from depthcli.io.images import Image
 
 # Full-size widths of the Middlebury 2005 and 2006 sets lie between 1240 and 1396: the width tells the size.
 _SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
@@ -95,6 +96,9 @@ class StereoItem(Item):
 
     def load(self) -> StereoPair:
         """Left and right image, same size, dtype and number of channels; InputError otherwise."""
+        from depthcli.core.frames import StereoPair
+        from depthcli.io.images import read_image
+
         self.check()
         if self.right is None:
             raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
@@ -113,6 +117,9 @@ class StereoItem(Item):
         InputError
             No ground truth, an unreadable file, or files of different sizes.
         """
+        from depthcli.io.disparity import read_disparity
+        from depthcli.io.images import read_grey
+
         self.check()
         if self.disparity_left is None:
             raise InputError(f"{self.left.parent}: scene {self.name} has no ground truth")
