@@ -41,14 +41,15 @@ def find_items(
     wanted = _wanted(None if kinds is None else tuple(kinds), layout)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    found = _items_of(Folder(folder, folder.resolve().name, ""), wanted)
+    asked = wanted[0].name if layout else ""
+    found = _items_of(Folder(folder, folder.resolve().name, "", asked), wanted)
     if not found:
         for child in _subfolders(folder):
-            here = _items_or_problem(child, child.name, wanted)
+            here = _items_or_problem(child, child.name, wanted, asked)
             if not here:
                 for grandchild in _subfolders(child):
                     name = f"{child.name}/{grandchild.name}"
-                    inside = _items_or_problem(grandchild, name, wanted)
+                    inside = _items_or_problem(grandchild, name, wanted, asked)
                     if not inside:
                         _look_deeper(grandchild, wanted, warn)
                     here += inside
@@ -86,10 +87,10 @@ def _items_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Item]:
     return next(iter(found.values()), [])
 
 
-def _items_or_problem(path: Path, name: str, wanted: tuple[Layout, ...]) -> list[Item]:
+def _items_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], asked: str = "") -> list[Item]:
     """As ``_items_of``; a folder that cannot be used is one item with its problem, and spoils no other."""
     try:
-        return _items_of(Folder(path, name, name + "/"), wanted)
+        return _items_of(Folder(path, name, name + "/", asked), wanted)
     except InputError as error:
         return [BrokenItem(name=name, folder=path, problem=str(error))]
 

@@ -25,10 +25,11 @@ class Folder:
     path : where it is
     name : name of an item that is the folder itself
     prefix : what the names of items inside begin with
+    asked : the layout that the user named, or empty
     """
 
-    def __init__(self, path: Path, name: str, prefix: str) -> None:
-        self.path, self.name, self.prefix = path, name, prefix
+    def __init__(self, path: Path, name: str, prefix: str, asked: str = "") -> None:
+        self.path, self.name, self.prefix, self.asked = path, name, prefix, asked
         try:
             with os.scandir(path) as entries:
                 self.names = frozenset(entry.name for entry in entries if not entry.name.startswith("."))
