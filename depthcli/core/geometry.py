@@ -148,7 +148,7 @@ def _closed(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def kinect_v1() -> KinectCalibration:
-    """A typical first-generation Kinect: the calibration of the NYU Depth v2 recordings (Silberman et al., ECCV 2012)."""
+    """A typical first-generation Kinect, that of the NYU Depth v2 recordings (Silberman et al., ECCV 2012)."""
     depth = Camera(
         np.array([[582.62448167737955, 0, 313.04475870804731], [0, 582.69103270988637, 238.44389626620386], [0, 0, 1]]),
         (

@@ -71,7 +71,7 @@ def write_depth_png(path: Path | str, depth: NDArray[np.float32], scale: float) 
 
 
 def read_kinect_raw(path: Path | str) -> NDArray[np.uint16]:
-    """(H, W) raw codes 0..2047 of a first-generation Kinect; bytes in the wrong order are told by codes out of range."""
+    """(H, W) raw codes 0..2047 of a first-generation Kinect; codes out of range tell bytes in the wrong order."""
     raw: NDArray[Any] = read_grey(path)
     if raw.dtype != np.uint16:
         raise InputError(f"{path}: {raw.dtype} samples, want the Kinect's 11-bit codes in 16 bits")

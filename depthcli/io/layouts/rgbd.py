@@ -19,8 +19,8 @@ class Rgbd(Layout):
 
     kind = RgbdItem
     wants = (
-        "`color.*`, `depth.*`; where known `depth_true.*`, `mask_<name>.*` (255 = evaluate), `meta.json` (`depth_scale`: "
-        "codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, cy; `fb`)"
+        "`color.*`, `depth.*`; where known `depth_true.*`, `mask_<name>.*` (255 = evaluate), `meta.json` "
+        "(`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, cy; `fb`)"
     )
 
     def items(self, folder: Folder) -> list[Item]:
@@ -28,12 +28,12 @@ class Rgbd(Layout):
         depth = folder.one("depth", DEPTH_SUFFIXES) or folder.one("depth_raw", DEPTH_SUFFIXES)
         if folder.asked == "sun-rgbd" or (color is None and depth is None):
             return []
+        if depth is None and folder.starting("disparity", IMAGE_SUFFIXES):  # of kinect-raw
+            return []
         missing = "color" if color is None else "depth" if depth is None else ""
         problem = f"{folder.path}: only half of a frame, no {missing}.*" if missing else ""
-        path = folder.path
-        return [
-            frame(folder, folder.name, color or path / "color.png", depth or path / "depth.png", problem, self.name)
-        ]
+        color, depth = color or folder.path / "color.png", depth or folder.path / "depth.png"
+        return [frame(folder, folder.name, color, depth, problem, self.name)]
 
 
 def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, layout: str, **more: Any) -> RgbdItem:

@@ -35,10 +35,12 @@ class Tum(Layout):
             apart = abs(time - depth_time)
             problem = ""
             if apart > _MOST_APART:
-                problem = f"{folder.path / color}: no depth within {_MOST_APART * 1000:.0f} ms; the nearest is {apart:.3f} s off"
+                problem = (
+                    f"{folder.path / color}: the nearest depth is {apart:.3f} s off, at most {_MOST_APART} s may be"
+                )
             found.append(
-                frame(folder, f"{folder.prefix}{time:.6f}", folder.path / color, folder.path / depth, problem, self.name,
-                      depth_scale=_SCALE, sequence=folder.name, number=number)
+                frame(folder, f"{folder.prefix}{time:.6f}", folder.path / color, folder.path / depth, problem,
+                      self.name, depth_scale=_SCALE, sequence=folder.name, number=number)
             )  # fmt: skip
         if not found:
             raise InputError(f"{folder.path}: no line pairs a color image with a depth image")
@@ -51,7 +53,11 @@ def _nearest(folder: Folder) -> list[tuple[float, str, float, str]]:
     if not depths:
         raise InputError(f"{folder.path / 'depth.txt'}: names no file")
     colors = sorted((float(time), file) for time, file in _lines(folder.path / "rgb.txt", 2))
-    return [(time, color, *min(depths, key=lambda d, t=time: (abs(d[0] - t), d))) for time, color in colors]
+    found = []
+    for time, color in colors:
+        _, depth_time, depth = min((abs(t - time), t, file) for t, file in depths)
+        found.append((time, color, depth_time, depth))
+    return found
 
 
 def _lines(path: Path, fields: int) -> list[list[str]]:
