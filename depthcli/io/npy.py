@@ -72,10 +72,8 @@ def _layout(data: bytes, size: int, dimensions: int | None) -> _Layout:
         raise InputError("damaged .npy header")
     numbers = tuple(int(n) for n in re.findall(rb"\d+", shape[1]))
     if dtype is None or dimensions not in (None, len(numbers)) or 0 in numbers:
-        raise InputError(
-            f"want {'an array' if dimensions is None else f'a {dimensions}-dimensional array'} of numbers, got shape "
-            f"{numbers}{'' if dtype else ' of another type'}"
-        )
+        wanted = {2: "an (H, W) array", 3: "an (H, W, D) array"}.get(dimensions or 0, "an array")
+        raise InputError(f"want {wanted} of numbers, got shape {numbers}{'' if dtype else ' of another type'}")
     kind = np.dtype(dtype[1].decode("ascii"))
     count = math.prod(numbers)
     if start + count * kind.itemsize > size:
