@@ -1,8 +1,7 @@
-"""Depth maps as files: integer codes, meters, raw codes of a Kinect and their calibration."""
+"""Depth maps as files: codes of sensors and data sets, meters, and colored point clouds."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,30 +9,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.core.geometry import Camera, KinectCalibration
+from depthcli.core.frames import Intrinsics
 from depthcli.io.atomic import write_bytes
-from depthcli.io.disparity import read_disparity, read_pfm
-from depthcli.io.images import read_bytes, read_grey, read_image, write_png
+from depthcli.io.disparity import read_plane
+from depthcli.io.files import shown
+from depthcli.io.images import write_png
 
-_RAW_MOST = 2047
-
-
-def read_color(path: Path | str) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB of any image; grey is repeated, 16 bits are scaled down."""
-    image: NDArray[Any] = read_image(path)
-    if image.dtype == np.uint16:
-        image = ((image.astype(np.uint32) + 128) // 257).astype(np.uint8)
-    return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
+MILLIMETERS = 1000.0
+"""Codes per meter of Kinect, NYU and ROS (``16UC1``, REP 118); TUM RGB-D has 5000, KITTI 256."""
 
 
-def read_depth(path: Path | str, scale: float, rotated: bool = False) -> NDArray[np.float32]:
-    """Read a depth map in meters.
+def read_codes(path: Path | str, rotate: int = 0, swapped: bool = False) -> NDArray[np.uint16]:
+    """Read (H, W) 16-bit codes: depth, or the raw disparity of a Kinect.
 
     Parameters
     ----------
-    path : 16-bit PNG, PGM or TIFF codes (0 = unknown), or PFM or npy of meters (not finite or not positive = unknown)
-    scale : codes a meter of integer files
-    rotated : the codes' bits are rotated left by 3, as in SUN RGB-D
+    path : PNG, PGM, TIFF or integer npy; its kind is told by the content
+    rotate : every code is rotated right by so many bits (SUN RGB-D: 3)
+    swapped : the two bytes of every code are the wrong way round (raw dumps of NYU Depth v2)
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, or not one channel of codes from 0 to 65535; one line that names the file.
+    """
+    values = read_plane(path)
+    if values.dtype.kind not in "iu" or (values.dtype.itemsize > 1 and (values.min() < 0 or values.max() > 65535)):
+        raise InputError(f"{shown(path)}: want codes from 0 to 65535, got {values.dtype}")
+    codes = values.astype(np.uint16)
+    if swapped:
+        codes = codes.byteswap()
+    return (codes >> np.uint16(rotate)) | (codes << np.uint16(16 - rotate)) if rotate else codes
+
+
+def read_depth(
+    path: Path | str, scale: float | None = None, rotate: int = 0, swapped: bool = False
+) -> NDArray[np.float32]:
+    """Read a depth map in meters.
+
+    Codes (PNG, PGM, TIFF, integer npy) are divided by ``scale``; 0 is unknown. PFM and float npy hold meters
+    unless a ``scale`` is given; what is not a positive number (NaN, +-inf, 0 or less) is unknown.
+
+    Parameters
+    ----------
+    path : the file; its kind is told by the content
+    scale : codes per meter; None: 1000 for 16-bit codes, 1 for floats
+    rotate, swapped : as in :func:`read_codes`
 
     Returns
     -------
@@ -42,96 +63,80 @@ def read_depth(path: Path | str, scale: float, rotated: bool = False) -> NDArray
     Raises
     ------
     InputError
-        Not readable, 8-bit codes, or not one channel.
+        Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
     """
-    path = Path(path)
-    values: NDArray[Any]
-    if path.suffix.lower() in (".pfm", ".npy"):
-        values = read_pfm(path) if path.suffix.lower() == ".pfm" else read_disparity(path)
-    else:
-        values = read_grey(path)
+    values = read_plane(path)
     if values.dtype.kind in "iu":
-        if values.dtype.itemsize == 1:
-            raise InputError(f"{path}: 8-bit codes hold no usable depth, want 16 bit")
-        if rotated:
-            codes = values.astype(np.uint16)
-            values = (codes >> np.uint16(3)) | (codes << np.uint16(13))
-        values = values / np.float64(scale)
-    with np.errstate(over="ignore"):
-        depth = values.astype(np.float32)
-    depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
+        if scale is None and values.dtype.itemsize == 1:
+            raise InputError(f"{shown(path)}: 8-bit depth needs a scale (codes per meter)")
+        values, scale = read_codes(path, rotate, swapped), scale or MILLIMETERS
+    with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
+        depth = (values / np.float64(scale or 1)).astype(np.float32)
+    depth[~((depth > 0) & np.isfinite(depth))] = np.nan
     return depth
 
 
-def write_depth_png(path: Path | str, depth: NDArray[np.float32], scale: float) -> None:
-    """Write (H, W) meters as 16-bit codes, 0 = unknown; what lies beyond the last code becomes unknown."""
-    codes = np.rint(np.nan_to_num(depth.astype(np.float64) * scale, nan=0.0, posinf=0.0, neginf=0.0))
-    codes[(codes > 65535) | (codes < 0)] = 0
-    write_png(path, codes.astype(np.uint16))
+def write_depth_png(path: Path | str, depth: NDArray[np.floating[Any]], scale: float = MILLIMETERS) -> None:
+    """Write (H, W) meters as 16-bit codes, ``depth x scale`` rounded, atomically; 0 = unknown.
 
-
-def read_kinect_raw(path: Path | str) -> NDArray[np.uint16]:
-    """(H, W) raw codes 0..2047 of a first-generation Kinect; codes out of range tell bytes in the wrong order."""
-    raw: NDArray[Any] = read_grey(path)
-    if raw.dtype != np.uint16:
-        raise InputError(f"{path}: {raw.dtype} samples, want the Kinect's 11-bit codes in 16 bits")
-    if raw.max() > _RAW_MOST:
-        raw = raw.byteswap()
-    if raw.max() > _RAW_MOST:
-        raise InputError(f"{path}: codes up to {int(raw.max())}, a Kinect's go to {_RAW_MOST}")
-    return raw
-
-
-def read_kinect_calibration(path: Path) -> KinectCalibration:
-    """The calibration of Herrera et al.'s toolbox as JSON, with its distortion map ``dc_beta.npy`` beside it.
+    Depths beyond the largest code are written as unknown: a nearer surface would be invented otherwise. A positive
+    depth below the smallest code gets that code.
 
     Raises
     ------
-    InputError
-        A file is damaged, or a field is missing or of the wrong shape.
+    ValueError
+        Not two-dimensional.
+    OutputError
+        The file cannot be written.
     """
-    try:
-        fields = json.loads(read_bytes(path).decode("utf-8"))
-        arrays = {
-            key: np.array(fields[key], np.float64)
-            for key in ("depth_K", "color_K", "depth_kc", "color_kc", "depth_to_color_R", "depth_to_color_t", "dc",
-                        "dc_alpha")
-        }  # fmt: skip
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(f"{path}: not a Kinect calibration ({type(error).__name__}: {error})") from None
-    shapes = {"depth_K": (3, 3), "color_K": (3, 3), "depth_kc": (5,), "color_kc": (5,), "depth_to_color_R": (3, 3),
-              "depth_to_color_t": (3,), "dc": (2,), "dc_alpha": (2,)}  # fmt: skip
-    for key, shape in shapes.items():
-        if arrays[key].shape != shape or not np.isfinite(arrays[key]).all():
-            raise InputError(f"{path}: {key}: want {shape} finite numbers, got {arrays[key].shape}")
-    if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
-        raise InputError(f"{path}: singular: focal lengths and dc[1] must not be zero")
-    beta = path.with_name("dc_beta.npy")
-    slope = arrays["dc"][1]
-    return KinectCalibration(
-        depth=Camera(arrays["depth_K"], tuple(arrays["depth_kc"].tolist())),
-        color=Camera(arrays["color_K"], tuple(arrays["color_kc"].tolist())),
-        rotation=arrays["depth_to_color_R"],
-        translation=arrays["depth_to_color_t"],
-        offset=float(-arrays["dc"][0] / slope),
-        factor=float(-1.0 / slope),
-        beta=np.load(beta).astype(np.float64) if beta.is_file() else None,
-        alpha=(float(arrays["dc_alpha"][0]), float(arrays["dc_alpha"][1])),
-    )
+    if depth.ndim != 2:
+        raise ValueError(f"want (H, W), got {depth.shape}")
+    codes = np.zeros(depth.shape, np.uint16)
+    with np.errstate(all="ignore"):
+        exact = np.rint(depth.astype(np.float64) * scale)
+    known = (depth > 0) & (exact <= 65535)
+    codes[known] = np.maximum(exact[known], 1).astype(np.uint16)
+    write_png(path, codes)
 
 
-def write_ply(path: Path | str, points: NDArray[np.float32], colors: NDArray[np.uint8]) -> None:
-    """Write a colored point cloud as binary little-endian PLY, atomically.
+def write_ply(
+    path: Path | str,
+    depth: NDArray[np.float32],
+    intrinsics: Intrinsics,
+    color: NDArray[np.uint8],
+    mask: NDArray[np.bool_] | None = None,
+) -> None:
+    """Write a depth map as a point cloud: PLY, binary little endian, one colored vertex a pixel with depth.
+
+    Vertices are in the camera's frame, meters: x right, y down, z forward.
 
     Parameters
     ----------
-    points : (N, 3) float32, meters
-    colors : (N, 3) uint8 RGB
+    path : the file
+    depth : (H, W) float32, meters, NaN = unknown
+    intrinsics : of the camera whose pixels these are
+    color : (H, W, 3) uint8 RGB
+    mask : (H, W) bool, True = write the pixel (measured ones, for instance); None: all with depth
+
+    Raises
+    ------
+    ValueError
+        Arrays of different sizes.
+    OutputError
+        The file cannot be written.
     """
-    kind = np.dtype([("position", "<f4", 3), ("color", "u1", 3)])
-    data = np.empty(len(points), kind)
-    data["position"], data["color"] = points, colors
-    names = ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    header += [f"property {name}" for name in names] + ["end_header", ""]
-    write_bytes(path, "\n".join(header).encode() + data.tobytes())
+    if color.shape != (*depth.shape, 3) or (mask is not None and mask.shape != depth.shape):
+        raise ValueError(f"depth {depth.shape}, color {color.shape} and mask must have one size")
+    chosen = np.isfinite(depth) if mask is None else np.isfinite(depth) & mask
+    rows, columns = np.nonzero(chosen)
+    z = depth[chosen].astype(np.float64)
+    vertices = np.empty(z.size, [(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")])
+    vertices["x"] = (columns - intrinsics.cx) / intrinsics.fx * z
+    vertices["y"] = (rows - intrinsics.cy) / intrinsics.fy * z
+    vertices["z"] = z
+    for channel, name in enumerate(("red", "green", "blue")):
+        vertices[name] = color[..., channel][chosen]
+    types = {"f": "float", "u": "uchar"}
+    properties = [f"property {types[vertices.dtype[name].kind]} {name}" for name in vertices.dtype.names or ()]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {z.size}", *properties, "end_header", ""]
+    write_bytes(path, "\n".join(header).encode("ascii") + vertices.tobytes())

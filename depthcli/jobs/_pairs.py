@@ -76,12 +76,13 @@ class PairCommand(ConfigCommand):
             "max_disparity": top,
             "density": round(result.disparity.density, 6),
             "measured": round(measured, 6),
+            **({"bits": pair.bits} if _partly_used(pair) else {}),
             **{name: float(value) for name, value in result.figures.items()},
         }
         save_stereo(result, folder, top)
         clock.stop("save")
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
-        return Outcome(facts, seconds, _warnings(measured))
+        return Outcome(facts, seconds, _warnings(pair, measured))
 
     def _check_memory(self, config: Any, pair: StereoPair, top: int, memory: int) -> None:
         from depthcli.batch.resources import show_bytes
@@ -94,10 +95,17 @@ class PairCommand(ConfigCommand):
             )
 
 
-def _warnings(measured: float) -> list[str]:
-    if measured >= _FEW:
-        return []
-    return [
-        f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
-        "not rectified, search range too small, or no texture?"
-    ]
+def _partly_used(pair: StereoPair) -> bool:
+    return pair.bits is not None and pair.bits < 8 * pair.left.dtype.itemsize
+
+
+def _warnings(pair: StereoPair, measured: float) -> list[str]:
+    found = []
+    if _partly_used(pair):
+        found.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
+    if measured < _FEW:
+        found.append(
+            f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
+            "not rectified, search range too small, or no texture?"
+        )
+    return found

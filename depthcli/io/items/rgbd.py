@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 KINECT_BASELINE = 0.075
 """Projector to camera of the first Kinect and of the sensors built like it, meters."""
 
+_METERS = (".pfm", ".npy")
 _USUAL_NAMES = ("color", "rgb", "image", "depth")
 
 
@@ -106,11 +107,11 @@ class RgbdItem(Item):
         """
         import numpy as np
 
-        from depthcli.core.frames import RgbdFrame
-        from depthcli.io.depth import read_color
+        from depthcli.core.frames import RgbdFrame, color8
+        from depthcli.io.images import read_image
 
         self.check()
-        color = read_color(self.color)
+        color = color8(read_image(self.color))
         intrinsics = self._intrinsics()
         if self.raw:
             color, depth, intrinsics = self._registered(color)
@@ -148,7 +149,7 @@ class RgbdItem(Item):
     def _depth(self, path: Path) -> NDArray[np.float32]:
         from depthcli.io.depth import read_depth
 
-        return read_depth(path, self.depth_scale, rotated=self.rotated)
+        return read_depth(path, None if path.suffix in _METERS else self.depth_scale, 3 if self.rotated else 0)
 
     def _intrinsics(self) -> Intrinsics | None:
         from depthcli.core.frames import Intrinsics
@@ -161,7 +162,7 @@ class RgbdItem(Item):
 
         from depthcli.core.frames import Intrinsics
         from depthcli.core.geometry import kinect_v1
-        from depthcli.io.depth import read_kinect_calibration, read_kinect_raw
+        from depthcli.io.kinect import read_kinect_calibration, read_kinect_raw
 
         raw = read_kinect_raw(self.depth)
         calibration = kinect_v1() if self.calibration is None else read_kinect_calibration(self.calibration)

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from depthcli.core.frames import StereoPair
-    from depthcli.io.images import Image
 
 # Full-size widths of the Middlebury 2005 and 2006 sets lie between 1240 and 1396: the width tells the size.
 _SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
@@ -96,18 +95,12 @@ class StereoItem(Item):
 
     def load(self) -> StereoPair:
         """Left and right image, same size, dtype and number of channels; InputError otherwise."""
-        from depthcli.core.frames import StereoPair
-        from depthcli.io.images import read_image
+        from depthcli.io.images import read_pair
 
         self.check()
         if self.right is None:
             raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
-        left, right = read_image(self.left), read_image(self.right)
-        if left.shape != right.shape or left.dtype != right.dtype:
-            raise InputError(
-                f"{self.right}: {_kind(right)}, but {self.left.name} is {_kind(left)}; the pair must agree"
-            )
-        return StereoPair(left, right)
+        return read_pair(self.left, self.right)
 
     def truth(self) -> StereoTruth:
         """Ground truth and masks of the left view, as stored.
@@ -146,7 +139,3 @@ class StereoItem(Item):
 
 def _size(array: NDArray[Any]) -> str:
     return f"{array.shape[1]} x {array.shape[0]}"
-
-
-def _kind(array: Image) -> str:
-    return f"{_size(array)} {'grey' if array.ndim == 2 else 'color'} {array.dtype}"

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from depthcli.core.errors import InputError
-from depthcli.io.images import read_bytes
+from depthcli.io.files import read_bytes
 from depthcli.io.items import Item
 
 

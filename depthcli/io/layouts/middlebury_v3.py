@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 
 from depthcli.core.errors import InputError
-from depthcli.io.images import IMAGE_SUFFIXES, read_bytes
+from depthcli.io.files import read_bytes
+from depthcli.io.images import IMAGE_SUFFIXES
 from depthcli.io.items import Item
 from depthcli.io.items.stereo import StereoItem
 from depthcli.io.layouts import Folder, Layout

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.io.images import IMAGE_SUFFIXES, read_bytes
+from depthcli.io.files import read_bytes
+from depthcli.io.images import IMAGE_SUFFIXES
 from depthcli.io.items import Item
 from depthcli.io.items.rgbd import RgbdItem
 from depthcli.io.layouts import Folder, Layout
