@@ -322,7 +322,7 @@ def _compute(tasks: list[_Task], work: Work, options: Options, reporter: Reporte
     if jobs > 1:
         yield from _compute_in_workers(tasks, work, options, reporter, jobs)
         return
-    from depthcli.kernels._jit import CompileWatch
+    from depthcli.kernels.jit import CompileWatch
 
     _use_threads(options.threads_each())
     with CompileWatch(lambda: _say_compiling(reporter)) as watch:
@@ -338,15 +338,16 @@ def _say_compiling(reporter: Reporter) -> None:
 
 
 def _say_compiled(reporter: Reporter, kernels: int, seconds: float) -> None:
-    from depthcli.kernels._jit import cache_folder
+    from depthcli.kernels.jit import cache_folder
 
-    reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s, kept in {cache_folder()}")
+    kept = f", kept in {cache_folder()}" if cache_folder() else ""
+    reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s{kept}")
 
 
 def _use_threads(count: int) -> None:
     import cv2
 
-    from depthcli.kernels._jit import set_threads
+    from depthcli.kernels.jit import set_threads
 
     set_threads(count)
     cv2.setNumThreads(count)
@@ -390,7 +391,7 @@ def _worker_main(connection: Connection, work: Work, threads: int, limit: int, v
     if parent is not None:
         # A parent that was killed must not leave workers that go on writing.
         threading.Thread(target=_die_after, args=(parent,), daemon=True).start()
-    from depthcli.kernels._jit import CompileWatch
+    from depthcli.kernels.jit import CompileWatch
 
     _use_threads(threads)
     connection.send(("ready", None))

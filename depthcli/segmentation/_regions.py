@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels._jit import jit
+from depthcli.kernels.jit import jit
 
 
 @jit

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 
 
 def winners(costs: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:

@@ -12,14 +12,13 @@ import cv2
 import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
-from numba import float32, int32, prange, types
 from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
-from depthcli.kernels._jit import intrinsic, jit, parallel_jit
+from depthcli.kernels.jit import float32, int32, intrinsic, jit, parallel_jit, prange, types
 from depthcli.stereo.aggregation import Aggregator
 from depthcli.stereo.volume import CostVolume
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels._jit import parallel_jit
 from depthcli.kernels.bits import popcount
+from depthcli.kernels.jit import parallel_jit, prange
 
 
 @parallel_jit

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.cost import Cost, CostMeasure
 from depthcli.stereo.cost._fill import fill_outside
 from depthcli.stereo.volume import CostVolume

@@ -6,12 +6,11 @@ from typing import Any, ClassVar
 
 import cv2
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.cost import CostMeasure
 from depthcli.stereo.cost._fill import empty_volume
 from depthcli.stereo.volume import CostVolume

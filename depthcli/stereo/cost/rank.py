@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.cost import CostMeasure
 from depthcli.stereo.cost._fill import check_odd, difference_volume, empty_volume
 from depthcli.stereo.volume import CostVolume

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
 from depthcli.stereo.refinement._evidence import Evidence
 

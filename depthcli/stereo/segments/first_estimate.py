@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels._jit import jit, parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.keypoints._matching import Matches
 from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
 from depthcli.stereo.volume import CostVolume
