@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from depthcli.core import memory
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.stereo.cost._fill import fill_outside
+from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
 UNIT = 255

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
-LEFT, RIGHT, UP, DOWN = 0, 1, 2, 3
-
 
 def cross_arms(
     image: NDArray[np.uint8], length: int, threshold: int, inner_length: int, inner_threshold: int

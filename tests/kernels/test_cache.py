@@ -106,7 +106,9 @@ def flip(data: bytes) -> bytes:
     return data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 4]) + data[len(data) // 2 + 1 :]
 
 
-@pytest.mark.parametrize(("kind", "damage"), [("nbc", lambda data: b""), ("nbc", flip), ("nbi", lambda data: data[:-9])])
+@pytest.mark.parametrize(
+    ("kind", "damage"), [("nbc", lambda data: b""), ("nbc", flip), ("nbi", lambda data: data[:-9])]
+)
 def test_damaged_files_are_compiled_again_and_that_is_said_once(tmp_path: Path, kind: str, damage):
     mine = str(tmp_path / "mine")
     use(tmp_path, NUMBA_CACHE_DIR=mine)

@@ -12,7 +12,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.aggregation import Aggregator
-from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
+from depthcli.stereo.fixed_point import FixedPoint, as_fixed_point
 from depthcli.stereo.volume import CostVolume
 
 

@@ -15,7 +15,7 @@ from depthcli.kernels.cross_support import cross_arms
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.aggregation import Aggregator
 from depthcli.stereo.aggregation._intersection import intersected_means
-from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
+from depthcli.stereo.fixed_point import FixedPoint, as_fixed_point
 from depthcli.stereo.volume import CostVolume
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 
 class BackgroundFill(Refinement):
@@ -20,11 +20,16 @@ class BackgroundFill(Refinement):
     """
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
-        values = disparity.values.copy()
-        _fill_rows(values)
-        _fill_columns(values)
-        filled = np.where(~disparity.valid & ~np.isnan(values), np.uint8(Status.FILLED), np.uint8(0))
-        return DisparityMap(values, disparity.status | filled)
+        return fill_background(disparity)
+
+
+def fill_background(disparity: DisparityMap) -> DisparityMap:
+    """What :class:`BackgroundFill` does: it needs no evidence."""
+    values = disparity.values.copy()
+    _fill_rows(values)
+    _fill_columns(values)
+    filled = np.where(~disparity.valid & ~np.isnan(values), np.uint8(Status.FILLED), np.uint8(0))
+    return DisparityMap(values, disparity.status | filled)
 
 
 @parallel_jit

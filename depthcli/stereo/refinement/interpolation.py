@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 # The nearest value is looked for in 16 directions: (dy, dx) per step
 _DIRECTIONS: NDArray[np.int64] = np.array(

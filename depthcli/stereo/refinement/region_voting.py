@@ -11,7 +11,7 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.cross_support import cross_arms
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 
 class RegionVoting(Refinement):

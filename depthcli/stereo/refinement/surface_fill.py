@@ -10,7 +10,7 @@ from pydantic import Field
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 
 class SurfaceFill(Refinement):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.segmentation._regions import RegionGraph
+from depthcli.labelling.regions import RegionGraph
 from depthcli.stereo.segments.planes import Members, Planes
 from depthcli.stereo.volume import CostVolume
 
