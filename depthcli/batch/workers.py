@@ -20,7 +20,7 @@ from depthcli.core.result import Clock
 
 if TYPE_CHECKING:
     from depthcli.batch.runner import Options, Task, Work
-    from depthcli.kernels._jit import CompileWatch
+    from depthcli.kernels.jit import CompileWatch
 
 _HEAD_START = 1.0  # seconds the first worker may show that kernels have to be compiled
 _TRIES = 3  # an item whose worker dies is tried again: more often than not something else killed it
@@ -30,7 +30,7 @@ def use_threads(count: int) -> None:
     """Threads of the kernels and of OpenCV in this process."""
     import cv2
 
-    from depthcli.kernels._jit import set_threads
+    from depthcli.kernels.jit import set_threads
 
     set_threads(count)
     cv2.setNumThreads(count)
@@ -39,14 +39,11 @@ def use_threads(count: int) -> None:
 @contextlib.contextmanager
 def compile_watch(started: Callable[[], None]) -> Iterator[CompileWatch]:
     """Watch compilation, and keep it out of every measured time; ``started`` is called at the first kernel."""
-    from depthcli.kernels._jit import CompileWatch
+    from depthcli.kernels.jit import CompileWatch, compile_seconds
 
+    Clock.untimed = staticmethod(compile_seconds)
     with CompileWatch(started) as watch:
-        Clock.untimed = staticmethod(lambda: watch.seconds)
-        try:
-            yield watch
-        finally:
-            Clock.untimed = staticmethod(lambda: 0.0)
+        yield watch
 
 
 def say_compiling(reporter: Reporter) -> None:
@@ -58,10 +55,11 @@ def say_compiled(reporter: Reporter) -> Callable[[int, float], None]:
     """What tells how many kernels were compiled, and how long that took."""
 
     def say(kernels: int, seconds: float) -> None:
-        from depthcli.kernels._jit import cache_folder
+        from depthcli.kernels.jit import cache_folder
 
         if kernels:
-            reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s, kept in {cache_folder()}")
+            kept = f", kept in {cache_folder()}" if cache_folder() else ""
+            reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s{kept}")
 
     return say
 

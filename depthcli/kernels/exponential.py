@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import types
 
-from depthcli.kernels._jit import intrinsic, jit
+from depthcli.kernels.jit import intrinsic, jit, types
 
 
 def _float_bits(typingctx: Any, value: Any) -> Any:

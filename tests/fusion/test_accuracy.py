@@ -13,9 +13,9 @@ from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
 from depthcli.fusion import Fusion
 from depthcli.io.scenes import find_scenes
+from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.cost.census import Census
-from depthcli.stereo.winner import winners
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "middlebury_v2"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="Middlebury v2 is not in ../shared/data")

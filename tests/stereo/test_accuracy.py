@@ -17,6 +17,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import kitti, middlebury_v2
 from depthcli.io.scenes import find_scenes
 from depthcli.jobs.stereo import StereoConfig
+from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.aggregation.cross import Cross
@@ -24,7 +25,6 @@ from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.stereo.cost.combined import Combined
 from depthcli.stereo.pipeline.opencv_bm import OpencvBm
 from depthcli.stereo.pipeline.opencv_sgbm import OpencvSgbm
-from depthcli.stereo.winner import winners
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 V2 = "middlebury_v2"

@@ -12,14 +12,14 @@ import cv2
 import llvmlite.binding as llvm
 import numpy as np
 from llvmlite import ir
-from numba import float32, int32, prange, types
 from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
-from depthcli.kernels._jit import intrinsic, jit, parallel_jit
+from depthcli.kernels.exponential import bits_float
+from depthcli.kernels.jit import float32, int32, intrinsic, jit, parallel_jit, prange, types
 from depthcli.stereo.aggregation import Aggregator
 from depthcli.stereo.volume import CostVolume
 
@@ -150,18 +150,6 @@ _accumulate_wide = _accumulator(_WIDE)
 _accumulate_narrow = _accumulator(_NARROW)
 
 
-def _float_of_bits(typingctx: Any, bits: Any) -> Any:
-    """The float32 whose bits are those of an int32."""
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.bitcast(arguments[0], ir.FloatType())
-
-    return types.float32(types.int32), codegen
-
-
-_as_float: Any = intrinsic(_float_of_bits)
-
-
 @jit
 def _weigh(
     a0: Any, a1: Any, a2: Any, b0: Any, b1: Any, b2: Any, space: Any, scale: Any, squared: bool, out: Any
@@ -183,7 +171,7 @@ def _weigh(
         n = int32(z)
         u = ln2 * (half - (z - float32(n)))
         series = one + u * (one + u * (c2 + u * (c3 + u * (c4 + u * (c5 + u * c6)))))
-        power = _as_float(int32((int32(127) - n) << int32(23)))
+        power = bits_float(int32((int32(127) - n) << int32(23)))
         out[i] = root * series * power
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels._jit import parallel_jit
-from depthcli.stereo.cost import Cost, CostMeasure
-from depthcli.stereo.cost._fill import fill_outside
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.stereo.cost import CostMeasure, PartCost
+from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
 
@@ -21,7 +20,7 @@ class Part(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
 
-    cost: Cost = Field(description="the measure")
+    cost: PartCost = Field(description="the measure")
     lambda_: float = Field(alias="lambda", gt=0, description="cost at which the part has risen to 1 - 1/e")
 
 

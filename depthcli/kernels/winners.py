@@ -1,14 +1,13 @@
-"""Winner-takes-all: the cheapest disparity of every pixel, for both views, from one volume."""
+"""Winner-takes-all: the cheapest disparity of every pixel, for both views, from one volume; do they agree?"""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 
 
 def winners(costs: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
@@ -71,3 +70,34 @@ def _float_winners(costs: Any, left: Any, right: Any) -> None:
                     best_right[x - d] = cost
                     right[y, x - d] = d
             left[y, x] = winner
+
+
+@jit
+def partner_difference(disparity: Any, x: int, right: Any) -> Any:
+    """``|d - d_R|`` at the match of a pixel in column x, its row of the right map given; inf outside the image."""
+    u = x - int(disparity + np.float32(0.5))
+    return abs(np.float32(disparity) - np.float32(right[u])) if u >= 0 else np.float32(np.inf)
+
+
+def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np.float32]:
+    """How far the right view's disparity at a pixel's match is from the pixel's own.
+
+    Parameters
+    ----------
+    left, right : (H, W) disparities of the two views, pixels, no NaN
+
+    Returns
+    -------
+    (H, W) float32, pixels; inf where the match lies outside the right image
+    """
+    difference = np.empty(left.shape, np.float32)
+    _left_right_difference(left, right, difference)
+    return difference
+
+
+@parallel_jit
+def _left_right_difference(left: Any, right: Any, difference: Any) -> None:
+    height, width = left.shape
+    for y in prange(height):
+        for x in range(width):
+            difference[y, x] = partner_difference(left[y, x], x, right[y])
