@@ -115,10 +115,13 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     files = record.get("files")
     if record.pop("check", None) != _check(record) or not isinstance(files, dict):
         return None
-    plain = all(
-        isinstance(d, str) and name == Path(name).name and name not in ("", ".", "..") for name, d in files.items()
-    )
-    return record if plain else None
+    # A name that leads out of the folder must not be looked at, let alone deleted.
+    return record if all(isinstance(d, str) and is_inside(name) for name, d in files.items()) else None
+
+
+def is_inside(name: str) -> bool:
+    """A relative name, with ``/``, that does not lead out of its folder."""
+    return not any(part in ("", ".", "..") or "\0" in part for part in name.split("/"))
 
 
 def _check(record: Mapping[str, Any]) -> str:

@@ -260,15 +260,10 @@ def _other_rows(
     chosen = {item.name for item in items}
     rows = []
     for name, row in earlier.items():
-        known = record.read_record(output / name) if name not in chosen and _inside(name) else None
+        known = record.read_record(output / name) if name not in chosen and record.is_inside(name) else None
         if known is not None and known.get("run") == run:
             rows.append(_row(known, row))
     return rows
-
-
-def _inside(name: str) -> bool:
-    """A name from a report that cannot lead out of the run folder."""
-    return not any(part in ("", ".", "..") or "\0" in part for part in name.split("/"))
 
 
 @contextlib.contextmanager
@@ -306,7 +301,7 @@ def _clean(output: Path) -> None:
 def _drop_others(output: Path, run: str, earlier: dict[str, dict[str, Any]], chosen: set[str]) -> None:
     """Remove the items of the run that is replaced, which are those its report lists; other runs' stay."""
     for name in earlier:
-        known = record.read_record(output / name) if name not in chosen and _inside(name) else None
+        known = record.read_record(output / name) if name not in chosen and record.is_inside(name) else None
         if known is not None and known.get("run") != run:
             _remove(output / name, known)
 
@@ -314,16 +309,20 @@ def _drop_others(output: Path, run: str, earlier: dict[str, dict[str, Any]], cho
 def _remove(target: Path, known: dict[str, Any]) -> None:
     """Delete the files that a record lists, the record first; what else lies there is not ours."""
     (target / record.RECORD_FILE).unlink(missing_ok=True)
+    folders = {target}
     for name in known["files"]:
         (target / name).unlink(missing_ok=True)
-    with contextlib.suppress(OSError):
-        target.rmdir()
+        folders.add((target / name).parent)
+    for folder in sorted(folders, key=lambda path: -len(path.parts)):
+        with contextlib.suppress(OSError):  # it holds something that is not ours
+            folder.rmdir()
 
 
 def _install(task: Task, outcome: Outcome) -> None:
     """Move a finished item into place, its record last."""
     try:
-        files = {path.name: record.file_digest(path) for path in sorted(task.hidden.iterdir())}
+        made = sorted(path for path in task.hidden.rglob("*") if path.is_file())
+        files = {path.relative_to(task.hidden).as_posix(): record.file_digest(path) for path in made}
         known = {"scene": task.item.name, "run": task.run, "inputs": task.inputs, "files": files}
         record.write_record(task.hidden, {**known, "facts": outcome.facts})
         before = record.read_record(task.target)
@@ -335,6 +334,7 @@ def _install(task: Task, outcome: Outcome) -> None:
         except OSError:  # the folder is there and holds something that is not ours
             task.target.mkdir(exist_ok=True)
             for name in (*files, record.RECORD_FILE):
+                (task.target / name).parent.mkdir(exist_ok=True)
                 os.replace(task.hidden / name, task.target / name)
     except OSError as error:
         raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
