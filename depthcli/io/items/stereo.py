@@ -32,6 +32,7 @@ class StereoTruth:
     right, noc : the same for the right view, and for the visible pixels alone (KITTI); or None
     objects : (H, W) bool, foreground objects (KITTI 2015), or None
     masks : name -> (H, W) bool, True = evaluate
+    scale : codes per pixel that the files were read with; None = what their kind says
     """
 
     disparity: NDArray[np.float32]
@@ -39,6 +40,7 @@ class StereoTruth:
     noc: NDArray[np.float32] | None = None
     objects: NDArray[np.bool_] | None = None
     masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    scale: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +130,7 @@ class StereoItem(Item):
         if self.objects is not None:
             objects = self._same(read_grey(self.objects), disparity, self.objects) > 0
         masks = {name: self._same(read_grey(path), disparity, path) == 255 for name, path in self.masks.items()}
-        return StereoTruth(disparity, right, noc, objects, masks)
+        return StereoTruth(disparity, right, noc, objects, masks, scale)
 
     def _same(self, array: NDArray[Any], truth: NDArray[np.float32], path: Path) -> NDArray[Any]:
         if array.shape != truth.shape:
