@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from depthcli.core.root_config import RootConfig
 from depthcli.core.config_file import dump_config, load_config, parse_config, read_config
 from depthcli.core.errors import ConfigError
+from depthcli.core.root_config import RootConfig
 from tests.core.toys import AnyToy
 
 
