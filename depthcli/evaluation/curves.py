@@ -63,13 +63,6 @@ class Sparsification:
         return {name: getattr(self, name) for name in names}
 
 
-def optimal_auc(error_rate: float) -> float:
-    """Area below the sparsification curve of a perfect confidence: e + (1 - e) ln(1 - e)."""
-    if error_rate >= 1:
-        return 1.0
-    return error_rate + (1 - error_rate) * math.log1p(-error_rate)
-
-
 def sparsification(confidence: NDArray[Any], error: NDArray[Any]) -> Sparsification:
     """Sparsification curve of one confidence measure.
 
