@@ -16,7 +16,7 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import kitti, middlebury_v2
 from depthcli.io.scenes import find_scenes
-from depthcli.jobs.stereo import StereoConfig
+from depthcli.stereo.config import StereoConfig
 from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.stereo.aggregation.constant_window import ConstantWindow

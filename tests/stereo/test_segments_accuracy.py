@@ -12,7 +12,7 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import middlebury_v2
 from depthcli.io.scenes import find_scenes
-from depthcli.jobs.stereo import StereoConfig
+from depthcli.stereo.config import StereoConfig
 from depthcli.synthetic.stereo_scenes import make_scene
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"

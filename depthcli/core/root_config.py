@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 
-class JobConfig(BaseModel):
+class RootConfig(BaseModel):
     """A config whose field named ``flattened`` holds a method written at the root.
 
     ``{pipeline: local, cost: census, max_disparity: 60}`` reads as the field ``max_disparity`` of the
