@@ -39,11 +39,13 @@ class Settings:
     scale : codes per unit of the maps' files that hold codes; None: what the file's kind and the item say
     resolution : size of the ground truth where a benchmark has several (Middlebury v3: F, H or Q)
     threshold : of the headline, instead of the benchmark's; in the protocol's unit
+    resize : (width, height) that depth maps and their truth are brought to, nearest neighbor, as ClearGrasp does
     """
 
     scale: float | None = None
     resolution: str | None = None
     threshold: float | None = None
+    resize: tuple[int, int] | None = None
 
 
 class Protocol(ABC, Generic[Estimate, Truth]):
