@@ -24,10 +24,10 @@ import yaml
 from depthcli.confidence import confidence_maps, measures
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
+from depthcli.evaluation.protocols import load
 from depthcli.evaluation.report import Line, Table, line_plot, number
 from depthcli.evaluation.summary import compare
 from depthcli.fusion import Fusion
-from depthcli.evaluation.protocols import load
 from depthcli.io.items.stereo import StereoItem
 from depthcli.io.walk import find_items
 from depthcli.kernels.winners import winners

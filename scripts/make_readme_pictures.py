@@ -16,8 +16,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from depthcli.io.disparity import read_disparity
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
+from depthcli.io.disparity import read_disparity
 from depthcli.io.walk import find_items
 
 
