@@ -134,6 +134,10 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """(H, W, 3) RGB picture of where the estimate is wrong, or None."""
         return None
 
+    def rates(self, estimate: Estimate, truth: Truth) -> dict[str, float]:
+        """The headline by region."""
+        return {s.mask: s.value for s in self.scores(estimate, truth) if s.measure == self.headline}
+
     def warnings(self, estimate: Estimate, truth: Truth) -> list[str]:
         """Suspicions about the estimate, one line each."""
         return []
