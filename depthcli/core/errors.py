@@ -22,6 +22,10 @@ class OutputError(DepthcliError):
     """A result cannot be written."""
 
 
+class IncompleteError(DepthcliError):
+    """Results stand in their files, but the report or the data for stdout cannot be written."""
+
+
 def printable(text: str) -> str:
     """``text`` with escapes for what cannot be shown: control characters, bytes of names that are not UTF-8.
 

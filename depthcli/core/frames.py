@@ -53,7 +53,7 @@ class StereoPair:
     def color8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Both images as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey ones repeated."""
         left, right = self._full_range
-        return _color8(left), _color8(right)
+        return color8(left), color8(right)
 
     @cached_property
     def grey8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -87,7 +87,8 @@ def _eight_bit(image: Image) -> NDArray[np.uint8]:
     return ((image.astype(np.uint32) + 128) // 257).astype(np.uint8)
 
 
-def _color8(image: Image) -> NDArray[np.uint8]:
+def color8(image: Image) -> NDArray[np.uint8]:
+    """Any image as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey ones repeated."""
     image = _eight_bit(image)
     return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
 

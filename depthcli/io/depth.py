@@ -76,11 +76,13 @@ def read_depth(
     return depth
 
 
-def write_depth_png(path: Path | str, depth: NDArray[np.floating[Any]], scale: float = MILLIMETERS) -> None:
+def write_depth_png(
+    path: Path | str, depth: NDArray[np.floating[Any]], scale: float = MILLIMETERS, rotate: int = 0
+) -> None:
     """Write (H, W) meters as 16-bit codes, ``depth x scale`` rounded, atomically; 0 = unknown.
 
     Depths beyond the largest code are written as unknown: a nearer surface would be invented otherwise. A positive
-    depth below the smallest code gets that code.
+    depth below the smallest code gets that code. The codes are rotated left by ``rotate`` bits (SUN RGB-D: 3).
 
     Raises
     ------
@@ -96,6 +98,8 @@ def write_depth_png(path: Path | str, depth: NDArray[np.floating[Any]], scale: f
         exact = np.rint(depth.astype(np.float64) * scale)
     known = (depth > 0) & (exact <= 65535)
     codes[known] = np.maximum(exact[known], 1).astype(np.uint16)
+    if rotate:
+        codes = (codes << np.uint16(rotate)) | (codes >> np.uint16(16 - rotate))
     write_png(path, codes)
 
 

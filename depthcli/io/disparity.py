@@ -52,7 +52,8 @@ def read_disparity(
             scale = scale_8bit if values.dtype.itemsize == 1 else KITTI_SCALE
         if scale is None:
             raise InputError(
-                f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale"
+                f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale, "
+                "or by --scale"
             )
         disparity = (values / np.float64(scale)).astype(np.float32)
         disparity[values <= 0] = np.nan

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.segmentation._regions import connected_components, merge_small_regions, region_graph
+from depthcli.labelling.regions import connected_components, merge_small_regions, region_graph
 from depthcli.segmentation.mean_shift import MeanShift
 from tests.naive import segments as naive
 
