@@ -44,12 +44,14 @@ def main() -> int:
         estimate = read_disparity(run / scene.name / "disp_left.pfm")
     assert scene.max_disparity is not None
     wrong = ~(np.abs(estimate - truth.disparity) <= 1)
-    strip = np.hstack([
-        left,
-        colored(truth.disparity, scene.max_disparity),
-        colored(estimate, scene.max_disparity),
-        error_picture(estimate, wrong, truth.masks["all"], truth.masks["nonocc"]),
-    ])
+    strip = np.hstack(
+        [
+            left,
+            colored(truth.disparity, scene.max_disparity),
+            colored(estimate, scene.max_disparity),
+            error_picture(estimate, wrong, truth.masks["all"], truth.masks["nonocc"]),
+        ]
+    )
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / f"{options.preset}-{scene.name}.jpg"
     half = cv2.resize(strip, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)

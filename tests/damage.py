@@ -92,20 +92,8 @@ def originals() -> dict[str, bytes]:
 
 def damaged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> tuple[str, bytes]:
     """Name of the damage and the damaged bytes."""
-    ways: tuple[Callable[..., bytes], ...] = (
-        truncated,
-        holed,
-        flipped,
-        flipped,
-        lying,
-        lying,
-        lying,
-        spliced,
-        padded,
-        special_values,
-    )
-    way = ways[rng.integers(len(ways))]
-    return way.__name__, way(data, rng, others)
+    chosen: Callable[..., bytes] = WAYS[rng.integers(len(WAYS))]
+    return chosen.__name__, chosen(data, rng, others)
 
 
 def truncated(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes:
@@ -122,7 +110,12 @@ def flipped(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes
     end = len(broken) if rng.random() < 0.5 else min(len(broken), 200)
     for _ in range(rng.integers(1, 6) if broken else 0):
         broken[rng.integers(end)] ^= 1 << rng.integers(8)
-    return resealed(bytes(broken)) if rng.random() < 0.5 else bytes(broken)
+    return bytes(broken)
+
+
+def forged(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes:
+    """Flipped bits, under checksums that are right."""
+    return resealed(flipped(data, rng, others))
 
 
 def lying(data: bytes, rng: np.random.Generator, others: list[bytes]) -> bytes:
@@ -170,6 +163,9 @@ def resealed(data: bytes) -> bytes:
         out += data[at : end - 4] + struct.pack(">I", zlib.crc32(data[at + 4 : end - 4]))
         at = end
     return out + data[at:]
+
+
+WAYS = (truncated, holed, flipped, forged, lying, lying, lying, spliced, padded, special_values)
 
 
 def bomb(rng: np.random.Generator) -> tuple[str, bytes]:
