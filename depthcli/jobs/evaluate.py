@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from depthcli.batch.command import SOME_FAILED, Command
-from depthcli.core.errors import DepthcliError, InputError
+from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.jobs._batch import LAYOUT, SCENES
 
@@ -56,6 +56,7 @@ class EvaluateCommand(Command):
             Option("protocol", str, "How to score, such as kitti-2015, instead of what the scenes name.", "NAME"),
             Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", least=1e-6),
             Option("resolution", str, "Size of the ground truth of Middlebury v3, where it cannot be told.", "F|H|Q"),
+            Option("resize", str, "Bring depth maps and their truth to one size, nearest neighbor.", "WxH"),
             Option("threshold", float, "Error above which a pixel is wrong, not the benchmark's.", "T", least=1e-6),
         )  # fmt: skip
 
@@ -64,7 +65,7 @@ class EvaluateCommand(Command):
         from depthcli.batch.record import to_json
         from depthcli.evaluation.protocols import Settings
 
-        settings = Settings(values["scale"], values["resolution"], values["threshold"])
+        settings = Settings(values["scale"], values["resolution"], values["threshold"], _size(values["resize"]))
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
             values["protocol"], settings, reporter,
@@ -76,6 +77,18 @@ class EvaluateCommand(Command):
         if values["output"] is not None:
             reporter.info(f"report and error pictures in {values['output']}")
         return SOME_FAILED if report.failed else 0
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    """``640x480``; ConfigError for anything else."""
+    import re
+
+    if text is None:
+        return None
+    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text.strip().lower())
+    if not found:
+        raise ConfigError(f"--resize: want WIDTHxHEIGHT, such as 256x144 (got {text!r})")
+    return int(found[1]), int(found[2])
 
 
 def evaluate(

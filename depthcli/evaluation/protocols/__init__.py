@@ -39,11 +39,13 @@ class Settings:
     scale : codes per unit of the maps' files that hold codes; None: what the file's kind and the item say
     resolution : size of the ground truth where a benchmark has several (Middlebury v3: F, H or Q)
     threshold : of the headline, instead of the benchmark's; in the protocol's unit
+    resize : (width, height) that depth maps and their truth are brought to, nearest neighbor, as ClearGrasp does
     """
 
     scale: float | None = None
     resolution: str | None = None
     threshold: float | None = None
+    resize: tuple[int, int] | None = None
 
 
 class Protocol(ABC, Generic[Estimate, Truth]):
@@ -131,6 +133,10 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     def picture(self, estimate: Estimate, truth: Truth) -> NDArray[np.uint8] | None:
         """(H, W, 3) RGB picture of where the estimate is wrong, or None."""
         return None
+
+    def rates(self, estimate: Estimate, truth: Truth) -> dict[str, float]:
+        """The headline by region."""
+        return {s.mask: s.value for s in self.scores(estimate, truth) if s.measure == self.headline}
 
     def warnings(self, estimate: Estimate, truth: Truth) -> list[str]:
         """Suspicions about the estimate, one line each."""
