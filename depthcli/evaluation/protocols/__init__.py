@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.errors import InputError
-from depthcli.evaluation.curves import sparsification
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.results import Curve, Result
 from depthcli.evaluation.scores import Measure, Score
 from depthcli.io.disparity import read_plane
@@ -44,6 +44,10 @@ class Settings:
     scale: float | None = None
     resolution: str | None = None
     threshold: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.resolution not in (None, "F", "H", "Q"):
+            raise ConfigError(f"resolution: want F, H or Q (got {self.resolution!r})")
 
 
 class Protocol(ABC, Generic[Estimate, Truth]):
@@ -160,6 +164,13 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """The map of the scene that goes by any of ``names``; InputError where two compete."""
         return next((path for name in names for path in self.candidates(folder, name) if path.is_file()), None)
 
+    def looked_for(self, names: Sequence[str]) -> str:
+        """Where ``find`` looks, for the message that it found nothing."""
+        looked = ", ".join(each.replace("{scene}", "SCENE") + ".*" for each in self.places)
+        short = names[0].rpartition("/")[2]
+        several = "" if short in names else f"; several scenes are called {short}, so that the name needs its folder"
+        return f" (looked for {looked}{several})"
+
     def confidences(self, path: Path) -> dict[str, Path]:
         """Name -> confidence map that lies beside the map ``path``: ``confidence_<name>.pfm`` or ``.npy``."""
         if not any(place.rpartition("/")[2] == path.stem for place in self.places):
@@ -192,14 +203,14 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """Sparsification curves of every confidence map over the estimated pixels: of wrong ones and of the error."""
         regions, error, wrong = self.regions(truth), self.error(estimate, truth), self.wrong(estimate, truth)
         masks = [mask for mask in self.curve_masks if mask in regions] or list(regions)[:1]
-        answered = {mask: regions[mask] & ~np.isnan(error) for mask in masks}
-        return [
-            Curve(mask, name, of, sparsification(confidence[region], amount[region]))
-            for mask, region in answered.items()
-            if region.any()
-            for name, confidence in confidences.items()
-            for of, amount in (("bad", wrong), ("error", error))
-        ]
+        made = []
+        for mask in masks:
+            region = regions[mask] & ~np.isnan(error)
+            if region.any():
+                chosen = {name: confidence[region] for name, confidence in confidences.items()}
+                lines = sparsifications(chosen, {"bad": wrong[region], "error": error[region]})
+                made += [Curve(mask, name, of, line) for (name, of), line in lines.items()]
+        return made
 
     def figure_masks(self, masks: Sequence[str]) -> list[str]:
         """Regions that the one figure of a run is taken over, of those present."""
