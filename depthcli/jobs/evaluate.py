@@ -96,7 +96,7 @@ def evaluate(
     protocol : its name; None: what every scene names
     settings : what a user said about the evaluation
     reporter : told about progress, failures and suspicions
-    kinds : kinds of item to evaluate; None: all
+    kinds : kinds of item to evaluate; None: all, or what ``protocol`` scores
 
     Raises
     ------
@@ -119,7 +119,7 @@ def evaluate(
     if absent := [place for place in places if not (place.is_dir() or place.is_file())]:
         raise InputError(f"{absent[0]}: no such folder")
     judge = None if protocol is None else load(protocol)(settings)
-    items = _items(truth, kinds, layout, scenes, reporter)
+    items = _items(truth, kinds if judge is None else [judge.kind], layout, scenes, reporter)
     if not items:
         if judge is None:
             reporter.info(f"{truth}: in no scene's folder; scored as {_PLAIN} (--protocol says otherwise)")

@@ -136,7 +136,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """(H, W, 3) RGB picture of where the estimate is wrong, or None."""
         return None
 
-    def rates(self, estimate: Estimate, truth: Truth) -> dict[str, float]:
+    def headlines(self, estimate: Estimate, truth: Truth) -> dict[str, float]:
         """The headline by region."""
         return {s.mask: s.value for s in self.scores(estimate, truth) if s.measure == self.headline}
 
@@ -201,6 +201,8 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     def curves(self, estimate: Estimate, truth: Truth, confidences: Mapping[str, NDArray[Any]]) -> list[Curve]:
         """Sparsification curves of every confidence map over the estimated pixels: of wrong ones and of the error."""
+        if not confidences:
+            return []
         regions, error, wrong = self.regions(truth), self.error(estimate, truth), self.wrong(estimate, truth)
         masks = [mask for mask in self.curve_masks if mask in regions] or list(regions)[:1]
         made = []
