@@ -88,7 +88,7 @@ class BatchCommand(Command):
         output = values["output"]
         return evaluate(
             [output], values["input"], output / "evaluation", values["scenes"] or ["*"], values["layout"],
-            reporter=reporter,
+            reporter=reporter, kinds=tuple({type(item) for item in items}),
         )  # fmt: skip
 
 
