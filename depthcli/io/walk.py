@@ -69,7 +69,7 @@ def find_items(
 
 
 def item_with_file(file: Path) -> Item | None:
-    """The item that ``file`` belongs to by the layout of its folder, or of the one above (KITTI); None where none does."""
+    """The item that ``file`` belongs to by the layout of its folder or of the one above (KITTI); None for none."""
     path = file.absolute()
     for place in path.parents[:2]:
         try:
