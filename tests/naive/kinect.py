@@ -7,30 +7,33 @@ import itertools
 import numpy as np
 
 
-def jump_distance_of_line(line, jump, slope):
+def jump_distance_of_line(line, jump, gap_tolerance):
     """(distance to the nearest jump, length of the run) of every pixel of a line, capped at 255."""
     known = [i for i in range(len(line)) if not np.isnan(line[i])]
-    rises, falls = [], []  # first and last pixels of near sides
+    # Every event (a, b): consecutive known pixels; does a near side end at a, does one begin at b?
+    events = []
     for a, b in itertools.pairwise(known):
-        if abs(line[b] - line[a]) > max(jump, slope * (b - a)):
-            (rises if line[b] > line[a] else falls).append((a, b))
+        step = line[b] - line[a]
+        if b - a - 1 > abs(step) + gap_tolerance:
+            events.append((a, b, True, True))
+        elif abs(step) > jump:
+            events.append((a, b, step < 0, step > 0))
     nearest = np.full(len(line), 255)
     length = np.full(len(line), 255)
     for i in known:
-        # The last event a walker from the left met, and the first one from the right.
-        left = max((e for e in rises + falls if e[1] <= i), key=lambda e: e[1], default=None)
-        right = min((e for e in rises + falls if e[0] >= i), key=lambda e: e[0], default=None)
-        from_left = i - left[1] + 1 if left in rises else None
-        from_right = right[0] - i + 1 if right in falls else None
+        left = [e for e in events if e[1] <= i][-1:]
+        right = [e for e in events if e[0] >= i][:1]
+        from_left = i - left[0][1] + 1 if left and left[0][3] else None
+        from_right = right[0][0] - i + 1 if right and right[0][2] else None
         nearest[i] = min([255] + [v for v in (from_left, from_right) if v is not None])
         if from_left is not None and from_right is not None and from_left < 255:
             length[i] = min(255, from_left + from_right - 1)
     return nearest, length
 
 
-def jump_distance(disparity, jump, slope):
+def jump_distance(disparity, jump, gap_tolerance):
     """(row, column, length) as in depthcli.kinect.suspects.jump_distance."""
     height, width = disparity.shape
-    rows = [jump_distance_of_line(disparity[y], jump, slope) for y in range(height)]
-    columns = [jump_distance_of_line(disparity[:, x], jump, slope)[0] for x in range(width)]
+    rows = [jump_distance_of_line(disparity[y], jump, gap_tolerance) for y in range(height)]
+    columns = [jump_distance_of_line(disparity[:, x], jump, np.inf)[0] for x in range(width)]
     return np.array([r[0] for r in rows]), np.array(columns).T, np.array([r[1] for r in rows])
