@@ -24,6 +24,7 @@ import numpy as np
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import middlebury_v2
 from depthcli.io.scenes import find_scenes
+from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation import Aggregator
 from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
@@ -31,7 +32,6 @@ from depthcli.stereo.aggregation.cross import Cross
 from depthcli.stereo.cost import CostMeasure
 from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.stereo.cost.combined import Combined
-from depthcli.stereo.winner import winners
 
 MASKS = ("nonocc", "all", "disc")
 LAMBDAS = {"gradient": 2.0, "rank": 30.0, "census": 30.0}

@@ -28,9 +28,9 @@ from depthcli.evaluation.report import Line, Table, line_plot, number
 from depthcli.evaluation.summary import compare
 from depthcli.fusion import Fusion
 from depthcli.io.scenes import Scene, find_scenes
+from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.pipeline.local import Local
-from depthcli.stereo.winner import winners
 from depthcli.synthetic.cross_modal import cross_modal_pair
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"

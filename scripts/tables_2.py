@@ -22,7 +22,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.evaluation.metrics import middlebury_v2
 from depthcli.evaluation.summary import average_ranks
 from depthcli.io.scenes import find_scenes
-from depthcli.jobs.stereo import StereoConfig
+from depthcli.stereo.config import StereoConfig
 from depthcli.stereo.pipeline import StereoPipeline
 from depthcli.synthetic.stereo_scenes import make_scene
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -16,20 +15,20 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.method import Odd
+from depthcli.core.result import Clock
 from depthcli.fusion.blend import UNIT, add_weighted, blend, squash
 from depthcli.fusion.given import Given
 from depthcli.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
-from depthcli.fusion.weights import comparable, left_right_difference, measure_weights
+from depthcli.fusion.weights import comparable, measure_weights
+from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.stereo.aggregation import Aggregation
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.stereo.cost import Cost
+from depthcli.stereo.cost import PartCost
 from depthcli.stereo.optimization import Optimization
 from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.stereo.pipeline.segments import Segments
 from depthcli.stereo.refinement import RefinementStep
-from depthcli.stereo.refinement._evidence import Evidence
-from depthcli.stereo.volume import CostVolume, StereoResult
-from depthcli.stereo.winner import winners
+from depthcli.stereo.volume import CostVolume, Evidence, StereoResult
 
 _LARGEST = 4080  # of voted costs: the fixed point of aggregated costs, which scanline optimizers can sum
 
@@ -39,7 +38,7 @@ class Measure(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    cost: Cost | None = Field(None, description="a cost measure of the stereo command")
+    cost: PartCost | None = Field(None, description="a cost measure of the stereo command")
     volume: str | None = Field(
         None,
         description="instead of cost: .npy file of (H, W, D) costs, lower is better, relative to the left image's "
@@ -164,7 +163,7 @@ class Fusion(BaseModel):
         InputError
             A volume is missing, has another shape, or holds other than finite numbers.
         """
-        clock = _Clock()
+        clock = Clock()
         fused = self.fuse(pair, max_disparity, volumes or {}, clock)
         if self.segments is not None:
             result = Segments.model_validate({**self.segments, "cost": Given(volume=fused.volume)})(pair, max_disparity)
@@ -186,10 +185,10 @@ class Fusion(BaseModel):
         return StereoResult(disparity, seconds=clock.seconds, confidence=confidence, figures=fused.figures)
 
     def fuse(
-        self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: _Clock | None = None
+        self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: Clock | None = None
     ) -> Fused:
         """The fused cost volume: costs -> votes of the measures -> weights -> blend -> aggregation -> votes."""
-        clock = clock or _Clock()
+        clock = clock or Clock()
         depth = max_disparity + 1
         parts = [
             squash(_costs(measure, pair, depth, volumes), measure.scale, self.outside) for measure in self.measures
@@ -240,7 +239,7 @@ class Fusion(BaseModel):
             if self.vote_confidence is None:
                 trust.append(np.ones(left.shape, np.float32))
             elif self.vote_confidence == "lrc":
-                trust.append(left_right_difference(left, right))
+                trust.append(-left_right_difference(left, right))
             else:
                 trust.append(confidence_maps(volume.costs, [self.vote_confidence])[self.vote_confidence])
             del volume  # before the next one is made
@@ -276,17 +275,6 @@ class Fused:
     weights: NDArray[np.float32]
     ballot: Ballot
     figures: dict[str, float]
-
-
-class _Clock:
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def stop(self, stage: str) -> None:
-        now = time.perf_counter()
-        self.seconds[stage] = now - self._last
-        self._last = now
 
 
 def _costs(measure: Measure, pair: StereoPair, depth: int, volumes: Mapping[str, NDArray[Any]]) -> CostVolume:

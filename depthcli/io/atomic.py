@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from depthcli.core.errors import OutputError
+from depthcli.io.files import shown
 
 PARTIAL_SUFFIX = ".partial~"
 """Ending of temporary names; a file left with it belongs to a killed run and may be deleted."""
@@ -33,8 +34,9 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
             path.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
             os.replace(temporary, path)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+        except (OSError, UnicodeError) as error:  # UnicodeError: no name in the file system's encoding
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise OutputError(f"{shown(path)}: cannot be written ({reason})") from error
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -48,5 +50,5 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write ``text`` to ``path`` as UTF-8 with LF line ends, atomically."""
-    write_bytes(path, text.encode("utf-8"))
+    """Write ``text`` to ``path`` as UTF-8 with LF line ends, atomically; bytes of odd file names are escaped."""
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))

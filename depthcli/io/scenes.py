@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.io.disparity import MAP_SUFFIXES, read_disparity
-from depthcli.io.images import IMAGE_SUFFIXES, Image, read_bytes, read_grey, read_image
+from depthcli.io.files import read_bytes
+from depthcli.io.images import IMAGE_SUFFIXES, Image, read_grey, read_image
 
 LAYOUTS = ("scenes", "middlebury-v2", "middlebury-v3", "eth3d", "kitti-2012", "kitti-2015")
 

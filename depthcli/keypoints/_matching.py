@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from depthcli.kernels._jit import jit, parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.keypoints import KeyPoints
 
 

@@ -7,7 +7,7 @@ import heapq
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels._jit import jit
+from depthcli.kernels.jit import jit
 from depthcli.kinect.surfaces import Surfaces, surface_at
 
 _IMPOSSIBLE = 1000.0  # above any path of colors, so that a surface too near is taken only where there is no other

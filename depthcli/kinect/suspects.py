@@ -12,7 +12,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from depthcli.kernels._jit import jit, parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit
 
 NO_JUMP = 255
 _COLUMNS = 64  # a task of the vertical pass: whole cache lines, so that no two threads write to one

@@ -9,7 +9,7 @@ import maxflow
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from depthcli.kernels._jit import jit
+from depthcli.kernels.jit import jit
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.labelling.regions import connected_components, merge_small_regions
 from depthcli.segmentation import Segmenter
-from depthcli.segmentation._regions import connected_components, merge_small_regions
 
 
 class MeanShift(Segmenter):
@@ -24,7 +24,7 @@ class MeanShift(Segmenter):
     )
     min_size: int = Field(20, ge=1, description="smaller regions join the neighbour of the nearest colour, pixels")
 
-    def __call__(self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None = None) -> NDArray[np.int32]:
+    def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
         filtered = cv2.pyrMeanShiftFiltering(
             np.ascontiguousarray(image), self.spatial_radius, self.color_radius, maxLevel=0
         )

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from depthcli.kernels._jit import jit
+from depthcli.kernels.jit import jit
+from depthcli.labelling.regions import consecutive, root
 from depthcli.segmentation import Segmenter
-from depthcli.segmentation._regions import _consecutive, _root
 
 _LEVELS = 256  # g of the paper
 _DEPTH_LEVELS = 4095  # few enough that the sum over a large image is an int32
@@ -160,7 +160,7 @@ def _merge(image, depth, complexities, guidance, min_size, labels):  # type: ign
             pair = pairs[k]
             i = pair >> 1
             j = i + 1 if pair & 1 == 0 else i + width
-            i, j = _root(parent, i), _root(parent, j)
+            i, j = root(parent, i), root(parent, j)
             if i == j:
                 continue
             limit = bound[i, 0] + bound[j, 0]
@@ -196,9 +196,9 @@ def _without_small(parent, size, pairs, width, min_size):  # type: ignore[no-unt
     for pair in pairs:
         i = pair >> 1
         j = i + 1 if pair & 1 == 0 else i + width
-        i, j = _root(parent, i), _root(parent, j)
+        i, j = root(parent, i), root(parent, j)
         if i != j and min(size[i], size[j]) < min_size:
             i, j = min(i, j), max(i, j)
             parent[j] = i
             size[i] += size[j]
-    return _consecutive(parent)
+    return consecutive(parent)

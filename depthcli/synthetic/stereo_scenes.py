@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.filtering.discontinuity import discontinuity_mask
 from depthcli.synthetic import textures
 from depthcli.synthetic.surfaces import Array, Outline, Surface, Vector, rotation
 from depthcli.synthetic.textures import Texture, TextureMaker
@@ -556,25 +557,3 @@ def _developed(stage: _Stage, image: NDArray[np.float32], noise: float) -> NDArr
     if noise > 0:
         grey_levels = grey_levels + noise * stage.rng.standard_normal(image.shape, np.float32)
     return np.clip(np.rint(grey_levels), 0, 255).astype(np.uint8)
-
-
-def discontinuity_mask(disparity: Array, nonocc: NDArray[np.bool_], gap: float = 2.0) -> NDArray[np.bool_]:
-    """Non-occluded pixels near a depth discontinuity, as the Middlebury v2 masks have them.
-
-    A 9x9 dilation of the 4-neighbour jumps above ``gap`` pixels and of the occlusions, inside ``nonocc``.
-
-    Parameters
-    ----------
-    disparity : (H, W) float, pixels
-    nonocc : (H, W) bool
-    gap : pixels
-    """
-    edge = ~nonocc
-    across, down = np.abs(np.diff(disparity, axis=1)) > gap, np.abs(np.diff(disparity, axis=0)) > gap
-    edge[:, 1:] |= across
-    edge[:, :-1] |= across
-    edge[1:] |= down
-    edge[:-1] |= down
-    wide = cv2.dilate(edge.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
-    near: NDArray[np.bool_] = wide & nonocc
-    return near

@@ -12,10 +12,10 @@ from depthcli.core.frames import StereoPair
 from depthcli.fusion import Fusion
 from depthcli.fusion.blend import add_weighted, blend, squash
 from depthcli.fusion.votes import Ballot, ColorSupport, WindowSupport
-from depthcli.fusion.weights import comparable, left_right_difference, measure_weights
+from depthcli.fusion.weights import comparable, measure_weights
+from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.stereo.cost.census import Census
 from depthcli.stereo.volume import CostVolume
-from depthcli.stereo.winner import winners
 from tests.naive import fusion as naive
 
 MEASURES = ["absolute_difference", "gradient", "rank", "census"]
@@ -116,7 +116,7 @@ def test_comparable_confidences():
 def test_left_right_difference_is_the_confidence_measure():
     costs = np.random.default_rng(0).integers(0, 99, (9, 30, 12)).astype(np.uint16)
     left, right = winners(costs)
-    got = left_right_difference(left, right)
+    got = -left_right_difference(left, right)
     np.testing.assert_array_equal(got, naive.left_right_difference(left, right))
     np.testing.assert_array_equal(got, confidence_maps(costs, ["lrc"])["lrc"])
 

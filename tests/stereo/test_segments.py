@@ -11,9 +11,9 @@ from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.jobs.stereo import StereoConfig
 from depthcli.keypoints._matching import Matches, consistent
-from depthcli.segmentation._regions import region_graph
+from depthcli.labelling.regions import region_graph
+from depthcli.stereo.config import StereoConfig
 from depthcli.stereo.pipeline.segments import Segments
 from depthcli.stereo.segments import energy
 from depthcli.stereo.segments.first_estimate import (

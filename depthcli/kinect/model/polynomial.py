@@ -7,7 +7,7 @@ from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.kernels._jit import jit, parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit
 from depthcli.kinect.model import SurfaceModel
 from depthcli.kinect.surfaces import Surfaces
 

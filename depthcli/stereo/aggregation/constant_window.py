@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.aggregation import Aggregator
-from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
+from depthcli.stereo.fixed_point import FixedPoint, as_fixed_point
 from depthcli.stereo.volume import CostVolume
 
 

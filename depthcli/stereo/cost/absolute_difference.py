@@ -10,6 +10,7 @@ from pydantic import Field
 from depthcli.core.frames import StereoPair
 from depthcli.stereo.cost import CostMeasure
 from depthcli.stereo.cost._fill import difference_volume, empty_volume
+from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
 
@@ -33,6 +34,6 @@ class AbsoluteDifference(CostMeasure):
         scale = left.shape[0]
         costs = empty_volume(pair.shape, disparities)
         limit = min(round(self.truncation * scale), self.MAX_STORED)
-        outside = min(round(self.outside * scale), limit)
-        difference_volume(left, right, costs, np.int16(limit), np.uint8(outside))
+        difference_volume(left, right, costs, np.int16(limit))
+        fill_outside(costs, np.uint8(min(round(self.outside * scale), limit)))
         return CostVolume(costs, float(scale))

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels._jit import jit, parallel_jit
-from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.stereo.fixed_point import FixedPoint, as_fixed_point
 from depthcli.stereo.optimization import Optimizer
 from depthcli.stereo.optimization._path_step import LANES, path_step
 from depthcli.stereo.volume import CostVolume

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from pydantic import Field, field_validator
 
 from depthcli.confidence import confidence_maps, measures
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
+from depthcli.core.result import Clock
+from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation import Aggregation
 from depthcli.stereo.cost import Cost
 from depthcli.stereo.optimization import Optimization
 from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.stereo.pipeline import StereoPipeline
 from depthcli.stereo.refinement import RefinementStep
-from depthcli.stereo.refinement._evidence import Evidence
-from depthcli.stereo.volume import StereoResult
-from depthcli.stereo.winner import winners
+from depthcli.stereo.volume import Evidence, StereoResult
 
 
 class Local(StereoPipeline):
@@ -41,31 +39,23 @@ class Local(StereoPipeline):
         return names
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
-        seconds: dict[str, float] = {}
-        clock = time.perf_counter()
-
-        def stop(stage: str) -> None:
-            nonlocal clock
-            now = time.perf_counter()
-            seconds[stage] = now - clock
-            clock = now
-
+        clock = Clock()
         volume = self.cost(pair, max_disparity + 1)
-        stop("cost")
+        clock.stop("cost")
         if self.aggregation is not None:
             volume = self.aggregation(volume, pair)
-        stop("aggregation")
+        clock.stop("aggregation")
         volume = self.optimization(volume, pair)
         left, right = winners(volume.costs)
-        stop("optimization")
+        clock.stop("optimization")
         evidence = Evidence(pair, volume, right)
         disparity = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
         for step in self.refinement:
             disparity = step(disparity, evidence)
-        stop("refinement")
+        clock.stop("refinement")
         confidence = confidence_maps(volume.costs, self.confidence) if self.confidence else {}
-        stop("confidence")
-        return StereoResult(disparity, seconds=seconds, confidence=confidence)
+        clock.stop("confidence")
+        return StereoResult(disparity, seconds=clock.seconds, confidence=confidence)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """By stage: two raw volumes; raw, aggregated and sums of arms; optimized beside aggregated or raw."""

@@ -10,18 +10,18 @@ from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Family
+from depthcli.core.result import Clock
 from depthcli.keypoints import Detector
 from depthcli.keypoints._matching import Matches, consistent, match_rectified
 from depthcli.labelling.graph_cut import alpha_expansion
+from depthcli.labelling.regions import region_graph
 from depthcli.segmentation import Segmentation
-from depthcli.segmentation._regions import region_graph
 from depthcli.segmentation.mean_shift import MeanShift
 from depthcli.stereo.cost import Cost
 from depthcli.stereo.optimization import Optimization
 from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.stereo.pipeline import StereoPipeline
 from depthcli.stereo.refinement import RefinementStep
-from depthcli.stereo.refinement._evidence import Evidence
 from depthcli.stereo.segments import energy, report
 from depthcli.stereo.segments.assignment import Assignment, Scene, regrouped
 from depthcli.stereo.segments.first_estimate import (
@@ -34,7 +34,7 @@ from depthcli.stereo.segments.first_estimate import (
 )
 from depthcli.stereo.segments.planes import Members, PlaneFit, Planes, distinct, evaluate
 from depthcli.stereo.segments.splitting import split_segments
-from depthcli.stereo.volume import CostVolume, StereoResult
+from depthcli.stereo.volume import CostVolume, Evidence, StereoResult
 
 
 def _detector_or_none(value: Any) -> Any:
@@ -135,7 +135,7 @@ class Segments(StereoPipeline):
     seed: int = Field(0, ge=0, le=2**31 - 1, description="of the RANSAC samples")
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
-        clock = report.Clock()
+        clock = Clock()
         image = pair.color8[0]
         labels = self.segmentation(image)
         clock.stop("segmentation")
@@ -186,7 +186,7 @@ class Segments(StereoPipeline):
         left, right = pair.grey8
         return consistent(match_rectified(self.keypoints(left), self.keypoints(right), max_disparity))
 
-    def _assign(self, scene: Scene, volume: CostVolume, fit: PlaneFit, clock: report.Clock) -> Assignment | None:
+    def _assign(self, scene: Scene, volume: CostVolume, fit: PlaneFit, clock: Clock) -> Assignment | None:
         """Planes and their labels; None where nothing is trusted."""
         own = self._own_planes(scene, fit)
         if own is None:

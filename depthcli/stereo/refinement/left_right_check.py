@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.winners import partner_difference
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 
 class LeftRightCheck(Refinement):
@@ -39,8 +39,7 @@ def _check(values: Any, status: Any, right: Any, tolerance: Any, disparities: in
             d = values[y, x]
             if np.isnan(d):
                 continue
-            u = x - int(d + np.float32(0.5))
-            if u >= 0 and abs(d - np.float32(right[y, u])) <= tolerance:
+            if partner_difference(d, x, right[y]) <= tolerance:
                 continue
             mutual = False
             for other in range(min(disparities, x + 1)):

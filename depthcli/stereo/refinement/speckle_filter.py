@@ -8,7 +8,7 @@ from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 _STEPS = 16  # OpenCV filters 16-bit numbers: sixteenths of a pixel, coarser above 2000 disparities
 

@@ -6,13 +6,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import prange
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 _PER_PIXEL = 8  # bins
 _BLOCK = 16

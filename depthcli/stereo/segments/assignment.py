@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.segmentation._regions import RegionGraph, joined_regions
+from depthcli.labelling.regions import RegionGraph, joined_regions
 from depthcli.stereo.segments.first_estimate import FirstEstimate
 from depthcli.stereo.segments.planes import Members, PlaneFit, Planes
 

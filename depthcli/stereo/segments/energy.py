@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from depthcli.kernels._jit import parallel_jit
-from depthcli.segmentation._regions import RegionGraph
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.labelling.regions import RegionGraph
 from depthcli.stereo.segments.planes import Members, Planes
 from depthcli.stereo.volume import CostVolume
 

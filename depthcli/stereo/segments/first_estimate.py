@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels._jit import jit, parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.keypoints._matching import Matches
-from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
+from depthcli.stereo.fixed_point import FixedPoint, as_fixed_point
+from depthcli.stereo.refinement.subpixel import move_to_minimum
 from depthcli.stereo.volume import CostVolume
-from depthcli.stereo.winner import winners
 
 
 @dataclass(frozen=True)
@@ -187,34 +187,12 @@ def select(volume: CostVolume, tolerance: float, subpixel: bool) -> FirstEstimat
     same: on a flat image any disparity would pass the check.
     """
     left, right = winners(volume.costs)
-    columns = np.arange(left.shape[1])[None] - left.astype(np.int64)
-    inside = columns >= 0
-    there = np.take_along_axis(right, np.maximum(columns, 0), axis=1).astype(np.int64)
-    trusted = inside & (np.abs(there - left) <= tolerance)
+    trusted = left_right_difference(left, right) <= tolerance
     _distrust_indifferent(volume.costs, trusted)
     values = left.astype(np.float32)
     if subpixel:
-        _parabola(volume.costs, left, values)
+        move_to_minimum(volume.costs, values)
     return FirstEstimate(values, trusted, right)
-
-
-@parallel_jit
-def _parabola(costs: Any, winner: Any, values: Any) -> None:
-    height, width, depth = costs.shape
-    for y in prange(height):
-        for x in range(width):
-            d = int(winner[y, x])
-            values[y, x] = d
-            if d == 0 or d + 1 >= depth or d + 1 > x:
-                continue
-            before = np.float32(costs[y, x, d - 1])
-            here = np.float32(costs[y, x, d])
-            after = np.float32(costs[y, x, d + 1])
-            if before < here or after < here:
-                continue
-            bend = before + after - 2.0 * here
-            if bend > 0.0:
-                values[y, x] = d + 0.5 * (before - after) / bend
 
 
 def tells_anything(volume: CostVolume) -> bool:

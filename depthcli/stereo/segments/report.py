@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import cv2
@@ -15,20 +14,6 @@ from depthcli.keypoints._matching import Matches
 from depthcli.labelling.graph_cut import potts_energy
 from depthcli.stereo.segments.assignment import Assignment, Scene
 from depthcli.stereo.segments.first_estimate import FirstEstimate
-
-
-class Clock:
-    """Adds up seconds by stage."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def stop(self, stage: str) -> None:
-        """Book the time since the last call under ``stage``."""
-        now = time.perf_counter()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
-        self._last = now
 
 
 def nothing_known(shape: tuple[int, ...]) -> DisparityMap:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.segmentation._regions import connected_components_of_labels, merge_small_labels
+from depthcli.labelling.regions import connected_components_of_labels, merge_small_labels
 from depthcli.stereo.segments.planes import Members, PlaneFit
 
 
