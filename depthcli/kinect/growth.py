@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +132,7 @@ def _neighbors(labels, count):  # type: ignore[no-untyped-def]
 
 @jit
 def _join(owners, mean, middle, most, starts, neighbors, boundary, coefficients, center, bounds, unit):  # type: ignore[no-untyped-def]
-    waiting = [(0.0, s, s) for s in range(owners.size) if owners[s] == s]
+    waiting: Any = [(0.0, s, s) for s in range(owners.size) if owners[s] == s]
     heapq.heapify(waiting)
     modelled = owners >= 0
     while len(waiting) > 0:
@@ -149,4 +150,4 @@ def _join(owners, mean, middle, most, starts, neighbors, boundary, coefficients,
                 step += abs(mean[s, c] - mean[t, c])
             if surface_at(coefficients, center, bounds, unit, owner, middle[t, 0], middle[t, 1]) > most[t]:
                 step += _IMPOSSIBLE
-            heapq.heappush(waiting, (cost + step, t, owner))
+            heapq.heappush(waiting, (cost + step, np.int64(t), owner))

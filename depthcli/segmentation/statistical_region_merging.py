@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -105,7 +105,7 @@ def _sorted_pairs(image, depth):  # type: ignore[no-untyped-def]
                 y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
                 if y2 == height or x2 == width:
                     continue
-                key = 0
+                key: Any = 0
                 for c in range(3):
                     key = max(key, abs(np.int64(image[y, x, c]) - np.int64(image[y2, x2, c])))
                 if guided and depth[y, x] >= 0 and depth[y2, x2] >= 0:

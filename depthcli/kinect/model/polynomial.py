@@ -11,6 +11,9 @@ from depthcli.kernels.jit import jit, parallel_jit
 from depthcli.kinect.model import SurfaceModel
 from depthcli.kinect.surfaces import Surfaces
 
+_STILL = 0.05  # a surface that moves by less than this share of the sensor's noise is final
+_SCALES = 3  # turns after which the scale of the residuals is left as it is
+_FEW = 100  # residuals that make a scale
 _CONSISTENT = 1.4826  # of the median absolute deviation, for normal residuals
 
 
@@ -23,7 +26,7 @@ class Polynomial(SurfaceModel):
     )
     iterations: int = Field(20, ge=1, le=100, description="most reweightings from nothing")
     warm_iterations: int = Field(2, ge=1, le=100, description="reweightings from the surfaces of the frame before")
-    samples: int = Field(1000, ge=100, description="most pixels of a segment that are looked at, evenly spread")
+    samples: int = Field(400, ge=100, description="most pixels of a segment that are looked at, evenly spread")
 
     def __call__(
         self, values: NDArray[np.float32], labels: NDArray[np.int32], floor: float, start: Surfaces | None = None
@@ -123,8 +126,10 @@ def _solve(m, b, terms, out):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _fit(order, begins, values, coefficients, center, bounds, scale, unit, degree, huber, iterations,
-         warm_iterations, floor, samples):  # type: ignore[no-untyped-def]  # fmt: skip
+def _fit(  # type: ignore[no-untyped-def]
+    order, begins, values, coefficients, center, bounds, scale, unit, degree, huber, iterations, warm_iterations,
+    floor, samples,
+):  # fmt: skip
     for s in prange(begins.size - 1):
         if begins[s + 1] > begins[s]:
             turns = iterations if np.isnan(center[s, 0]) else warm_iterations
@@ -141,7 +146,7 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
     total = pixels.size
     n = min(total, samples)
     z, u, v = np.empty(n), np.empty(n), np.empty(n)
-    residuals, scratch = np.empty(n), np.empty(n)
+    residuals, scratch, weights = np.empty(n), np.empty(n), np.empty(n)
     for k in range(n):
         p = pixels[k * total // n]
         y, x = p // width, p % width
@@ -160,47 +165,83 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
     if total >= 30 and degree >= 1:
         terms = 6 if total >= 100 and degree == 2 else 3
     beta[terms:] = 0
+    far_u, far_v = np.abs(u).max(), np.abs(v).max()
+    extent = (1.0, far_u, far_v, far_u * far_u, far_u * far_v, far_v * far_v)
     normal, right, new = np.empty((6, 6)), np.empty(6), np.empty(6)
-    basis = np.ones(6)
-    for turn in range(iterations + 1):
+    spread = floor
+    for turn in range(iterations):
+        _residuals(z, u, v, beta, residuals)
+        if turn < _SCALES:
+            spread = _spread(residuals, scratch, floor)
+        limit = huber * spread
         for k in range(n):
-            residuals[k] = z[k] - (
-                beta[0] + u[k] * (beta[1] + u[k] * beta[3]) + v[k] * (beta[2] + u[k] * beta[4] + v[k] * beta[5])
-            )
-        spread = _spread(residuals, scratch, floor)
-        if turn == iterations:
-            break
-        normal[:] = 0
-        right[:] = 0
-        for k in range(n):
-            apart = abs(residuals[k])
-            weight = 1.0 if apart <= huber * spread else huber * spread / apart
-            basis[1], basis[2] = u[k], v[k]
-            if terms == 6:
-                basis[3], basis[4], basis[5] = u[k] * u[k], u[k] * v[k], v[k] * v[k]
-            for i in range(terms):
-                weighted = weight * basis[i]
-                right[i] += weighted * z[k]
-                for j in range(i + 1):
-                    normal[i, j] += weighted * basis[j]
+            weights[k] = min(1.0, limit / max(abs(residuals[k]), 1e-30))
+        _normal_equations(z, u, v, weights, terms, normal, right)
         if not _solve(normal, right, terms, new):  # the pixels lie on a line
             terms = 3 if terms == 6 else 1
             beta[terms:] = 0
             continue
-        change = 0.0
+        change = 0.0  # of the surface, anywhere in the segment, at most
         for i in range(terms):
-            change = max(change, abs(new[i] - beta[i]))
+            change += abs(new[i] - beta[i]) * extent[i]
             beta[i] = new[i]
-        if change < 1e-2 * floor:
+        if change < _STILL * floor and turn + 1 >= _SCALES:
             break
-    return np.float32(spread)
+    _residuals(z, u, v, beta, residuals)
+    return np.float32(_spread(residuals, scratch, floor))
+
+
+@jit
+def _normal_equations(z, u, v, weights, terms, normal, right):  # type: ignore[no-untyped-def]
+    """Lower half of sum w b b' and sum w b z over the pixels' basis b; the first three terms fast."""
+    w0 = wu = wv = wuu = wuv = wvv = wz = wuz = wvz = 0.0
+    for k in range(z.size):
+        w = weights[k]
+        a, b = w * u[k], w * v[k]
+        w0 += w
+        wu += a
+        wv += b
+        wuu += a * u[k]
+        wuv += a * v[k]
+        wvv += b * v[k]
+        wz += w * z[k]
+        wuz += a * z[k]
+        wvz += b * z[k]
+    normal[0, 0], normal[1, 0], normal[2, 0] = w0, wu, wv
+    normal[1, 1], normal[2, 1], normal[2, 2] = wuu, wuv, wvv
+    right[0], right[1], right[2] = wz, wuz, wvz
+    if terms <= 3:
+        return
+    normal[3:, :] = 0
+    right[3:] = 0
+    basis = np.ones(6)
+    for k in range(z.size):
+        basis[1], basis[2] = u[k], v[k]
+        basis[3], basis[4], basis[5] = u[k] * u[k], u[k] * v[k], v[k] * v[k]
+        for i in range(3, terms):
+            weighted = weights[k] * basis[i]
+            right[i] += weighted * z[k]
+            for j in range(i + 1):
+                normal[i, j] += weighted * basis[j]
+
+
+@jit
+def _residuals(z, u, v, beta, out):  # type: ignore[no-untyped-def]
+    for k in range(out.size):
+        out[k] = z[k] - (
+            beta[0] + u[k] * (beta[1] + u[k] * beta[3]) + v[k] * (beta[2] + u[k] * beta[4] + v[k] * beta[5])
+        )
 
 
 @jit
 def _spread(residuals, scratch, floor):  # type: ignore[no-untyped-def]
-    """Robust standard deviation by the median absolute deviation, at least ``floor``."""
-    scratch[:] = residuals
-    middle = _select(scratch, residuals.size // 2)
-    for k in range(residuals.size):
-        scratch[k] = abs(residuals[k] - middle)
-    return max(_CONSISTENT * _select(scratch, residuals.size // 2), floor)
+    """Robust standard deviation by the median absolute deviation of evenly spread residuals, at least ``floor``."""
+    n = residuals.size
+    few = min(n, _FEW)
+    sample = scratch[:few]
+    for k in range(few):
+        sample[k] = residuals[k * n // few]
+    middle = _select(sample, few // 2)
+    for k in range(few):
+        sample[k] = abs(residuals[k * n // few] - middle)
+    return max(_CONSISTENT * _select(sample, few // 2), floor)
