@@ -79,7 +79,7 @@ class Bench:
         rates = []
         for scene in scenes:
             judge = load(protocol)()
-            by_region = judge.rates(match(change(scene.load()), scene.max_disparity or 255), judge.truth(scene))
+            by_region = judge.headlines(match(change(scene.load()), scene.max_disparity or 255), judge.truth(scene))
             rates.append(next(iter(by_region.values())))
         return rates
 

@@ -68,6 +68,19 @@ def find_items(
     return chosen
 
 
+def item_with_file(file: Path) -> Item | None:
+    """The item that ``file`` belongs to by the layout of its folder or of the one above (KITTI); None for none."""
+    path = file.absolute()
+    for place in path.parents[:2]:
+        try:
+            inside = [item for each in layouts() for item in each.items(Folder(place, place.name, ""))]
+        except InputError:
+            continue
+        if holding := [item for item in inside if path in vars(item).values()]:
+            return holding[0]
+    return None
+
+
 def _wanted(kinds: tuple[type[Item], ...] | None, layout: str | None) -> tuple[Layout, ...]:
     fitting = tuple(each for each in layouts() if kinds is None or issubclass(each.kind, kinds))
     if layout is None:
