@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.labelling.regions import connected_components_of_labels, merge_small_regions
 from depthcli.segmentation import Segmenter
-from depthcli.segmentation._regions import connected_components_of_labels, merge_small_regions
 
 
 class Felzenszwalb(Segmenter):
