@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.kernels.jit import jit, parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kinect.growth import grow
 from depthcli.kinect.model import SurfaceModel
 from depthcli.kinect.noise import noise_level

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 
 
 def farthest_fit(disparity: NDArray[np.float32], jump: float, tolerance: float = 2.5) -> NDArray[np.float32]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.kernels.jit import jit, parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kinect.model import SurfaceModel
 from depthcli.kinect.surfaces import Surfaces
 
