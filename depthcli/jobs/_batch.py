@@ -85,12 +85,16 @@ class BatchCommand(Command):
         """Colors of the status maps that it writes, or None."""
         return None
 
+    def legend_values(self) -> tuple[int, ...] | None:
+        """Combinations of bits that the legend shows; None for each bit alone."""
+        return None
+
     def _write_legend(self, output: Path, rows: list[dict[str, Any]]) -> None:
         from depthcli.io.pictures import write_legend
 
         palette = self.palette()
         if palette is not None and any(row["status"] == "done" for row in rows):
-            write_legend(output / "legend.png", palette)
+            write_legend(output / "legend.png", palette, self.legend_values())
 
     def _evaluation(self, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> Any:
         from depthcli.jobs.evaluate import evaluate

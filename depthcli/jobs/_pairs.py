@@ -46,6 +46,13 @@ class PairCommand(ConfigCommand):
 
         return STATUS_PALETTE
 
+    def legend_values(self) -> tuple[int, ...]:
+        """Each reason, alone and filled."""
+        from depthcli.core.maps import Status
+
+        reasons = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
+        return (0, int(Status.SMOOTHED), *reasons, *(bit | int(Status.FILLED) for bit in reasons))
+
     def settings(self, config: Any, item: StereoItem) -> dict[str, str]:
         """The search range, which may come from a file beside the images."""
         return {"max_disparity": str(config.max_disparity or item.max_disparity)}
