@@ -10,13 +10,15 @@ of itself and of each of them, and counts for nothing where one does not fit.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import hashlib
 import io
 import json
 import math
+import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -73,6 +75,28 @@ def file_digest(path: Path) -> str:
     except InputError as error:
         return f"unreadable: {error}"
     return sha.hexdigest()
+
+
+@contextlib.contextmanager
+def locked(output: Path, say: Callable[[str], None]) -> Iterator[None]:
+    """Keep a second run out of the folder; the system drops the lock when this process ends, however it ends."""
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        handle = os.open(output, os.O_RDONLY)
+    except OSError as error:
+        raise OutputError(f"{output}: cannot be used as a run folder ({error.strerror or error})") from error
+    try:
+        try:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(f"{output}: another depthcli is writing there now") from None
+        except (ImportError, OSError):
+            say(f"{output}: no locks on this file system; see to it that no other run writes there")
+        yield
+    finally:
+        os.close(handle)
 
 
 def open_run(folder: Path, text: str, overwrite: bool) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,8 @@ class Measure(BaseModel):
     """One measure that takes part: computed here, or a volume made elsewhere."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    flattened: ClassVar[str] = "cost"  # a measure may be written as its cost alone
 
     cost: PartCost | None = Field(None, description="a cost measure of the stereo command")
     volume: str | None = Field(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from depthcli.kernels.jit import jit
 from depthcli.kinect.surfaces import Surfaces, surface_at
 
-_IMPOSSIBLE = 1000.0  # above any path of colors, so that a surface too near is taken only where there is no other
+IMPOSSIBLE = 1000.0  # above any path of colors, so that a surface too near is taken only where there is no other
 
 
 def grow(
@@ -149,5 +149,5 @@ def _join(owners, mean, middle, most, starts, neighbors, boundary, coefficients,
             for c in range(3):
                 step += abs(mean[s, c] - mean[t, c])
             if surface_at(coefficients, center, bounds, unit, owner, middle[t, 0], middle[t, 1]) > most[t]:
-                step += _IMPOSSIBLE
+                step += IMPOSSIBLE
             heapq.heappush(waiting, (cost + step, np.int64(t), owner))

@@ -50,13 +50,14 @@ class Evidence:
     noise: float
 
 
-def evidence(frame: RgbdFrame, jump: float, row_band: int, column_band: int) -> Evidence:
+def evidence(frame: RgbdFrame, jump: float, row_band: int, column_band: int, noise: float | None = None) -> Evidence:
     """Look at a frame.
 
     Parameters
     ----------
     jump : multiples of the noise
     row_band, column_band : suspects lie at most so many pixels into the near side of a jump; 0: none is
+    noise : pixels, where it is known already
 
     Raises
     ------
@@ -66,7 +67,7 @@ def evidence(frame: RgbdFrame, jump: float, row_band: int, column_band: int) -> 
     disparity = frame.disparity
     if np.isnan(disparity).all():
         raise ValueError("no pixel of the frame has a depth")
-    noise = noise_level(disparity)
+    noise = noise_level(disparity) if noise is None else noise
     distance = jump_distance(disparity, jump * noise)
     suspect = distance.inside(row_band, column_band)
     return Evidence(

@@ -172,3 +172,41 @@ def owners(labels, modelled, color, value_at, limit):
                 step += 1000 * (value_at(o, *middle[t]) > most[t])
                 frontier.append((cost + step, t, o))
     return np.array([settled.get(s, -1) for s in range(count)])
+
+
+def carried_labels(labels, own, still, color, trusted, limit, value_at, scale, jump, noise):
+    height, width = labels.shape
+    cost = np.full(labels.shape, np.inf)
+    for y, x in np.ndindex(height, width):
+        s = labels[y, x]
+        if s >= 0 and still[y, x]:
+            value = value_at(s, y, x)
+            off = abs(trusted[y, x] - value)
+            fits = np.isnan(off) or off <= jump + 3 * scale[s]
+            if fits and value <= limit[y, x] + jump:
+                cost[y, x] = 0
+    held = cost == 0
+    labels, own = np.where(held, labels, -1), own.copy()
+    for forward in (True, False):
+        order = list(np.ndindex(height, width))
+        before = [(0, -1), (-1, -1), (-1, 0), (-1, 1)]
+        if not forward:
+            order.reverse()
+            before = [(-dy, -dx) for dy, dx in before]
+        for y, x in order:
+            if held[y, x]:
+                continue
+            steps = [before[0], *sorted(before[1:], key=lambda step: step[1])]
+            for dy, dx in steps:
+                v, u = y + dy, x + dx
+                if not (0 <= v < height and 0 <= u < width) or labels[v, u] < 0:
+                    continue
+                value = value_at(labels[v, u], y, x)
+                total = cost[v, u] + np.abs(color[y, x].astype(int) - color[v, u]).sum()
+                if not np.isnan(trusted[y, x]):
+                    total += 5 / noise * abs(trusted[y, x] - value)
+                if value > limit[y, x]:
+                    total += 1000
+                if total < cost[y, x]:
+                    cost[y, x], labels[y, x], own[y, x] = total, labels[v, u], own[v, u]
+    return labels, own

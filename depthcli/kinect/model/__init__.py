@@ -19,7 +19,7 @@ class SurfaceModel(Method):
     def __call__(
         self, values: NDArray[np.float32], labels: NDArray[np.int32], floor: float, start: Surfaces | None = None
     ) -> Surfaces:
-        """Fit ``values`` (H, W), NaN = unknown, segment by segment of ``labels`` (H, W) int32, 0 .. n - 1.
+        """Fit ``values`` (H, W), NaN = unknown, segment by segment of ``labels`` (H, W) int32, 0 .. n - 1; -1: none.
 
         Parameters
         ----------

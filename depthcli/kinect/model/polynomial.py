@@ -56,14 +56,14 @@ def _known_by_segment(labels, values, count):  # type: ignore[no-untyped-def]
     flat, value = labels.ravel(), values.ravel()
     begins = np.zeros(count + 1, np.int64)
     for p in range(flat.size):
-        if not np.isnan(value[p]):
+        if flat[p] >= 0 and not np.isnan(value[p]):
             begins[flat[p] + 1] += 1
     for s in range(count):
         begins[s + 1] += begins[s]
     order = np.empty(begins[count], np.int32)
     free = begins[:count].copy()
     for p in range(flat.size):
-        if not np.isnan(value[p]):
+        if flat[p] >= 0 and not np.isnan(value[p]):
             s = flat[p]
             order[free[s]] = p
             free[s] += 1

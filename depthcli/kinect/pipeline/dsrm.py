@@ -60,27 +60,32 @@ class Dsrm(KinectPipeline):
     details: bool = Field(False, description="write the segments of every layer as pictures")
 
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+        return self.refine(frame)[0]
+
+    def refine(self, frame: RgbdFrame) -> tuple[RefinedDepth, Evidence, list[Layer], NDArray[np.float32]]:
+        """The result, and what a sequence goes on with: evidence, layers (none of those in turn), disparity."""
         clock = Clock()
         seen = evidence(frame, self.jump, self.row_band, self.column_band)
         clock.stop("suspects")
         labels = self.segmentation.layers(frame.color, seen.trusted)
         clock.stop("segmentation")
+        layers: list[Layer] = []
         if self.combination == "median":
-            layers = self.fit(frame, seen, labels)
+            layers = self._fit(frame, seen, labels)
             clock.stop("model")
             refined = combine(layers, seen, self.detail_reach, self.tolerance, self.smooth)
         else:
             refined = self._in_turn(frame, seen, labels)
-        refined = _filled(refined, frame, seen)
+        refined = filled(refined, frame, seen)
         clock.stop("refinement")
         result = in_meters(refined, frame)
         if self.details:
             result.pictures |= {f"segments_{k}": segment_picture(layer) for k, layer in enumerate(labels)}
         clock.stop("result")
         result.seconds = clock.seconds
-        return result
+        return result, seen, layers, refined.disparity
 
-    def fit(self, frame: RgbdFrame, seen: Evidence, labels: list[NDArray[np.int32]]) -> list[Layer]:
+    def _fit(self, frame: RgbdFrame, seen: Evidence, labels: list[NDArray[np.int32]]) -> list[Layer]:
         """The layers' surfaces."""
         lab = lab_of(frame.color)
         return [fit_layer(seen, each, lab, self.model, self.min_known, self.min_share, self.join) for each in labels]
@@ -120,7 +125,7 @@ def _near_border(labels: NDArray[np.int32], reach: int) -> NDArray[np.bool_]:
     return near
 
 
-def _filled(refined: Refined, frame: RgbdFrame, seen: Evidence) -> Refined:
+def filled(refined: Refined, frame: RgbdFrame, seen: Evidence) -> Refined:
     """What no surface reaches, from around."""
     missing = np.isnan(refined.disparity)
     if not missing.any():
