@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kinect.growth import IMPOSSIBLE
 from depthcli.kinect.layer import Evidence, Layer
 from depthcli.kinect.surfaces import Surfaces, surface_at

@@ -35,7 +35,7 @@ class StatisticalRegionMerging(Segmenter):
         16, ge=0, le=65536, description="Q of the test on depth; 0: depth is not looked at (plain SRM)"
     )
     smoothing: float = Field(1.0, ge=0, le=10, description="sigma of the 3 x 3 Gaussian before merging; 0: none")
-    min_size: int = Field(20, ge=1, description="smaller regions join a neighbor in the end, pixels")
+    min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor in the end, pixels")
 
     @model_validator(mode="after")
     def _falling(self) -> StatisticalRegionMerging:

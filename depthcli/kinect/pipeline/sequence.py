@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock
-from depthcli.kernels.jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kinect.layer import Evidence, Layer, combine, evidence
 from depthcli.kinect.pipeline import SequencePipeline
 from depthcli.kinect.pipeline.dsrm import Dsrm, filled, in_meters
