@@ -24,8 +24,8 @@ class SurfaceModel(Method):
         Parameters
         ----------
         floor : least scale of residuals: what the sensor resolves
-        start : surfaces of the same n segments in the frame before, to begin at; a segment of which nothing is
-            known any more keeps its surface
+        start : surfaces of the same n segments in the frame before, to begin at; a segment of which too little is
+            known now keeps its surface
         """
 
 

@@ -10,6 +10,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kinect.model import SurfaceModel
 from depthcli.kinect.surfaces import Surfaces
 
+_PLANE, _QUADRIC = 30, 100  # known pixels from which a surface has degree 1, 2
 _STILL = 0.05  # a surface that moves by less than this share of the sensor's noise is final
 _SCALES = 3  # turns after which the scale of the residuals is left as it is
 _FEW = 100  # residuals that make a scale
@@ -130,8 +131,10 @@ def _fit(  # type: ignore[no-untyped-def]
     floor, samples,
 ):  # fmt: skip
     for s in prange(begins.size - 1):
-        if begins[s + 1] > begins[s]:
-            turns = iterations if np.isnan(center[s, 0]) else warm_iterations
+        known = begins[s + 1] - begins[s]
+        new = np.isnan(center[s, 0])
+        if known >= (1 if new else _PLANE):
+            turns = iterations if new else warm_iterations
             scale[s] = _fit_one(
                 order[begins[s] : begins[s + 1]], values, coefficients[s], center[s], bounds[s], unit, degree, huber,
                 turns, floor, samples,
@@ -161,8 +164,8 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
     bounds[0] = max(low - 0.05 * (high - low), 0.5 * low)
     bounds[1] = high + 0.05 * (high - low)
     terms = 1
-    if total >= 30 and degree >= 1:
-        terms = 6 if total >= 100 and degree == 2 else 3
+    if total >= _PLANE and degree >= 1:
+        terms = 6 if total >= _QUADRIC and degree == 2 else 3
     beta[terms:] = 0
     far_u, far_v = np.abs(u).max(), np.abs(v).max()
     extent = (1.0, far_u, far_v, far_u * far_u, far_u * far_v, far_v * far_v)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -17,7 +15,6 @@ from depthcli.kinect.pipeline import SequencePipeline
 from depthcli.kinect.pipeline.dsrm import Dsrm, filled, in_meters
 from depthcli.kinect.result import RefinedDepth
 from depthcli.kinect.sequence import SequenceState, carried_labels, still_pixels
-from depthcli.kinect.surfaces import Surfaces
 
 _FILLED, _FALLBACK, _CARRIED = int(DepthStatus.GAP_FILLED), int(DepthStatus.FALLBACK), int(DepthStatus.CARRIED)
 
@@ -77,20 +74,9 @@ class Sequence(SequencePipeline, Dsrm):
         return result, SequenceState(tuple(layers), frame.color, disparity, seen.noise, 0)
 
     def _carried(self, layer: Layer, seen: Evidence, still: NDArray[np.bool_], color: NDArray[np.uint8]) -> Layer:
-        """The layer in this frame: labels moved, surfaces of which enough is known refitted from where they were."""
+        """The layer in this frame: labels moved, surfaces refitted from where they were."""
         labels, own = carried_labels(layer, still, color, seen, self.jump * seen.noise)
-        before = layer.surfaces
-        after = self.model(seen.trusted, labels, seen.noise, before)
-        known = np.bincount(labels[(labels >= 0) & ~np.isnan(seen.trusted)], minlength=len(before.scale))
-        fresh = known >= self.min_known
-        surfaces = Surfaces(
-            coefficients=np.where(fresh[:, None], after.coefficients, before.coefficients),
-            center=before.center,
-            bounds=np.where(fresh[:, None], after.bounds, before.bounds),
-            scale=np.where(fresh, after.scale, before.scale),
-            unit=before.unit,
-        )
-        return replace(layer, labels=labels, surfaces=surfaces, own=own)
+        return Layer(labels, self.model(seen.trusted, labels, seen.noise, layer.surfaces), own)
 
 
 @parallel_jit
