@@ -1,32 +1,65 @@
-"""The command line: the only place with typer and exit codes.
+"""The command line: the only place with typer and exit codes; commands are built from the objects of ``jobs/``.
 
-Exit codes: 0 all done; 1 a bug; 2 wrong usage or config; 3 finished, but some scenes failed; 130 Ctrl-C.
-Nothing heavy is imported here or by the command modules, so that ``--help`` answers at once.
+Exit codes: 0 all done; 1 a bug; 2 wrong usage or config; 3 finished, but something failed; 130 Ctrl-C; 143 SIGTERM.
+Nothing heavy is imported here, so that ``--help`` answers at once.
 """
 
 from __future__ import annotations
 
+import contextlib
+import inspect
 import os
+import signal
 import sys
+from collections.abc import Callable
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
+from typer.main import get_command
 
-from depthcli.cli import evaluate, fuse, presets, sample, stereo
-from depthcli.core.errors import DepthcliError
+from depthcli.batch.command import SOME_FAILED, Command
+from depthcli.batch.reporter import Reporter
+from depthcli.core.errors import DepthcliError, IncompleteError
+from depthcli.core.option import Option
+from depthcli.jobs import command_names, help_of, load_command
 
-app = typer.Typer(
-    name="depthcli",
-    add_completion=False,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+_COMMON = (
+    Option("json", bool, "Print one JSON document instead of a table.", default=False),
+    Option("verbose", bool, "Say more on stderr.", default=False, short="-v"),
+    Option("quiet", bool, "Say only errors; no table.", default=False, short="-q"),
 )
-app.command("stereo", short_help="Image pairs to disparity maps.")(stereo.stereo)
-app.command("fuse", short_help="The same, by several measures weighed pixel by pixel.")(fuse.fuse)
-app.command("evaluate", short_help="Runs against ground truth, side by side.")(evaluate.evaluate)
-app.command("sample", short_help="Generated scenes with exact ground truth.")(sample.sample)
-app.command("presets", short_help="List the presets, or show one in full.")(presets.presets)
+_SETTINGS: dict[str, Any] = {
+    "add_completion": False,
+    "rich_markup_mode": None,
+    "pretty_exceptions_enable": False,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+
+
+class _Terminated(BaseException):
+    """SIGTERM: end as by Ctrl-C, with another code."""
+
+
+class _Commands(TyperGroup):
+    """The commands of ``jobs/``, each built when it is asked for."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return command_names()
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name not in command_names():
+            return None
+        app = typer.Typer(**_SETTINGS)
+        app.command(cmd_name, help=help_of(cmd_name))(_function(load_command(cmd_name)))
+        return get_command(app)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, help_of(name)) for name in command_names()])
+
+
+app = typer.Typer(name="depthcli", cls=_Commands, no_args_is_help=True, **_SETTINGS)
 
 
 def _version(value: bool) -> None:
@@ -41,33 +74,95 @@ def _version(value: bool) -> None:
 def depthcli(
     version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
 ) -> None:
-    """Depth from images: batch stereo matching and its evaluation, from YAML configs and image folders."""
+    """Depth from images and its evaluation, in batches: YAML configs and folders in, maps and reports out."""
+
+
+def _function(command: Command) -> Callable[..., int]:
+    """A function whose signature is what typer reads a command line from."""
+
+    def function(**values: Any) -> int:
+        reporter = Reporter(-1 if values["quiet"] else int(values["verbose"]))
+        return command.run(values, reporter)
+
+    parameters = [
+        inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=_annotation(option))
+        for option, default in (
+            *((argument, _argument(argument)) for argument in command.arguments),
+            *((option, _option(option)) for option in (*command.options, *_COMMON)),
+        )
+    ]
+    function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    function.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return function
+
+
+def _annotation(option: Option) -> Any:
+    kind: Any = list[option.type] if option.many else option.type  # type: ignore[name-defined]
+    return kind if option.required or option.type is bool else kind | None
+
+
+def _argument(option: Option) -> Any:
+    default = ... if option.required else option.default
+    return typer.Argument(default, metavar=option.metavar or None, help=option.help)
+
+
+def _option(option: Option) -> Any:
+    default = ... if option.required else option.default
+    names = (option.flag, option.short) if option.short else (option.flag,)
+    return typer.Option(
+        default, *names, metavar=option.metavar or None, help=option.help, min=option.least, max=option.most
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code; messages go to stderr, never a traceback except for a bug."""
+    _mend_streams()
+    with contextlib.suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGTERM, _terminate)
     try:
         code = int(app(arguments, prog_name="depthcli", standalone_mode=False) or 0)
-        sys.stdout.flush()
         if code == 130:  # typer turns Ctrl-C into this code, silently
             raise KeyboardInterrupt
         return code
+    except IncompleteError as error:
+        _say(f"depthcli: {error}")
+        return SOME_FAILED
     except DepthcliError as error:
-        print(f"depthcli: {error}" if "\n" not in str(error) else str(error), file=sys.stderr)
+        _say(f"depthcli: {error}" if "\n" not in str(error) else str(error))
         return 2
+    except _Terminated:
+        _say("depthcli: terminated; the same command goes on where it stopped")
+        return 143
     except (KeyboardInterrupt, typer.Abort):
-        print("depthcli: interrupted; the same command goes on where it stopped", file=sys.stderr)
+        _say("depthcli: interrupted; the same command goes on where it stopped")
         return 130
-    except BrokenPipeError:  # the reader of our stdout has gone, as in `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except Exception as error:
-        show = getattr(error, "show", None)
-        if show is not None and getattr(error, "exit_code", None) == 2:  # click's wrong usage, in its own words
-            show()
+        if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage, in typer's own words
+            with contextlib.suppress(OSError):
+                error.show()
             return 2
         import traceback
 
-        traceback.print_exc()
-        print("depthcli: this is a bug, not something you did; please report the lines above", file=sys.stderr)
+        _say(traceback.format_exc().rstrip())
+        _say("depthcli: this is a bug, not something you did; please report the lines above")
         return 1
+    finally:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+
+
+def _mend_streams() -> None:
+    """No reader, or one who cannot show a name, must end a run."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed; else the next file that is opened would take its number
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
+        with contextlib.suppress(AttributeError, ValueError, OSError):
+            getattr(sys, name).reconfigure(errors="backslashreplace")
+
+
+def _terminate(number: int, frame: Any) -> None:
+    raise _Terminated
+
+
+def _say(text: str) -> None:
+    Reporter(-1).error(text)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 
-from depthcli.kernels._jit import jit, parallel_jit
 from depthcli.kernels.exponential import bits_float, exp_minus, float_bits
+from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Order of the planes written by `measure_curves`.
 CURVE_MEASURES = ("msm", "cur", "pkr", "pkrn", "mm", "mmn", "wmn", "wmnn", "mlm", "aml", "nem", "noi")

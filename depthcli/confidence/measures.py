@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator
 
 from depthcli.confidence._curves import CURVE_MEASURES, measure_curves, moments
 from depthcli.confidence._neighbors import agreement, average_peak_ratio, mutual_agreement
-from depthcli.confidence._views import measure_views
+from depthcli.kernels.winners import left_right_difference, winners
 
 _DESCRIPTIONS = {
     "msm": "matching score: -c1",
@@ -36,6 +37,18 @@ _VIEW_MEASURES = ("lrc", "lrd")
 _AGREEMENT_RADIUS = 12
 _PEAK_RADIUS = 2
 _JOINT_RADIUS = 6
+
+
+def measure_name(name: str, *others: str) -> str:
+    """The measure's own spelling of ``name``, in any case; ValueError where it is neither one nor in ``others``."""
+    plain = name.lower()
+    if plain not in (*others, *_DESCRIPTIONS):
+        raise ValueError(f"no confidence measure called {name!r}; one of: {', '.join((*others, *_DESCRIPTIONS))}")
+    return plain
+
+
+MeasureName = Annotated[str, AfterValidator(measure_name)]
+"""A measure as configs name it."""
 
 
 def measures() -> dict[str, str]:
@@ -140,10 +153,13 @@ def confidence_maps(costs: NDArray[Any], names: Iterable[str]) -> dict[str, NDAr
                 costs, valid, curves.winner, curves.second, np.float32(curves.eps), _PEAK_RADIUS, maps["apkr"]
             )
     if {*_VIEW_MEASURES, "dap"} & set(wanted):
-        eps = curves.eps if "lrd" in wanted else 1.0
-        maps["lrc"], maps["lrd"] = np.empty_like(blank), np.empty_like(blank)
-        right = np.empty((height, width), np.int32)
-        measure_views(costs, np.float32(eps), maps.get("mmn", blank), maps["lrc"], maps["lrd"], right)
+        left, right = winners(costs)
+        maps["lrc"] = -left_right_difference(left, right)
+        if "lrd" in wanted:
+            rows, partner = np.arange(height)[:, None], np.arange(width) - left.astype(np.int64)
+            best = right[rows, partner].astype(np.int64)
+            cheapest = costs[rows, partner + best, best].astype(np.float32)
+            maps["lrd"] = maps["mmn"] / (-maps["msm"] - cheapest + np.float32(curves.eps))
     if "dap" in wanted:
         ours, theirs = np.empty_like(blank), np.empty_like(blank)
         agreement(curves.winner, _JOINT_RADIUS, ours)

@@ -20,10 +20,13 @@ class StereoPair:
     Attributes
     ----------
     left, right : (H, W) grey or (H, W, 3) RGB, uint8 or uint16, same shape and dtype
+    bits : of a sample: cameras of 10 or 12 bit fill a part of 16; None: all bits of the dtype. Larger samples
+        count as the largest
     """
 
     left: Image
     right: Image
+    bits: int | None = None
 
     def __post_init__(self) -> None:
         if self.left.shape != self.right.shape:
@@ -32,6 +35,8 @@ class StereoPair:
             raise TypeError(f"want two uint8 or two uint16 images, got {self.left.dtype}, {self.right.dtype}")
         if self.left.ndim not in (2, 3) or (self.left.ndim == 3 and self.left.shape[2] != 3):
             raise ValueError(f"want (H, W) or (H, W, 3), got {self.left.shape}")
+        if self.bits is not None and not 1 <= self.bits <= 8 * self.left.dtype.itemsize:
+            raise ValueError(f"{self.left.dtype} samples cannot hold {self.bits} bits")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -40,19 +45,25 @@ class StereoPair:
 
     @cached_property
     def grey(self) -> tuple[Image, Image]:
-        """Both images as (H, W) luma in their own dtype."""
-        return _grey(self.left), _grey(self.right)
+        """Both images as (H, W) luma in their own dtype, whose full range is used."""
+        left, right = self._full_range
+        return _grey(left), _grey(right)
 
     @cached_property
     def color8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Both images as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey ones repeated."""
-        return _color8(self.left), _color8(self.right)
+        left, right = self._full_range
+        return color8(left), color8(right)
 
     @cached_property
     def grey8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Both images as (H, W) uint8."""
         left, right = self.grey
         return _eight_bit(left), _eight_bit(right)
+
+    @cached_property
+    def _full_range(self) -> tuple[Image, Image]:
+        return _spread(self.left, self.bits), _spread(self.right, self.bits)
 
 
 def _grey(image: Image) -> Image:
@@ -61,13 +72,23 @@ def _grey(image: Image) -> Image:
     return cast(Image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
 
 
+def _spread(image: Image, bits: int | None) -> Image:
+    """Samples of so many bits over the range of the image's dtype."""
+    full = np.iinfo(image.dtype).max
+    top = full if bits is None else (1 << bits) - 1
+    if top == full:
+        return image
+    return cast(Image, ((np.minimum(image, top).astype(np.uint32) * full + top // 2) // top).astype(image.dtype))
+
+
 def _eight_bit(image: Image) -> NDArray[np.uint8]:
     if image.dtype == np.uint8:
         return image.view(np.uint8)
     return ((image.astype(np.uint32) + 128) // 257).astype(np.uint8)
 
 
-def _color8(image: Image) -> NDArray[np.uint8]:
+def color8(image: Image) -> NDArray[np.uint8]:
+    """Any image as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey ones repeated."""
     image = _eight_bit(image)
     return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,79 +11,120 @@ import numpy as np
 from numpy.typing import NDArray
 
 PERCENTAGES = (5, *range(10, 101, 5))
-"""Shares of the most confident pixels at which the error rate is taken."""
+"""Shares of the most confident pixels at which curves are drawn."""
 
 
 @dataclass(frozen=True)
 class Sparsification:
-    """A sparsification curve and its areas.
+    """A sparsification curve and its areas; the error is an error rate in [0, 1], or a length.
+
+    Areas are integrals over the whole range of shares, (0, 1], of the exact curve, so that a perfect ranking
+    has exactly the optimal one. For error rates that is e + (1 - e) ln(1 - e) (Hu & Mordohai, PAMI 2012). Beside
+    them the trapezoid over the shares of ``PERCENTAGES`` alone, the figure of LAF-Net's program and of the survey of
+    Poggi et al. (PAMI 2021): compare it only with an optimum that was computed the same way.
 
     Attributes
     ----------
     percentages : share of the most confident pixels, percent
-    rates : error rate among them, in [0, 1]
-    error_rate : error rate e of all pixels
-    auc : mean of ``rates``
-    optimal : e + (1 - e) ln(1 - e), the area when all wrong pixels come last (Hu & Mordohai, PAMI 2012)
-    random : e, the area of a measure that knows nothing
-    ratio : auc / optimal (NaN without errors). A perfect ranking comes out a little above 1,
-        since ``auc`` is a mean over steps and ``optimal`` an integral
+    errors, best : mean error among them, and what the best ranking would have
+    mean : mean error of all pixels, which is the area of a measure that knows nothing
+    auc, optimal : areas of the two curves
+    auc_5_100, optimal_5_100 : the same by the trapezoid from 5 to 100 %
     pixels : number of pixels
     """
 
     percentages: tuple[int, ...]
-    rates: tuple[float, ...]
-    error_rate: float
+    errors: tuple[float, ...]
+    best: tuple[float, ...]
+    mean: float
     auc: float
     optimal: float
-    random: float
-    ratio: float
+    auc_5_100: float
+    optimal_5_100: float
     pixels: int
 
+    @property
+    def ratio(self) -> float:
+        """AUC / optimal: 1 for a perfect ranking; NaN without errors."""
+        return self.auc / self.optimal if self.optimal > 0 else math.nan
 
-def optimal_auc(error_rate: float) -> float:
-    """Area below the sparsification curve of a perfect confidence: e + (1 - e) ln(1 - e)."""
-    if error_rate >= 1:
-        return 1.0
-    return error_rate + (1 - error_rate) * math.log1p(-error_rate)
+    @property
+    def ause(self) -> float:
+        """Area between the curve and the optimal one (Ilg et al., ECCV 2018): 0 is perfect."""
+        return self.auc - self.optimal
+
+    @property
+    def aurg(self) -> float:
+        """Area between the curve and that of a random ranking (Poggi et al., CVPR 2020): more is better."""
+        return self.mean - self.auc
+
+    def areas(self) -> dict[str, float]:
+        """All areas by name."""
+        names = ("auc", "optimal", "mean", "ratio", "ause", "aurg", "auc_5_100", "optimal_5_100")
+        return {name: getattr(self, name) for name in names}
 
 
-def sparsification(confidence: NDArray[np.floating[Any]], wrong: NDArray[np.bool_]) -> Sparsification:
-    """Sparsification curve of one confidence measure.
+def sparsification(confidence: NDArray[Any], error: NDArray[Any]) -> Sparsification:
+    """Sparsification curve of one confidence measure; see :func:`sparsifications`."""
+    return sparsifications({"": confidence}, {"": error})["", ""]
+
+
+def sparsifications(
+    confidences: Mapping[str, NDArray[Any]], errors: Mapping[str, NDArray[Any]]
+) -> dict[tuple[str, str], Sparsification]:
+    """Sparsification curves of confidence measures, each for every kind of error.
 
     Pixels of equal confidence have no order among themselves: a share that ends inside such a group gets the
-    group's mean error rate for its part, so the curve does not depend on the order of the pixels.
+    group's mean error for its part, so the curve does not depend on the order of the pixels.
 
     Parameters
     ----------
-    confidence : (N,) higher is surer; NaN is the least sure
-    wrong : (N,) bool
+    confidences : (N,) higher is surer, +inf the surest, NaN less sure than any number
+    errors : (N,) bool, wrong or right; or float, absolute errors
 
     Raises
     ------
     ValueError
         The lengths differ, or there is no pixel.
     """
-    if confidence.shape != wrong.shape or confidence.ndim != 1 or confidence.size == 0:
-        raise ValueError(f"want two (N,) arrays, N > 0, got {confidence.shape} and {wrong.shape}")
-    keys = np.where(np.isnan(confidence), -np.inf, confidence)
-    order = np.argsort(-keys, kind="stable")
-    ordered = keys[order]
-    ends = np.flatnonzero(np.append(ordered[1:] != ordered[:-1], True)) + 1
-    counts = np.cumsum(wrong[order])[ends - 1]
-    taken = np.array(PERCENTAGES) / 100 * wrong.size
-    # Linear between the ends of tie groups = the expected number of errors over all orders.
-    errors = np.interp(taken, np.append(0, ends), np.append(0, counts))
-    rates = errors / taken
-    e = float(np.mean(wrong))
-    auc, best = float(np.mean(rates)), optimal_auc(e)
-    return Sparsification(
-        percentages=PERCENTAGES,
-        rates=tuple(float(rate) for rate in rates),
-        error_rate=e,
-        auc=auc,
-        optimal=best,
-        random=e,
-        ratio=auc / best if best > 0 else float("nan"),
-        pixels=int(wrong.size),
-    )
+    shapes = {array.shape for array in (*confidences.values(), *errors.values())}
+    if any(len(shape) != 1 or not shape[0] for shape in shapes) or len(shapes) > 1:
+        raise ValueError(f"want (N,) arrays of one length N > 0, got {sorted(shapes)}")
+    amounts = {name: error.astype(np.float64) for name, error in errors.items()}
+    best = {name: _curve(_groups(-amount), amount) for name, amount in amounts.items()}
+    found = {}
+    for confidence, values in confidences.items():
+        groups = _groups(values)
+        for name, amount in amounts.items():
+            (curve, auc), (lowest, optimal) = _curve(groups, amount), best[name]
+            found[confidence, name] = Sparsification(
+                percentages=PERCENTAGES,
+                errors=tuple(curve.tolist()),
+                best=tuple(lowest.tolist()),
+                mean=float(amount.mean()),
+                auc=auc,
+                optimal=optimal,
+                auc_5_100=float(np.trapezoid(curve, dx=0.05)),
+                optimal_5_100=float(np.trapezoid(lowest, dx=0.05)),
+                pixels=int(amount.size),
+            )
+    return found
+
+
+def _groups(confidence: NDArray[Any]) -> NDArray[np.intp]:
+    """Number of every pixel's group of equal confidence, the surest first."""
+    # numpy sorts NaN behind everything and takes all of them for one value.
+    return np.unique(-confidence.astype(np.float64), return_inverse=True)[1]
+
+
+def _curve(group: NDArray[np.intp], error: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Mean error at ``PERCENTAGES``, and the integral of the mean error of the surest share p over p in (0, 1]."""
+    n = error.size
+    share = np.append(0, np.cumsum(np.bincount(group))) / n
+    total = np.append(0.0, np.cumsum(np.bincount(group, weights=error))) / n
+    at = np.array(PERCENTAGES) / 100
+    # Within a group the total is a + b p, so that the mean error is a / p + b (and a = 0 in the first).
+    slope = np.diff(total) / np.diff(share)
+    offset = total[:-1] - slope * share[:-1]
+    area = total[-1] + float(np.sum(offset[1:] * np.log(share[2:] / share[1:-1])))
+    return np.interp(at, share, total) / at, float(area)

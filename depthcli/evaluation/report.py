@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import escape
+
+from depthcli.evaluation.curves import Sparsification
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,17 @@ def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str) -> 
         out.append(f'<text x="{width + 30}" y="{y + 4}">{escape(line.name)}</text>')
     out.append("</svg>")
     return "\n".join(out) + "\n"
+
+
+def curve_plot(curves: Mapping[str, Sparsification], title: str, of: str) -> str:
+    """Sparsification curves of one region with their bounds, the best first, as the text of an SVG file."""
+    ordered = sorted(curves.items(), key=lambda item: item[1].auc)
+    lines = [Line(f"{name} {c.auc:.4f}", c.percentages, c.errors) for name, c in ordered]
+    some = ordered[0][1]
+    lines.append(Line(f"optimal {some.optimal:.4f}", some.percentages, some.best, bound=True))
+    lines.append(Line(f"random {some.mean:.4f}", some.percentages, [some.mean] * len(some.percentages), bound=True))
+    y_label = "error rate" if of == "bad" else "mean absolute error"
+    return line_plot(lines, title, "most confident pixels, %", y_label)
 
 
 def _ticks(low: float, high: float) -> list[float]:

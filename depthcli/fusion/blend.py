@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels._jit import jit, parallel_jit
 from depthcli.kernels.exponential import exp_minus
-from depthcli.stereo.cost._fill import fill_outside
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
 UNIT = 255

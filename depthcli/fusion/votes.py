@@ -13,11 +13,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels._jit import jit, parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.stereo.volume import CostVolume
 
 _LANES = 16

@@ -27,14 +27,6 @@ def comparable(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32
     return ((first + last) / (2.0 * ordered.size)).astype(np.float32)
 
 
-def left_right_difference(left: NDArray[np.uint16], right: NDArray[np.uint16]) -> NDArray[np.float32]:
-    """The measure ``lrc`` from the winners of both views, (H, W): minus the difference of matched pixels."""
-    chosen = left.astype(np.int32)
-    partner = np.take_along_axis(right.astype(np.int32), np.arange(left.shape[1]) - chosen, axis=1)
-    difference: NDArray[np.float32] = -np.abs(chosen - partner).astype(np.float32)
-    return difference
-
-
 def measure_weights(mode: str, ballot: Ballot, exponent: float) -> NDArray[np.float32]:
     """(M, H, W) float32 weights that sum to 1 over the measures."""
     if mode in ("equal", "vote"):

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from depthcli.core.errors import OutputError
+from depthcli.io.files import shown
 
 PARTIAL_SUFFIX = ".partial~"
 """Ending of temporary names; a file left with it belongs to a killed run and may be deleted."""
@@ -27,16 +28,18 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         The folder cannot be made, or the file cannot be written or renamed.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}{PARTIAL_SUFFIX}")
+    # The start of the name: all of it and the rest may be too long for a file system.
+    temporary = path.with_name(f".{path.name[:40]}.{os.getpid()}-{threading.get_ident()}{PARTIAL_SUFFIX}")
     try:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
             os.replace(temporary, path)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+        except (OSError, UnicodeError) as error:  # UnicodeError: no name in the file system's encoding
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise OutputError(f"{shown(path)}: cannot be written ({reason})") from error
     except BaseException:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, UnicodeError):
             temporary.unlink(missing_ok=True)
         raise
 
@@ -48,5 +51,5 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write ``text`` to ``path`` as UTF-8 with LF line ends, atomically."""
-    write_bytes(path, text.encode("utf-8"))
+    """Write ``text`` to ``path`` as UTF-8 with LF line ends, atomically; bytes of odd file names are escaped."""
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import re
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +11,16 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError, OutputError
 from depthcli.io.atomic import write_bytes
-from depthcli.io.images import IMAGE_SUFFIXES, read_bytes, read_grey
+from depthcli.io.files import naming, read_bytes, shown
+from depthcli.io.headers import image_kind, pfm_header
+from depthcli.io.images import IMAGE_SUFFIXES, decode_grey
+from depthcli.io.npy import decode_npy
 
 MAP_SUFFIXES = (".pfm", ".npy", *IMAGE_SUFFIXES)
 """File name endings of disparity maps, most exact first."""
 
 KITTI_SCALE = 256.0
 """Codes per pixel of 16-bit disparity PNGs (KITTI, DSEC)."""
-
-_PFM_HEADER = re.compile(rb"(P[fF])\s+(\d{1,9})\s+(\d{1,9})\s+([-+0-9.eE]{1,40})(?:\r\n|\s)")
 
 
 def read_disparity(
@@ -47,29 +46,22 @@ def read_disparity(
     InputError
         Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
     """
-    path = Path(path)
-    kind = path.suffix.lower()
-    values: NDArray[Any]
-    if kind == ".pfm":
-        values = read_pfm(path)
-    elif kind == ".npy":
-        values = _read_npy(path)
-    else:
-        values = read_grey(path)
+    values = read_plane(path)
     if np.issubdtype(values.dtype, np.integer):
         if scale is None:
             scale = scale_8bit if values.dtype.itemsize == 1 else KITTI_SCALE
         if scale is None:
             raise InputError(
-                f"{path}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale"
+                f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale, "
+                "or by --scale"
             )
         disparity = (values / np.float64(scale)).astype(np.float32)
         disparity[values <= 0] = np.nan
         return disparity
-    with np.errstate(over="ignore"):
+    with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
         disparity = values.astype(np.float32)
-    if scale is not None and scale != 1:
-        disparity = disparity / np.float32(scale)
+        if scale is not None and scale != 1:
+            disparity = disparity / np.float32(scale)
     disparity[~np.isfinite(disparity)] = np.nan
     return disparity
 
@@ -90,24 +82,38 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
         Bad header, or the data are not exactly as long as the header says.
     """
     data = read_bytes(path)
-    header = _PFM_HEADER.match(data)
-    if header is None:
-        raise InputError(f"{path}: not a PFM file (bad header)")
-    width, height = int(header[2]), int(header[3])
-    channels = 3 if header[1] == b"PF" else 1
-    try:
-        order = float(header[4])
-    except ValueError:
-        order = 0.0
-    if not (width and height) or order == 0 or not np.isfinite(order):
-        raise InputError(f"{path}: bad PFM header ({width} x {height}, scale {header[4].decode('latin-1')})")
-    want, got = width * height * channels * 4, len(data) - header.end()
+    with naming(path):
+        return _decode_pfm(data)
+
+
+def read_plane(path: Path | str) -> NDArray[Any]:
+    """Read one channel of numbers as stored: a PFM or npy map, or an image of codes; the kind is told by the content.
+
+    Returns
+    -------
+    (H, W) of any integer or float dtype
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, or not one channel; one line that names the file.
+    """
+    data = read_bytes(path)
+    with naming(path):
+        kind = image_kind(data)
+        if kind == "pfm":
+            return _decode_pfm(data)
+        return decode_npy(data) if kind == "npy" else decode_grey(data)
+
+
+def _decode_pfm(data: bytes) -> NDArray[np.float32]:
+    height, width, channels, little, start = pfm_header(data)
+    want, got = width * height * channels * 4, len(data) - start
     if want != got:
-        raise InputError(f"{path}: damaged PFM ({width} x {height} needs {want} bytes of data, the file has {got})")
-    values = np.frombuffer(data, "<f4" if order < 0 else ">f4", offset=header.end())
-    values = values.reshape(height, width, channels)[::-1]
+        raise InputError(f"damaged PFM ({width} x {height} needs {want} bytes of data, the file has {got})")
+    values = np.frombuffer(data, "<f4" if little else ">f4", offset=start).reshape(height, width, channels)[::-1]
     if channels == 3 and not all(np.array_equal(values[..., 0], values[..., c], equal_nan=True) for c in (1, 2)):
-        raise InputError(f"{path}: a colour PFM, want one channel")
+        raise InputError("a colour PFM, want one channel")
     plane: NDArray[np.float32] = values[..., 0].astype(np.float32, order="C")
     return plane
 
@@ -152,19 +158,3 @@ def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) 
     if not done:
         raise OutputError(f"{path}: cannot be encoded as PNG")
     write_bytes(path, data.tobytes())
-
-
-def _read_npy(path: Path) -> NDArray[Any]:
-    try:
-        values = np.load(io.BytesIO(read_bytes(path)), allow_pickle=False)
-    except InputError:
-        raise
-    except Exception as error:  # numpy raises many kinds on a damaged header
-        raise InputError(
-            f"{path}: damaged npy file ({str(error).splitlines()[0] if str(error) else 'unreadable'})"
-        ) from error
-    numeric = isinstance(values, np.ndarray) and values.dtype.kind in "iuf"
-    if not numeric or values.ndim != 2 or values.size == 0:
-        raise InputError(f"{path}: want a two-dimensional array of numbers")
-    plane: NDArray[Any] = values
-    return plane

@@ -1,51 +1,50 @@
-"""``depthcli fuse``: like ``stereo``, with a cost volume fused from several measures."""
+"""Match image pairs by several measures, each trusted where the pixels around agree with it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pydantic import Field
+from depthcli.io.items.stereo import StereoItem
+from depthcli.jobs._pairs import PairCommand
 
-from depthcli.batch.record import file_digests
-from depthcli.core.frames import StereoPair
-from depthcli.fusion import Fusion
-from depthcli.io.cost_volume import read_cost_volume
-from depthcli.io.scenes import Scene
-from depthcli.jobs.stereo import PairWork
-from depthcli.stereo.volume import StereoResult
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
-
-class FuseConfig(Fusion):
-    """Root of a ``fuse`` config: the fields of fusion and the search range, side by side."""
-
-    max_disparity: int | None = Field(
-        None, ge=1, le=16383, description="largest disparity searched, pixels; null: what the scene says"
-    )
-    run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
+    from depthcli.core.frames import StereoPair
+    from depthcli.stereo.volume import StereoResult
 
 
-@dataclass(frozen=True)
-class FuseWork(PairWork):
-    """Matches one scene; picklable, for worker processes."""
+class FuseCommand(PairCommand):
+    """Fusion of measures computed here and of volumes made elsewhere."""
 
-    config: FuseConfig
+    def config_model(self) -> type[BaseModel]:
+        """Fusion and the search range."""
+        from depthcli.fusion.config import FuseConfig
 
-    def settings(self, scene: Scene) -> dict[str, str]:
-        """The search range, and the content of the volumes made elsewhere."""
-        return super().settings(scene) | file_digests(self._volume_files(scene).values())
+        return FuseConfig
 
-    def _volume_files(self, scene: Scene) -> dict[str, Path]:
-        names = {measure.volume for measure in self.config.measures if measure.volume is not None}
-        last = scene.name.rpartition("/")[2]
-        return {name: scene.left.parent / name.replace("{scene}", last) for name in sorted(names)}
+    def files(self, config: Any, item: StereoItem) -> dict[str, Path]:
+        """The pair, and the volumes made elsewhere."""
+        return super().files(config, item) | self._volumes(config, item)
 
-    def _match(self, scene: Scene, pair: StereoPair, top: int) -> StereoResult:
-        return self.config(pair, top, {n: read_cost_volume(file) for n, file in self._volume_files(scene).items()})
+    def match(self, config: Any, item: StereoItem, pair: StereoPair, top: int) -> StereoResult:
+        """Fuse, then finish as ``stereo`` does."""
+        from depthcli.io.cost_volume import read_cost_volume
 
-    def _peak_bytes(self, shape: tuple[int, int], top: int) -> int:
-        return self.config.peak_bytes(shape, top)
+        volumes = {name: read_cost_volume(file) for name, file in self._volumes(config, item).items()}
+        result: StereoResult = config(pair, top, volumes)
+        return result
 
-    def _wanted_range(self) -> int | None:
-        return self.config.max_disparity
+    def peak_bytes(self, config: Any, shape: tuple[int, int], top: int) -> int:
+        """As fusion says."""
+        need: int = config.peak_bytes(shape, top)
+        return need
+
+    def _volumes(self, config: Any, item: StereoItem) -> dict[str, Path]:
+        names = {measure.volume for measure in config.measures if measure.volume is not None}
+        last = item.name.rpartition("/")[2]
+        return {name: item.left.parent / name.replace("{scene}", last) for name in sorted(names)}
+
+
+COMMAND = FuseCommand()

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
-from numba import types
 
-from depthcli.kernels._jit import intrinsic
+from depthcli.kernels.jit import intrinsic, types
 
 
 @intrinsic

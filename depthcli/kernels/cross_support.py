@@ -8,12 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from depthcli.kernels._jit import jit, parallel_jit
-
-LEFT, RIGHT, UP, DOWN = 0, 1, 2, 3
+from depthcli.kernels.jit import jit, parallel_jit, prange
 
 
 def cross_arms(

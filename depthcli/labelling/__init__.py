@@ -1,1 +1,1 @@
-"""Solvers of labelling problems: energies on graphs, no image semantics."""
+"""Label maps and solvers of labelling problems: energies on graphs, no image semantics."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from depthcli.kernels._jit import jit, parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 
 _BAND = 24  # rows that one task passes through in order
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Result
 
@@ -37,6 +38,26 @@ class CostVolume:
     def disparities(self) -> int:
         """D, the number of disparities searched: 0 .. D - 1."""
         return int(self.costs.shape[2])
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What refinement steps may look at beside the map they refine.
+
+    Attributes
+    ----------
+    pair : the images
+    volume : the volume whose cheapest cells the map holds
+    right : (H, W) disparities of the right view, read from the same volume along its diagonals
+    """
+
+    pair: StereoPair
+    volume: CostVolume
+    right: NDArray[Any]
+
+    def __post_init__(self) -> None:
+        if self.right.dtype not in (np.uint16, np.float32):
+            raise TypeError(f"right disparities must be uint16 or float32, got {self.right.dtype}")
 
 
 @dataclass

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,34 +11,40 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from depthcli.batch.record import RECORD_FILE
 from depthcli.batch.reporter import Reporter
-from depthcli.batch.runner import Options, Outcome, run_scenes
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.batch.runner import Options, Outcome, run_items
+from depthcli.batch.tables import run_table
+from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
+from depthcli.core.result import Clock
+from depthcli.io.items import Item
 
 
 class Config(BaseModel):
     factor: int = 2
 
 
-@dataclass(frozen=True)
-class TextScene:
-    name: str
+@dataclass(frozen=True, kw_only=True)
+class Text(Item):
     file: Path
 
     @property
-    def input_files(self) -> tuple[Path, ...]:
-        return (self.file,)
+    def input_files(self) -> dict[str, Path]:
+        return {"text": self.file}
+
+    def load(self) -> str:
+        return self.file.read_text()
 
 
 @dataclass(frozen=True)
 class Repeat:
-    """Writes the scene's text ``factor`` times; words in the text make it go wrong."""
+    """Writes the item's text ``factor`` times; words in the text make it go wrong."""
 
-    factor: int = 2
     log: Path | None = None
+    name: str = "repeat"
 
-    def __call__(self, scene: TextScene, folder: Path, memory: int) -> Outcome:
-        text = scene.file.read_text()
+    def compute(self, config: Config, scene: Text, folder: Path, memory: int) -> Outcome:
+        text = scene.load()
         if self.log is not None:
             with self.log.open("a") as log:
                 log.write(scene.name + "\n")
@@ -52,10 +59,21 @@ class Repeat:
             raise KeyboardInterrupt
         if text == "killed":
             os.kill(os.getpid(), signal.SIGKILL)
-        (folder / "out.txt").write_text(text * self.factor)
-        return Outcome({"length": len(text)}, {"work": 0.5})
+        if text.startswith("killed once "):
+            mark = Path(text.removeprefix("killed once "))
+            if not mark.exists():
+                mark.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+            text = "spared"
+        if text.startswith("delete "):
+            shutil.rmtree(text.removeprefix("delete "))
+        (folder / "out.txt").write_text(text * config.factor)
+        return Outcome({"length": len(text)}, {"work": 0.5}, ["short"] if len(text) == 1 else [])
 
-    def settings(self, scene: TextScene) -> dict[str, str]:
+    def files(self, config: Config, scene: Text) -> dict[str, Path]:
+        return scene.input_files
+
+    def settings(self, config: Config, scene: Text) -> dict[str, str]:
         return {}
 
 
@@ -63,6 +81,7 @@ class Folder:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.output = root / "run"
+        self.reporter = Reporter(-1)
         self.log = root / "log"
         (root / "in").mkdir()
         self.texts: dict[str, str] = {name: name * 3 for name in "abcd"}
@@ -72,10 +91,10 @@ class Folder:
         for name in only:
             file = self.root / "in" / name
             file.write_text(self.texts[name])
-            scenes.append(TextScene(name, file))
+            scenes.append(Text(name=name, folder=file.parent, file=file))
         self.log.write_text("")
-        work = Repeat(factor, self.log)
-        rows = run_scenes("repeat", Config(factor=factor), scenes, work, self.output, Options(**options), Reporter(-1))
+        config = Config(factor=factor)
+        rows = run_items(Repeat(self.log), config, scenes, self.output, Options(**options), self.reporter)
         return {row["scene"]: row for row in rows}
 
     def computed(self) -> list[str]:
@@ -146,13 +165,16 @@ def test_failures_are_rows(folder: Folder, jobs: int):
     rows = folder.run(jobs=jobs)
     assert [rows[s]["status"] for s in "abcd"] == ["failed", "failed", "failed", "done"]
     assert rows["a"]["error"].endswith("in/a: damaged")
-    assert rows["b"]["error"] == "a bug in depthcli: KeyError: 'no such thing'"
+    assert rows["b"]["error"].startswith("a bug in depthcli: KeyError: 'no such thing'; the traceback is in trace")
+    assert "no such thing" in (folder.output / "traceback-b.txt").read_text()
     assert rows["c"]["error"].startswith("out of memory")
-    assert sorted(p.name for p in folder.output.iterdir()) == ["d", "report.csv", "report.json", "run.yaml"]
+    left = ["d", "report.csv", "report.json", "run.yaml", "traceback-b.txt"]
+    assert sorted(p.name for p in folder.output.iterdir()) == left
     assert folder.report()["failed"] == 3
-    folder.texts["a"] = "well"
+    folder.texts |= {"a": "well", "b": "mended"}
     assert folder.run(jobs=jobs)["a"]["status"] == "done"
     assert folder.computed() == ["a", "b", "c"]
+    assert not (folder.output / "traceback-b.txt").exists()
 
 
 def test_a_result_does_not_outlive_its_input(folder: Folder):
@@ -207,10 +229,146 @@ def test_scenes_of_the_same_run_stay_in_the_report(folder: Folder):
 
 def test_inputs_are_never_written_over(folder: Folder):
     folder.output = folder.root
-    scene = TextScene("in", folder.root / "in" / "x")
+    scene = Text(name="in", folder=folder.root / "in", file=folder.root / "in" / "x")
     scene.file.write_text("x")
     with pytest.raises(ConfigError, match="over its own input"):
-        run_scenes("repeat", Config(), [scene], Repeat(), folder.root, Options(), Reporter(-1))
+        run_items(Repeat(), Config(), [scene], folder.root, Options(), Reporter(-1))
+
+
+@pytest.mark.parametrize("name", ["", ".hidden", "..", "a/../b", "a//b"])
+def test_names_that_lead_astray_are_refused(folder: Folder, name: str):
+    scene = Text(name=name, folder=folder.root, file=folder.root / "in" / "x")
+    with pytest.raises(ConfigError, match="--name"):
+        run_items(Repeat(), Config(), [scene], folder.output, Options(), Reporter(-1))
+
+
+def test_another_input_of_the_same_name_is_refused(folder: Folder):
+    folder.run(only="a")
+    before = folder.bytes()
+    other = folder.root / "elsewhere"
+    other.write_text("other")
+    scene = Text(name="a", folder=folder.root, file=other)
+
+    def again(**options: Any) -> list[dict[str, Any]]:
+        return run_items(Repeat(), Config(), [scene], folder.output, Options(**options), Reporter(-1))
+
+    with pytest.raises(ConfigError, match=r"another 'a', made from .*in/a; this one is .*elsewhere"):
+        again()
+    assert folder.bytes() == before
+    other.write_text("aaa")  # the same content, moved: nothing to do
+    assert again()[0]["status"] == "done"
+    other.write_text("other")
+    again(overwrite=True)
+    assert (folder.output / "a" / "out.txt").read_text() == "otherother"
+
+
+def test_a_failed_first_try_does_not_lock_the_folder(folder: Folder):
+    folder.texts["a"] = "damaged"
+    folder.run(only="a", factor=3)
+    folder.texts["a"] = "well"
+    assert folder.run(only="a", factor=4)["a"]["status"] == "done"
+    with pytest.raises(ConfigError, match="another config"):
+        folder.run(only="a", factor=5)
+
+
+def test_overwrite_keeps_what_fits_and_other_runs(folder: Folder):
+    inner = Folder(folder.root / "in2") if (folder.root / "in2").mkdir() is None else folder
+    inner.output = folder.output / "inner"
+    inner.run(only="ab")
+    kept = inner.bytes()
+    folder.run(only="ab")
+    folder.run(only="ab", overwrite=True)
+    assert folder.computed() == []
+    folder.run(only="b", factor=3, overwrite=True)
+    assert folder.computed() == ["b"]
+    assert not (folder.output / "a").exists()
+    assert inner.bytes() == kept
+
+
+def test_edited_records_are_not_believed(folder: Folder):
+    folder.run(only="ab")
+    before = folder.bytes()
+    outside = folder.root / "precious"
+    outside.write_text("mine")
+    record = folder.output / "a" / RECORD_FILE
+    whole = json.loads(record.read_text())
+    for change in (
+        {"facts": {"length": 99}},
+        {"files": {"../../precious": ""}},
+        {"files": {"..": 1}},
+        {"files": []},
+        {"inputs": None},
+        {"run": 3},
+    ):
+        record.write_text(json.dumps(whole | change))
+        assert folder.run(only="ab", overwrite=True)["a"]["length"] == 3
+        assert folder.bytes() == before
+        assert outside.read_text() == "mine"
+    odd = '{"scenes": [3, {"scene": "../x"}, {"scene": "a", "seconds": [], "source": 3}]}'
+    for text in ("[]", "\x00", odd, "{" * 9999):
+        (folder.output / "report.json").write_text(text)
+        assert folder.run(only="ab")["a"]["status"] == "done"
+        assert folder.bytes() == before
+
+
+def test_damage_of_the_same_size_is_found(folder: Folder):
+    folder.run()
+    before = folder.bytes()
+    (folder.output / "b" / "out.txt").write_text("xxxxxx")
+    folder.run()
+    assert folder.computed() == ["b"]
+    assert folder.bytes() == before
+
+
+def test_leftover_folders_are_no_obstacle(folder: Folder):
+    folder.run()
+    before = folder.bytes()
+    (folder.output / ".X.partial~" / "deep").mkdir(parents=True)
+    folder.run()
+    assert folder.bytes() == before
+
+
+def test_a_worker_that_dies_once_is_replaced(folder: Folder):
+    folder.texts["b"] = f"killed once {folder.root / 'mark'}"
+    rows = folder.run(jobs=2)
+    assert [rows[s]["status"] for s in "abcd"] == ["done"] * 4
+    assert (folder.output / "b" / "out.txt").read_text() == "spared" * 2
+
+
+def test_results_deleted_during_the_run_are_missed(folder: Folder):
+    folder.texts["b"] = f"delete {folder.output / 'a'}"
+    rows = folder.run()
+    assert [rows[s]["status"] for s in "abcd"] == ["failed", "done", "done", "done"]
+    assert "its files have gone since" in rows["a"]["error"]
+
+
+def test_a_report_that_cannot_be_written_is_told_after_the_work(folder: Folder, monkeypatch: pytest.MonkeyPatch):
+    def full(*_: object) -> None:
+        raise OutputError("report.json: cannot be written (No space left on device)")
+
+    monkeypatch.setattr("depthcli.batch.record.write_report", full)
+    with pytest.raises(IncompleteError, match="No space left"):
+        folder.run()
+    assert (folder.output / "d" / "out.txt").exists()
+
+
+def test_warnings_and_heartbeats_reach_people(folder: Folder, capsys: pytest.CaptureFixture[str], monkeypatch):
+    monkeypatch.setattr("depthcli.batch.reporter._HEARTBEAT", 0.0)
+    folder.texts |= {"a": "x", "b": "damaged"}
+    folder.reporter = Reporter(0)
+    folder.run()
+    err = capsys.readouterr().err
+    assert "a: warning: short" in err
+    assert "repeat: 3 of 4, 1 failed, " in err
+    assert " left" in err
+
+
+def test_compilation_is_not_the_method_s_time(monkeypatch: pytest.MonkeyPatch):
+    spent = iter([0.0, 1000.0])
+    monkeypatch.setattr(Clock, "untimed", staticmethod(lambda: next(spent)))
+    clock = Clock()
+    clock.stop("stage")
+    assert 0 <= clock.seconds["stage"] < 1
 
 
 def test_two_runs_do_not_share_a_folder(folder: Folder):
@@ -224,3 +382,21 @@ def test_two_runs_do_not_share_a_folder(folder: Folder):
     finally:
         os.close(handle)
     folder.run()
+
+
+def test_of_many_items_the_table_shows_failures_and_totals():
+    rows = [
+        {
+            "scene": f"s{k}",
+            "status": "failed" if k == 7 else "done",
+            "error": "",
+            "seconds": {"a": 1.0},
+            "peak_memory": None,
+        }
+        for k in range(60)
+    ]
+    lines = run_table(rows, ()).splitlines()
+    assert [line.split()[0] for line in lines] == ["scene", "s7", "all"]
+    assert "59 done" in lines[-1]
+    assert "60.00" in lines[-1]
+    assert len(run_table(rows[:50], ()).splitlines()) == 51

@@ -17,7 +17,7 @@ import yaml
 
 from depthcli.cli import main
 from depthcli.io.disparity import read_disparity, read_pfm
-from depthcli.jobs import commands
+from depthcli.io.pictures import read_status
 
 FAST = "opencv-bm"
 """The quickest preset; the tests here are about what is around the matching."""
@@ -35,7 +35,7 @@ def process(*arguments: str | Path, **environment: str) -> subprocess.CompletedP
 def test_maps_and_reports_for_a_folder(made_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "--scenes", "planes_*") == 0
     out, err = capsys.readouterr()
-    assert out.splitlines()[0].split() == ["scene", "status", "size", "density", "seconds", "memory"]
+    assert out.splitlines()[0].split() == ["scene", "status", "size", "density", "measured", "seconds", "memory"]
     assert "3 of 3 scenes done" in err
     folder = tmp_path / "run" / "planes_0"
     assert sorted(p.name for p in folder.iterdir()) == [
@@ -46,7 +46,7 @@ def test_maps_and_reports_for_a_folder(made_scenes: Path, tmp_path: Path, capsys
     codes = cv2.imread(str(folder / "disp_left.png"), cv2.IMREAD_UNCHANGED)
     assert codes.dtype == np.uint16
     np.testing.assert_allclose(read_disparity(folder / "disp_left.png"), values.clip(1 / 256), atol=1 / 512)
-    assert cv2.imread(str(folder / "status.png"), cv2.IMREAD_UNCHANGED).shape == (64, 96)
+    assert read_status(folder / "status.png").shape == (64, 96)
     assert cv2.imread(str(folder / "preview.png"), cv2.IMREAD_UNCHANGED).shape == (64, 96, 3)
     rows = list(csv.DictReader(io.StringIO((tmp_path / "run" / "report.csv").read_text())))
     assert [row["scene"] for row in rows] == ["planes_0", "planes_1", "planes_2"]
@@ -62,7 +62,7 @@ def test_the_run_file_is_a_config(made_scenes: Path, tmp_path: Path):
     assert (tmp_path / "a" / "run.yaml").read_bytes() == (tmp_path / "b" / "run.yaml").read_bytes()
     written = yaml.safe_load((tmp_path / "a" / "run.yaml").read_text())
     assert written["block"] == 9
-    assert set(written["run"]) == {"command", "backend", "versions"}
+    assert set(written["run"]) == {"command", "versions"}
     for name in ("disp_left.pfm", "preview.png", "record.json"):
         assert (tmp_path / "a/planes_0" / name).read_bytes() == (tmp_path / "b/planes_0" / name).read_bytes()
 
@@ -80,9 +80,16 @@ def test_json_is_one_document_and_alone_on_stdout(made_scenes, tmp_path, capsys)
 def test_one_pair(made_scenes: Path, tmp_path: Path, capsys):
     pair = ("--left", made_scenes / "planes_0/left.png", "--right", made_scenes / "planes_0/right.png")
     assert run("stereo", FAST, *pair, "-o", tmp_path / "r", "--max-disparity", "12") == 0
-    assert (tmp_path / "r" / "left" / "disp_left.pfm").exists()
+    assert (tmp_path / "r" / "planes_0" / "disp_left.pfm").exists()  # "left" says nothing: the folder's name
     assert run("stereo", FAST, *pair, "-o", tmp_path / "s") == 3
     assert "the search range is not known; say it with --max-disparity" in capsys.readouterr().err
+    # The corrected command is not refused for the first one's sake.
+    assert run("stereo", FAST, *pair, "-o", tmp_path / "s", "--max-disparity", "12", "--name", "mine") == 0
+    assert (tmp_path / "s" / "mine" / "disp_left.pfm").exists()
+    # Another pair of the same name is not put in its place.
+    other = ("--left", made_scenes / "planes_1/left.png", "--right", made_scenes / "planes_1/right.png")
+    assert run("stereo", FAST, *other, "-o", tmp_path / "s", "--max-disparity", "12", "--name", "mine") == 2
+    assert "another 'mine'" in capsys.readouterr().err
 
 
 def test_runs_are_compared(made_scenes: Path, tmp_path: Path, capsys):
@@ -108,6 +115,9 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
     assert "# side of the matched block, pixels, odd\nblock: 5\n" in text
     (tmp_path / "shown.yaml").write_text(text)
     assert run("presets", "show", "opencv-sgmb") == 2
+    assert run("presets", "show", "accurate") == 2
+    assert "fuse/accurate or stereo/accurate" in capsys.readouterr().err
+    assert run("presets", "show", "stereo/accurate") == 0
     assert run("presets", "list") == 2
 
 
@@ -117,7 +127,8 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
         (("stereo", "opencv-sgmb", "-i", ".", "-o", "x"), "did you mean 'opencv-sgbm'?"),
         (("stereo", "absent.yaml", "-i", ".", "-o", "x"), "absent.yaml: neither a file nor a preset"),
         (("stereo", FAST, "-o", "x"), "want --input DIR, or --left FILE and --right FILE"),
-        (("stereo", FAST, "-i", ".", "--left", "a", "-o", "x"), "exclude each other"),
+        (("stereo", FAST, "-i", ".", "--left", "a", "-o", "x"), "--left wants --right"),
+        (("stereo", FAST, "-i", ".", "--left", "a", "--right", "b", "-o", "x"), "exclude each other"),
         (("stereo", FAST, "-i", "absent", "-o", "x"), "absent: no such folder"),
         (("stereo", FAST, "-i", ".", "-o", "x"), "no scenes found"),
         (
@@ -125,7 +136,7 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
             "--set blok: no such key (got 3); did you mean 'bl",
         ),
         (("stereo", FAST, "-i", ".", "-o", "x", "--max-memory", "lots"), "--max-memory: want a size such as 2GiB"),
-        (("stereo", FAST, "-i", ".", "-o", "x", "--max-disparity", "0"), "--set max_disparity: should be greater"),
+        (("stereo", FAST, "-i", ".", "-o", "x", "--max-disparity", "0"), "--max-disparity: should be greater"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--jobs", "0"), "--jobs"),
         (("stereo", FAST, "-i", "."), "Missing option '--output'"),
         (("stereo",), "Missing"),
@@ -133,9 +144,11 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
         (("evaluate", "absent", "--truth", ".", "-o", "x"), "absent: no such folder"),
         (
             ("sample", "-o", "x", "--count", "0", "--width", "3"),
-            "depthcli sample: count: should be greater than or equal",
+            "Invalid value for '--count'",
         ),
         (("sample", "-o", "x", "--kind", "plane"), "plane"),
+        (("sample", "-o", "x", "--speckles", "0.1"), "--speckles says nothing about stereo scenes"),
+        (("sample", "-o", "x", "--max-disparity", "300"), "at most width / 2 = 200"),
     ],
 )
 def test_wrong_usage_is_exit_2_and_a_line(arguments, said, tmp_path: Path, monkeypatch, capsys):
@@ -163,7 +176,7 @@ def test_a_scene_that_would_not_fit_fails_before_it_starts(made_scenes, tmp_path
 
 
 def test_a_bug_is_exit_1_with_a_traceback(monkeypatch, capsys, tmp_path: Path):
-    monkeypatch.setattr(commands, "find_config", lambda *a: 1 / 0)
+    monkeypatch.setattr("depthcli.batch.presets.find_config", lambda *a: 1 / 0)
     assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == 1
     err = capsys.readouterr().err
     assert "ZeroDivisionError" in err
@@ -174,7 +187,7 @@ def test_ctrl_c_is_exit_130(monkeypatch, capsys, tmp_path: Path):
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(commands, "find_config", interrupted)
+    monkeypatch.setattr("depthcli.batch.presets.find_config", interrupted)
     assert run("stereo", FAST, "-i", tmp_path, "-o", tmp_path / "x") == 130
     assert "interrupted" in capsys.readouterr().err
 
@@ -203,7 +216,7 @@ def test_threads_do_not_change_the_bytes(made_scenes: Path, tmp_path: Path):
     for threads in ("1", "2"):
         assert run("stereo", "fast", *one, "-o", tmp_path / threads, "--threads", threads) == 0
     files = [p.relative_to(tmp_path / "1") for p in (tmp_path / "1").rglob("*") if p.is_file()]
-    assert len(files) == 4 * 5 + 3
+    assert len(files) == 4 * 5 + 4
     for file in files:
         if file.name not in ("report.json", "report.csv"):
             assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes(), file
@@ -213,7 +226,7 @@ def test_threads_do_not_change_the_bytes(made_scenes: Path, tmp_path: Path):
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_ctrl_c_leaves_a_run_to_go_on_with(made_scenes: Path, tmp_path: Path, jobs: str):
     for number in range(4):  # enough scenes that the interruption falls into the run
-        for scene in made_scenes.iterdir():
+        for scene in filter(Path.is_dir, made_scenes.iterdir()):
             (tmp_path / "in" / f"{scene.name}_{number}").mkdir(parents=True)
             for file in scene.iterdir():
                 (tmp_path / "in" / f"{scene.name}_{number}" / file.name).symlink_to(file)

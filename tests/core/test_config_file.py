@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from depthcli.batch.config import JobConfig
 from depthcli.core.config_file import dump_config, load_config, parse_config, read_config
 from depthcli.core.errors import ConfigError
+from depthcli.core.root_config import RootConfig
 from tests.core.toys import AnyToy
 
 
-class Root(JobConfig):
+class Root(RootConfig):
     flattened: ClassVar[str] = "toy"
     toy: AnyToy
     top: int | None = Field(None, ge=1)

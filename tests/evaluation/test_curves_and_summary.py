@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from depthcli.evaluation.curves import PERCENTAGES, optimal_auc, sparsification
+from depthcli.evaluation.curves import PERCENTAGES, sparsification
 from depthcli.evaluation.pictures import LEGEND, error_picture
 from depthcli.evaluation.report import Line, Table, line_plot
 from depthcli.evaluation.summary import average_ranks, compare, sign_test
@@ -22,7 +23,20 @@ def test_ties_are_averaged(pixels):
     confidence = np.array([c for c, _ in pixels], np.float32)
     wrong = np.array([w for _, w in pixels])
     expected = naive.expected_sparsification(confidence, wrong, PERCENTAGES)
-    np.testing.assert_allclose(sparsification(confidence, wrong).rates, expected, atol=1e-12)
+    np.testing.assert_allclose(sparsification(confidence, wrong).errors, expected, atol=1e-12)
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 8)), min_size=1, max_size=5))
+@settings(max_examples=20, deadline=None)
+def test_areas_are_integrals(pixels):
+    confidence = np.array([c for c, _ in pixels], np.float32)
+    error = np.array([e / 4 for _, e in pixels])
+    curve = sparsification(confidence, error)
+    assert curve.auc == pytest.approx(naive.sparsification_area(confidence, error), abs=5e-3)
+    assert curve.optimal == pytest.approx(naive.sparsification_area(-error, error), abs=5e-3)
+    assert curve.mean == pytest.approx(error.mean())
+    assert curve.ause == pytest.approx(curve.auc - curve.optimal)
+    assert curve.aurg == pytest.approx(curve.mean - curve.auc)
 
 
 def test_order_of_pixels_does_not_matter():
@@ -32,29 +46,40 @@ def test_order_of_pixels_does_not_matter():
     assert sparsification(confidence, wrong) == sparsification(confidence[order], wrong[order])
 
 
-def test_perfect_useless_and_reversed_confidence():
-    wrong = np.arange(20000) >= 17000
-    rank = -np.arange(20000.0)
-    perfect, useless, reverse = (sparsification(c, wrong) for c in (rank, np.zeros(20000), -rank))
-    assert useless.auc == pytest.approx(0.15)
-    assert useless.random == pytest.approx(0.15)
-    assert perfect.rates[:16] == (0.0,) * 16
-    assert perfect.rates[-1] == pytest.approx(0.15)
-    assert perfect.optimal <= perfect.auc < perfect.optimal + 0.15 / 40 + 1e-4
+@pytest.mark.parametrize("share", [0.01, 0.15, 0.9])
+def test_a_perfect_ranking_has_ratio_one_and_a_useless_one_the_area_of_chance(share):
+    wrong = np.arange(20000) >= 20000 * (1 - share)
+    perfect, useless, reverse = (sparsification(c, wrong) for c in (~wrong, np.zeros(20000), wrong))
+    assert perfect.ratio == pytest.approx(1)
+    assert perfect.auc == pytest.approx(share + (1 - share) * math.log(1 - share), rel=1e-9)
+    assert perfect.ause == pytest.approx(0)
+    assert useless.auc == pytest.approx(share)
+    assert useless.aurg == pytest.approx(0)
     assert reverse.auc > useless.auc
-    # The integral of max(0, 1 - (1 - e) / n) over n, by many small steps.
-    n = (np.arange(200000) + 0.5) / 200000
-    assert optimal_auc(0.15) == pytest.approx(np.mean(np.maximum(0, 1 - 0.85 / n)), abs=1e-6)
-    assert optimal_auc(0) == 0
-    assert optimal_auc(1) == 1
+    # The figure of the other programs sees the curve at 20 shares only, in the optimum as well.
+    assert perfect.auc_5_100 == perfect.optimal_5_100
 
 
-def test_nan_confidence_is_the_least_sure():
-    curve = sparsification(np.array([np.nan, 1.0, 2.0, 3.0]), np.array([True, False, False, False]))
-    assert curve.rates[PERCENTAGES.index(75)] == 0
-    assert curve.rates[-1] == 0.25
+def test_errors_as_lengths():
+    error = np.array([0.0, 1.0, 2.0, 5.0])
+    perfect = sparsification(-error, error)
+    assert (perfect.mean, perfect.ratio) == (2, pytest.approx(1))
+    assert perfect.errors == perfect.best
+    assert sparsification(error, error).ause > 0
+
+
+def test_infinite_and_unknown_confidences():
+    confidence = np.array([np.nan, -np.inf, -5.0, np.inf])
+    for last, wrong in ((0, [True, False, False, False]), (1, [False, True, False, False]), (3, [0, 0, 0, True])):
+        curve = sparsification(confidence, np.array(wrong, bool))
+        places = [curve.errors[PERCENTAGES.index(p)] > 0 for p in (25, 50, 75, 100)]
+        assert places.index(True) == {0: 3, 1: 2, 3: 0}[last]
     with pytest.raises(ValueError, match="N > 0"):
         sparsification(np.zeros(0), np.zeros(0, bool))
+
+
+def test_no_error_has_no_ratio():
+    assert math.isnan(sparsification(np.arange(5), np.zeros(5, bool)).ratio)
 
 
 @given(st.integers(1, 5), st.integers(1, 6), st.integers(0, 10**6))

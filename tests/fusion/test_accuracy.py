@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
-from functools import cache
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from depthcli.confidence import confidence_maps
-from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
 from depthcli.fusion import Fusion
-from depthcli.io.scenes import find_scenes
+from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.cost.census import Census
-from depthcli.stereo.winner import winners
+from tests.scenes import rates, real_scenes
 
-DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "middlebury_v2"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="Middlebury v2 is not in ../shared/data")
 MEASURES = ["absolute_difference", "gradient", "rank", "census"]
 
 
-@cache
-def scene(name):
-    found = next(s for s in find_scenes(DATA) if s.name == name)
-    return StereoPair(*found.load_pair()), found.load_truth(), found.max_disparity
-
-
 def bad(name, **fields):
-    pair, truth, top = scene(name)
+    pair, truth, top = real_scenes()[name]
     values = Fusion.model_validate({"measures": MEASURES, **fields})(pair, top).disparity.values
-    mask = truth.masks["nonocc"] & ~np.isnan(truth.disparity)
-    return 100 * np.mean(~(np.abs(values[mask] - truth.disparity[mask]) <= 1))
+    return rates(values, truth)["nonocc"]
 
 
 @pytest.mark.parametrize(
@@ -47,7 +34,7 @@ def test_consensus_beats_equal_weights_and_votes_beat_weights(name, equal, weigh
 
 @pytest.mark.parametrize(("name", "most"), [("Teddy", 0.045), ("Cones", 0.022)])
 def test_the_best_confidence_orders_pixels_well(name, most):
-    pair, truth, top = scene(name)
+    pair, truth, top = real_scenes()[name]
     costs = ConstantWindow(window=11)(Census()(pair, top + 1), pair).costs
     known = ~np.isnan(truth.disparity)
     wrong = ~(np.abs(winners(costs)[0] - truth.disparity) <= 1)[known]

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
+import math
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from depthcli.batch.reporter import Reporter
 from depthcli.core.errors import InputError
+from depthcli.evaluation import protocols
+from depthcli.evaluation.disparity import DisparityProtocol
+from depthcli.evaluation.protocols import Settings
+from depthcli.evaluation.results import Result
 from depthcli.io.disparity import read_disparity, write_disparity_png, write_pfm
 from depthcli.io.images import read_image, write_png
-from depthcli.io.scenes import find_scenes
-from depthcli.jobs.evaluate import evaluate
+from depthcli.io.walk import find_items
+from depthcli.jobs.evaluate import COMMAND, evaluate
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real scenes of ../shared/data are not here")
@@ -42,13 +49,17 @@ def truth(tmp_path: Path) -> Path:
 
 
 def exact(truth: Path, name: str = "a") -> np.ndarray:
-    return find_scenes(truth, pattern=name)[0].load_truth().disparity
+    return find_items(truth, patterns=[name])[0].truth().disparity
 
 
 def run_of(folder: Path, maps: dict[str, np.ndarray]) -> Path:
     for name, values in maps.items():
         write_pfm(folder / name / "disp_left.pfm", values)
     return folder
+
+
+def bad(result: Result, mask: str = "all", threshold: float = 1.0) -> float:
+    return result.value("bad", mask, threshold)
 
 
 def rows(output: Path) -> list[dict[str, str]]:
@@ -84,11 +95,11 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     assert row["convention"] == "missing counts as bad"
     assert row["map"] == "a/disp_left.pfm"
     document = json.loads((tmp_path / "out" / "scores.json").read_text())
-    assert document == json.loads(json.dumps(report.to_dict()))
-    figures = {f["run"]: f for f in document["mean_of_all_figures"]}
-    assert figures["perfect"]["value"] == 0
-    assert figures["half"]["figures"] == 6
+    figures = {f["run"]: f for f in document["headlines"]}
+    assert (figures["perfect"]["value"], figures["perfect"]["value_common"]) == (0, 0)
+    assert (figures["half"]["mask"], figures["half"]["scenes"], figures["half"]["missing"]) == ("nonocc+all+disc", 2, 0)
     (comparison,) = document["comparisons"]
+    assert (comparison["run"], comparison["against"]) == ("half", "perfect")
     assert (comparison["scenes"], comparison["wins"], comparison["losses"]) == (2, 0, 2)
     assert "Paired comparison" in (tmp_path / "out" / "report.md").read_text()
     picture = read_image(tmp_path / "out" / "errors" / "half" / "a.png")
@@ -112,7 +123,7 @@ def test_maps_of_other_programs(tmp_path: Path, truth: Path):
     report = evaluate([flat, kit, devkit], truth, tmp_path / "out")
     assert report.failed == []
     for result in report.results:
-        assert result.headline("nonocc") == 0, result
+        assert bad(result, "nonocc") == 0, result
     assert report.results[1].source == "a/disp0ours.pfm"
 
 
@@ -142,11 +153,11 @@ def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
     (truth / "a" / "disp_left.png").write_bytes(b"nothing")
     report = evaluate([run], truth, tmp_path / "out")
     assert [r.scene for r in report.failed] == ["a"]
-    assert report.results[1].headline("all") == 0
+    assert bad(report.results[1]) == 0
     (truth / "a" / "meta.json").write_text("[]")
     report = evaluate([run], truth, tmp_path / "out")
     assert "meta.json" in report.failed[0].error
-    assert report.results[1].headline("all") == 0
+    assert bad(report.results[1]) == 0
     (truth / "b" / "meta.json").write_text("[]")
     with pytest.raises(InputError, match=r"meta\.json"):
         evaluate([run], truth, tmp_path / "out")
@@ -165,8 +176,8 @@ def test_scale_of_the_maps_can_be_said(tmp_path: Path, truth: Path):
     (tmp_path / "run").mkdir()
     for name in ("a", "b"):
         shutil.copy(tmp_path / "fixed.npy", tmp_path / "run" / f"{name}.npy")
-    report = evaluate([tmp_path / "run"], truth, tmp_path / "out", scale=16)
-    assert [r.headline("all") for r in report.results] == [0, 0]
+    report = evaluate([tmp_path / "run"], truth, tmp_path / "out", settings=Settings(scale=16))
+    assert [bad(r) for r in report.results] == [0, 0]
 
 
 def test_confidence_gives_curves(tmp_path: Path, truth: Path):
@@ -178,17 +189,21 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     write_pfm(run / "a" / "confidence_oracle.pfm", knows)
     write_pfm(run / "a" / "confidence_blind.pfm", np.zeros(SHAPE, np.float32))
     write_pfm(run / "b" / "confidence_small.pfm", np.zeros((3, 3), np.float32))
+    np.save(run / "b" / "confidence_levels.npy", np.full(SHAPE, -3, np.int16))
     report = evaluate([run], truth, tmp_path / "out")
-    assert list(report.results[0].curves) == ["nonocc", "all"]
-    a = report.results[0].curves["nonocc"]
-    assert list(a) == ["blind", "oracle"]
-    assert a["blind"].auc == pytest.approx(0.25)
-    assert a["oracle"].rates[14] == 0  # 75 % of the pixels are right
-    assert a["oracle"].pixels == 24 * 24
-    assert report.results[0].curves["all"]["oracle"].pixels == 24 * 32
-    assert "oracle" in report.text()
+    curves = {(c.mask, c.confidence, c.of): c.line for c in report.results[0].curves}
+    assert list(curves) == list(itertools.product(("nonocc", "all"), ("blind", "oracle"), ("bad", "error")))
+    assert curves["nonocc", "blind", "bad"].auc == pytest.approx(0.25)
+    assert curves["nonocc", "oracle", "bad"].errors[14] == 0  # 75 % of the pixels are right
+    assert curves["nonocc", "oracle", "bad"].ratio == pytest.approx(1)
+    assert curves["nonocc", "blind", "error"].mean == pytest.approx(0.75)
+    assert curves["nonocc", "oracle", "bad"].pixels == 24 * 24
+    assert curves["all", "oracle", "bad"].pixels == 24 * 32
+    # Negative numbers are confidences, not missing codes.
+    assert {c.confidence for c in report.results[1].curves} == {"levels"}
     assert "AUC/optimal" in report.text()
-    assert "<polyline" in (tmp_path / "out" / "curves" / "run" / "a_nonocc.svg").read_text()
+    assert "AUSE" in report.text()
+    assert "<polyline" in (tmp_path / "out" / "curves" / "run" / "a_nonocc_bad.svg").read_text()
     assert "confidence_small.pfm" in report.warnings[0]
 
 
@@ -241,21 +256,21 @@ def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
 @needs_data
 def test_real_scenes_truth_is_zero_and_two_pixels_off_is_hundred(tmp_path: Path):
     """One folder of every kind; the figures of every mask and threshold below two pixels."""
-    wanted = {"Venus": "v2", "Motorcycle": "v3", "2012_000070_10": "kitti"}
-    for scene in find_scenes(DATA):
-        if scene.name.rpartition("/")[2] in wanted:
-            disparity = scene.load_truth().disparity
-            write_pfm(tmp_path / "truth" / scene.name / "disp_left.pfm", disparity)
-            write_pfm(tmp_path / "shifted" / scene.name / "disp_left.pfm", disparity - np.float32(2.25))
-    for pattern, metric in wanted.items():
-        report = evaluate([tmp_path / "truth", tmp_path / "shifted"], DATA, tmp_path / "out", scenes=pattern)
+    wanted = {"Venus": "middlebury_v2", "middlebury_v3/Piano": "middlebury_v3", "2012_000070_10": "kitti_2012"}
+    for item in find_items(DATA, patterns=list(wanted)):
+        disparity = item.truth().disparity
+        write_pfm(tmp_path / "truth" / item.name / "disp_left.pfm", disparity)
+        write_pfm(tmp_path / "shifted" / item.name / "disp_left.pfm", disparity - np.float32(2.75))
+    for pattern, protocol in wanted.items():
+        runs = [tmp_path / "truth", tmp_path / "shifted"]
+        report = evaluate(runs, DATA, tmp_path / "out", [pattern], protocol=protocol)
         assert report.failed == []
         right, shifted = report.results
-        assert right.metric == metric
-        assert all(s.value == 0 for s in right.scores if s.unit == "%")
-        thresholds = [s for s in shifted.scores if s.metric in ("bad", "totbad", "out") and (s.threshold or 9) <= 2]
-        assert thresholds
-        assert all(s.value == 100 for s in thresholds)
+        assert right.protocol == protocol
+        assert all(s.value == 0 for s in right.scores if s.measure.unit == "%")
+        rates = [s for s in shifted.scores if s.measure.metric in ("bad", "totbad", "out")]
+        assert any((s.measure.threshold or 9) <= 2 for s in rates)
+        assert all(s.value == 100 for s in rates if (s.measure.threshold or 9) <= 2)
 
 
 @needs_data
@@ -265,7 +280,7 @@ def test_kitti_pairs_end_to_end(tmp_path: Path):
     run.mkdir()
     for pair in ("pair_01", "pair_04", "pair_07"):
         shutil.copy(DATA / "kitti_eval_pairs" / pair / "disp_est.png", run / f"{pair}.png")
-    report = evaluate([run], DATA / "kitti_eval_pairs", tmp_path / "out")
+    report = evaluate([run], DATA / "kitti_eval_pairs", tmp_path / "out", protocol="kitti-2015")
     found = [round(r.value("D1", "occ", 3.0, "estimated pixels only"), 2) for r in report.results]
     assert found == [4.19, 3.54, 8.30]
     assert "4.19" in report.text()
@@ -280,20 +295,12 @@ def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, trut
     write_pfm(run / "b" / "disp_left.pfm", np.full(SHAPE, np.nan, np.float32))
     write_pfm(run / "a" / "disp_left.pfm", values)
     data = (run / "a" / "disp_left.pfm").read_bytes()
-    for kind in (None, "v3", "kitti"):
-        if kind is not None:
-            for name in ("a", "b"):
-                for mask in (truth / name).glob("mask_*.png"):
-                    mask.unlink()
-                if kind == "v3":
-                    write_pfm(truth / name / "disp_left.pfm", TRUTH)
-                    (truth / name / "disp_left.png").unlink()
-                    (truth / name / "meta.json").write_text("{}")
-                else:
-                    (truth / name / "meta.json").write_text('{"masks": "none (sparse GT)"}')
-        for _ in range(15):
-            report = evaluate([run], truth, tmp_path / "out")
-            assert {r.metric for r in report.results} == {kind or "v2"}
+    for protocol in protocols.names():
+        if not issubclass(protocols.load(protocol), DisparityProtocol):
+            continue
+        for _ in range(12):
+            report = evaluate([run], truth, tmp_path / "out", protocol=protocol)
+            assert {r.protocol for r in report.results} == {protocol}
             json.loads((tmp_path / "out" / "scores.json").read_text(), parse_constant=pytest.fail)
             broken = bytearray(data[: rng.integers(1, len(data) + 1)] if rng.random() < 0.3 else data)
             for _ in range(rng.integers(1, 9)):
@@ -314,3 +321,124 @@ def test_truth_without_a_known_pixel_is_a_reason_and_not_an_empty_column(tmp_pat
     report = evaluate([tmp_path / "run"], tmp_path / "truth", tmp_path / "out")
     assert [result.scene for result in report.failed] == ["a"]
     assert "no known pixel" in report.failed[0].error
+
+
+def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    poor = good.copy()
+    poor[:12] += 3
+    both = run_of(tmp_path / "both", {"a": good, "b": poor})
+    easy = run_of(tmp_path / "easy", {"a": good})
+    report = evaluate([both, easy], truth, tmp_path / "out")
+    means = {(m["run"], m["metric"], m["mask"], m["threshold"]): m for m in report.means()}
+    full, lacking = (means[run, "bad", "all", 1.0] for run in ("both", "easy"))
+    assert (full["value"], full["scenes"], full["missing"], full["common"], full["value_common"]) == (25, 2, 0, 1, 0)
+    assert (lacking["value"], lacking["scenes"], lacking["missing"], lacking["value_common"]) == (50, 2, 1, 0)
+    # No bound, no mean over all: but one over what both have.
+    assert means["both", "avgerr", "all", None]["value"] == pytest.approx(0.75)
+    assert math.isnan(means["easy", "avgerr", "all", None]["value"])
+    assert means["easy", "avgerr", "all", None]["value_common"] == 0
+    text, markdown = report.text(), (tmp_path / "out" / "report.md").read_text()
+    for said in ("2, 1 missing*", "50.00*", "1 common", "*: scenes without a map count as wholly wrong"):
+        assert said in text
+        assert said in markdown
+    headlines = json.loads((tmp_path / "out" / "scores.json").read_text())["headlines"]
+    headline = next(h for h in headlines if h["run"] == "easy")
+    assert (headline["value"], headline["value_common"], headline["missing"]) == (50, 0, 1)
+    written = {(r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]): r for r in rows(tmp_path / "out")}
+    assert written["easy", "b", "bad", "all", "1.0"]["value"] == "100.0"
+    assert "missing, counted as wholly wrong" in written["easy", "b", "bad", "all", "1.0"]["note"]
+    assert written["easy", "*mean", "bad", "all", "1.0"]["value"] == "50.0"
+    assert "1 missing" in written["easy", "*mean", "bad", "all", "1.0"]["note"]
+    assert written["easy", "*common mean", "bad", "all", "1.0"]["value"] == "0.0"
+    assert written["easy", "*mean", "avgerr", "all", ""]["value"] == ""
+    # Ranks and comparisons are over what both have: a tie.
+    (summary, *_) = report.tables()
+    column = summary.header.index("avg rank")
+    assert [row[column] for row in summary.rows] == ["", "1.5", "", "1.5"]
+    ((_, _, comparison),) = report.comparisons()
+    assert (comparison.scenes, comparison.wins, comparison.losses, comparison.ties) == (1, 0, 0, 1)
+
+
+def test_a_complete_set_has_one_mean(tmp_path: Path, truth: Path):
+    run = run_of(tmp_path / "run", {"a": exact(truth) + 3, "b": exact(truth)})
+    text = evaluate([run], truth, None).text()
+    assert "*" not in text
+    assert "common" not in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_protocol_is_said_and_never_guessed(tmp_path: Path, truth: Path):
+    run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
+    (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2012"}))
+    assert [r.protocol for r in evaluate([run], truth, None).results] == ["kitti_2012", "middlebury_v2"]
+    assert [r.protocol for r in evaluate([run], truth, None, protocol="ETH3D").results] == ["eth3d"] * 2
+    with pytest.raises(InputError, match=r"no protocol called 'kitty'; one of: depth, eth3d, kitti_2012"):
+        evaluate([run], truth, None, protocol="kitty")
+    (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitty"}))
+    report = evaluate([run], truth, None)
+    assert "no protocol called 'kitty'" in report.failed[0].error
+    assert bad(report.results[1]) == 0
+
+
+def test_two_protocols_side_by_side(tmp_path: Path, truth: Path):
+    """Different benchmarks have tables of their own, and are never averaged or compared with each other."""
+    (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2015"}))
+    runs = [run_of(tmp_path / name, {"a": exact(truth) + d, "b": exact(truth)}) for name, d in (("x", 0), ("y", 5))]
+    report = evaluate(runs, truth, tmp_path / "out")
+    assert [(s.data_set, s.protocol.name) for s in report.sections] == [("set", "kitti_2015"), ("set", "middlebury_v2")]
+    assert [section.protocol.name for section, _, _ in report.comparisons()] == ["kitti_2015", "middlebury_v2"]
+    overview = next(table for table in report.tables() if table.title == "Headline by data set")
+    assert overview.header == ("run", "set (kitti_2015)", "set (middlebury_v2)")
+    assert [row[1:] for row in overview.rows] == [("0.00", "0.00"), ("100.00", "0.00")]
+
+
+def test_one_map_at_a_glance(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
+    good = exact(truth)
+    write_pfm(tmp_path / "m.pfm", good + 2)
+    # The file of a scene brings the scene's masks and scale.
+    report = evaluate([tmp_path / "m.pfm"], truth / "a" / "disp_left.png", None)
+    assert report.results[0].scores[0].mask == "nonocc"
+    assert bad(report.results[0]) == 100
+    # Any other file stands for itself.
+    shutil.copy(truth / "a" / "disp_left.png", tmp_path / "gt.png")
+    plain = evaluate([tmp_path / "m.pfm"], tmp_path / "gt.png", None, settings=Settings(scale=8, threshold=3))
+    assert (bad(plain.results[0]), bad(plain.results[0], threshold=3)) == (100, 0)
+    assert "8-bit disparities need a scale" in evaluate([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed[0].error
+    with pytest.raises(InputError, match="a single map wants a single scene"):
+        evaluate([tmp_path / "m.pfm"], truth, None)
+    values = dict.fromkeys(("output", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize"))
+    values |= {"runs": [tmp_path / "m.pfm"], "truth": truth / "a" / "disp_left.png", "json": True, "quiet": False}
+    assert COMMAND.run(values, Reporter(-1)) == 0
+    assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
+
+
+def test_kit_files_are_told_from_the_truth(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    run = tmp_path / "kit"
+    for name in ("disp0GT", "disp0GT_s", "disp0GTy", "disp0ours_s"):
+        write_pfm(run / "a" / f"{name}.pfm", good + ("GT" in name) * 5)
+    write_pfm(run / "b" / "disp0GT.pfm", good)
+    report = evaluate([run], truth, None)
+    assert report.results[0].source == "a/disp0ours_s.pfm"
+    assert bad(report.results[0]) == 0
+    assert [r.scene for r in report.failed] == ["b"]
+    write_pfm(run / "a" / "disp0theirs_s.pfm", good)
+    assert "keep one method" in evaluate([run], truth, None).failed[0].error
+
+
+def test_a_short_name_of_two_scenes_is_named_as_such(tmp_path: Path, truth: Path):
+    shutil.copytree(truth, tmp_path / "all" / "one")
+    shutil.copytree(truth, tmp_path / "all" / "two")
+    run = run_of(tmp_path / "run", {"a": exact(truth), "two/a": exact(truth)})
+    report = evaluate([run], tmp_path / "all", None, ["a"])
+    assert [(r.scene, bool(r.error)) for r in report.results] == [("one/a", True), ("two/a", False)]
+    assert "several scenes are called a" in report.failed[0].error
+
+
+def test_seconds_of_the_report_are_shown(tmp_path: Path, truth: Path):
+    run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
+    scenes = [{"scene": name, "status": "done", "seconds": {"cost": 1.5, "refinement": 0.5}} for name in ("a", "b")]
+    (run / "report.json").write_text(json.dumps({"scenes": scenes}))
+    (summary, *_) = evaluate([run], truth, None).tables()
+    assert (summary.header[-1], summary.rows[0][-1]) == ("seconds", "2.00")

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from depthcli.kernels import _jit
+from depthcli.kernels import jit
 
 ROOT = Path(__file__).parents[2]
 
 KERNEL = """
 import numpy as np
-from depthcli.kernels._jit import jit, parallel_jit
+from depthcli.kernels.jit import jit
 
 @jit
 def inner(x):
@@ -32,39 +33,52 @@ def total(a):
 USE = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from depthcli.kernels._jit import CompileWatch, cache_folder
+from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds
 said = []
 with CompileWatch(lambda: said.append(1)) as watch:
     import numpy as np, toy_kernel
     assert toy_kernel.total(np.arange(5)) == 15
+assert abs(watch.seconds - compile_seconds()) < 0.05
 print(watch.kernels, len(said), watch.seconds > 0, cache_folder())
 """
 
 
-def use(tmp_path: Path, **environment: str) -> tuple[int, int, bool, Path]:
+def use(tmp_path: Path, before: str = "", **environment: str) -> tuple[int, int, bool, str, str]:
+    """Kernels compiled, times it was said, seconds counted, cache folder, standard error of a new process."""
     (tmp_path / "source").mkdir(exist_ok=True)
     if not (tmp_path / "source" / "toy_kernel.py").exists():
         (tmp_path / "source" / "toy_kernel.py").write_text(KERNEL)
     clean = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
     env = clean | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)} | environment
-    command = [sys.executable, "-c", USE, str(tmp_path / "source")]
+    command = [sys.executable, "-c", before + USE, str(tmp_path / "source")]
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     kernels, said, timed, folder = done.stdout.split(maxsplit=3)
-    return int(kernels), int(said), timed == "True", Path(folder.strip())
+    return int(kernels), int(said), timed == "True", folder.strip(), done.stderr
+
+
+def compiled(tmp_path: Path) -> list[Path]:
+    return sorted((tmp_path / "mine").rglob("*.nb[ci]"))
 
 
 def test_compiled_once_and_kept_in_the_users_cache(tmp_path: Path):
-    kernels, said, timed, folder = use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
-    assert (kernels > 0, said, timed) == (True, 1, True)
-    assert folder == tmp_path / "cache" / "depthcli" / "kernels"
-    assert list(folder.rglob("*.nbi"))
+    kernels, said, timed, folder, messages = use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
+    assert (kernels, said, timed, messages) == (2, 1, True, "")
+    assert Path(folder) == tmp_path / "cache" / "depthcli" / "kernels"
+    assert list(Path(folder).rglob("*.nbi"))
     assert not list((tmp_path / "source").rglob("*.nbi"))  # the package's own folder may be read-only
-    assert use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache")) == (0, 0, False, folder)
+    assert use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache")) == (0, 0, False, folder, "")
 
 
 def test_the_users_choice_is_respected(tmp_path: Path):
-    assert use(tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "mine"))[3] == tmp_path / "mine"
+    assert use(tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "mine"))[3] == str(tmp_path / "mine")
+    assert len(compiled(tmp_path)) == 4
+
+
+def test_the_folder_holds_where_numba_was_imported_before(tmp_path: Path):
+    assert use(tmp_path, "import numba\n", XDG_CACHE_HOME=str(tmp_path))[4] == ""
+    assert list((tmp_path / "depthcli" / "kernels").rglob("*.nbi"))
+    assert not list((tmp_path / "source").rglob("*.nbi"))
 
 
 def test_without_a_home_that_can_be_written_a_temporary_folder_serves(tmp_path: Path):
@@ -72,13 +86,81 @@ def test_without_a_home_that_can_be_written_a_temporary_folder_serves(tmp_path: 
     if not Path("/proc").is_dir():
         pytest.skip("needs /proc as a place that cannot be written")
     first = use(tmp_path, HOME=home, XDG_CACHE_HOME=home)
-    assert first[3].parent.parent == tmp_path
-    assert use(tmp_path, HOME=home, XDG_CACHE_HOME=home) == (0, 0, False, first[3])
+    assert Path(first[3]).parent.parent == tmp_path
+    assert use(tmp_path, HOME=home, XDG_CACHE_HOME=home) == (0, 0, False, first[3], "")
+
+
+@pytest.mark.parametrize("variable", ["NUMBA_CACHE_DIR", "TMPDIR"])
+def test_where_no_folder_can_be_written_kernels_are_compiled_in_memory_and_that_is_said_once(tmp_path, variable):
+    nowhere = "/proc/no-such-folder"
+    if not Path("/proc").is_dir():
+        pytest.skip("needs /proc as a place that cannot be written")
+    before = "import tempfile; tempfile._candidate_tempdir_list = lambda: ['/proc/no-such-folder']\n"
+    kernels, _, _, folder, messages = use(tmp_path, before, HOME=nowhere, XDG_CACHE_HOME=nowhere, **{variable: nowhere})
+    assert (kernels, folder) == (2, "None")
+    assert messages.count("no folder for compiled kernels can be written") == len(messages.splitlines()) == 1
+    assert not list((tmp_path / "source").rglob("*.nb*"))
+
+
+def flip(data: bytes) -> bytes:
+    return data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 4]) + data[len(data) // 2 + 1 :]
+
+
+@pytest.mark.parametrize(
+    ("kind", "damage"), [("nbc", lambda data: b""), ("nbc", flip), ("nbi", lambda data: data[:-9])]
+)
+def test_damaged_files_are_compiled_again_and_that_is_said_once(tmp_path: Path, kind: str, damage):
+    mine = str(tmp_path / "mine")
+    use(tmp_path, NUMBA_CACHE_DIR=mine)
+    for file in compiled(tmp_path):
+        if file.suffix == f".{kind}":
+            file.write_bytes(damage(file.read_bytes()))
+    kernels, _, _, _, messages = use(tmp_path, NUMBA_CACHE_DIR=mine)
+    assert kernels == 2
+    assert messages.count("are damaged; they are compiled again") == len(messages.splitlines()) == 1
+    assert use(tmp_path, NUMBA_CACHE_DIR=mine)[0] == 0
+
+
+def test_a_full_disk_only_means_that_nothing_is_kept(tmp_path: Path):
+    full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+    kernels, _, _, folder, messages = use(tmp_path, full, NUMBA_CACHE_DIR=str(tmp_path / "mine"))
+    assert (kernels, folder) == (2, str(tmp_path / "mine"))
+    assert messages.count("cannot be kept there") == len(messages.splitlines()) == 1
+    assert use(tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "mine"))[0] == 2
+
+
+SUMS = """
+import hashlib, numpy as np
+from depthcli.stereo.segments import energy
+from depthcli.stereo.segments.planes import Members, Planes
+rng = np.random.default_rng(0)
+labels = np.arange(100, dtype=np.int32).reshape(10, 10).repeat(10, 0).repeat(10, 1)
+values = (rng.random((100, 100)) * 50).astype(np.float32)
+planes = Planes(rng.normal(size=(30, 3)) * [0.01, 0.01, 20], np.arange(30), np.zeros((30, 2)))
+sums = energy.discrepancy(values, Members.of(labels), planes, 10.0, 2.0)
+print(hashlib.sha256(sums.tobytes()).hexdigest(), energy._discrepancy.stats.cache_hits.total())
+"""
+
+
+def test_the_process_that_compiles_gives_the_same_bytes_as_those_that_find_the_kernel(tmp_path: Path):
+    """Sums of floats in a loop of ``prange``: numba by itself runs other code than it keeps."""
+    env = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    runs = [
+        subprocess.run([sys.executable, "-c", SUMS], env=env, capture_output=True, text=True, check=True).stdout.split()
+        for _ in range(2)
+    ]
+    assert [found for _, found in runs] == ["0", "1"]
+    assert runs[0][0] == runs[1][0]
+
+
+def test_numba_is_imported_in_one_place_only():
+    files = {f for f in (ROOT / "depthcli").rglob("*.py") if re.search(r"^\s*(from|import) numba", f.read_text(), re.M)}
+    assert files == {ROOT / "depthcli" / "kernels" / "jit.py"}
 
 
 def test_a_folder_that_somebody_else_made_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     if not hasattr(os, "getuid"):
         pytest.skip("needs owners of files")
-    assert _jit._private(tmp_path / "kernels")
+    assert jit._usable(tmp_path / "kernels")
     monkeypatch.setattr(os, "getuid", lambda: 12345)
-    assert not _jit._private(tmp_path / "kernels")
+    assert not jit._usable(tmp_path / "kernels")

@@ -22,7 +22,8 @@ def bad_v2(estimate, truth, mask, t):
 
 def evaldisp(estimate, truth, mask, t, max_disparity, rounded):
     """(bad %, invalid %, total %, average error) of a map that may be 1, 1/2, 1/4 of the truth's size."""
-    factor = round(truth.shape[1] / estimate.shape[1])
+    factor = truth.shape[1] // estimate.shape[1]
+    top = factor * math.ceil(max_disparity / factor)
     n = bad = invalid = 0
     total = 0.0
     for y in range(truth.shape[0]):
@@ -31,10 +32,10 @@ def evaldisp(estimate, truth, mask, t, max_disparity, rounded):
                 continue
             n += 1
             d = factor * float(estimate[y // factor, x // factor])
-            if math.isnan(d):
+            if math.isnan(d) or d > 1000 * top:
                 invalid += 1
                 continue
-            d = max(0.0, min(max_disparity, d))
+            d = max(0.0, min(top, d))
             if rounded:
                 d = math.floor(d + 0.5)
             error = abs(d - float(truth[y, x]))
@@ -43,6 +44,24 @@ def evaldisp(estimate, truth, mask, t, max_disparity, rounded):
                 bad += 1
     average = total / (n - invalid) if n > invalid else math.nan
     return 100 * bad / n, 100 * invalid / n, 100 * (bad + invalid) / n, average
+
+
+def eth3d(estimate, truth, mask, t):
+    """(bad %, coverage %, average error, median) among the estimated pixels; 100 % bad where there is none."""
+    known, errors = 0, []
+    for y in range(truth.shape[0]):
+        for x in range(truth.shape[1]):
+            if math.isnan(truth[y, x]) or not mask[y, x]:
+                continue
+            known += 1
+            d = float(estimate[y, x])
+            if not math.isnan(d) and abs(d) <= truth.shape[1]:
+                errors.append(abs(d - float(truth[y, x])))
+    if not errors:
+        return 100.0, 0.0, math.nan, math.nan
+    errors.sort()
+    bad = 100 * sum(e > t for e in errors) / len(errors)
+    return bad, 100 * len(errors) / known, sum(errors) / len(errors), errors[len(errors) // 2]
 
 
 def interpolate_background(disparity):
@@ -71,25 +90,32 @@ def interpolate_background(disparity):
     return out
 
 
-def d1(estimate, truth, mask, only_estimated):
-    """(wrong, pixels) by KITTI's rule."""
+def submitted(disparity):
+    """What a 16-bit PNG holds of a map: whole 256ths from 1 to 65535, nothing below zero."""
+    out = disparity.copy()
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            d = float(out[y, x])
+            out[y, x] = min(max(round(d * 256), 1), 65535) / 256 if d >= 0 else math.nan
+    return out
+
+
+def kitti(estimate, filled, truth, mask, only_estimated, t=None):
+    """(wrong, pixels, average error) by D1 (``t`` None) or an error above ``t``; a value still missing is -1."""
     wrong = pixels = 0
+    total = 0.0
     for y in range(truth.shape[0]):
         for x in range(truth.shape[1]):
-            if not mask[y, x] or math.isnan(truth[y, x]):
+            gt = float(truth[y, x])
+            if not mask[y, x] or not gt >= 0 or (only_estimated and math.isnan(estimate[y, x])):
                 continue
-            d = float(estimate[y, x])
-            if math.isnan(d):
-                if only_estimated:
-                    continue
-                pixels += 1
-                wrong += 1
-                continue
+            d = -1.0 if math.isnan(filled[y, x]) else float(filled[y, x])
+            error = abs(d - gt)
             pixels += 1
-            error = abs(d - float(truth[y, x]))
-            if error > 3 and error > 0.05 * float(truth[y, x]):
+            total += error
+            if (error > 3 and error >= 0.05 * gt) if t is None else error > t:
                 wrong += 1
-    return wrong, pixels
+    return wrong, pixels, total / pixels if pixels else math.nan
 
 
 def expected_sparsification(confidence, wrong, percentages):
@@ -109,6 +135,12 @@ def expected_sparsification(confidence, wrong, percentages):
                 count += (size - whole) * wrong[order[whole]]
             sums[i] += count / size
     return [s / orders for s in sums]
+
+
+def sparsification_area(confidence, error, steps=4000):
+    """Integral over the share of the surest pixels of their mean error, by many small steps."""
+    shares = [100 * (k + 0.5) / steps for k in range(steps)]
+    return sum(expected_sparsification(confidence, error, shares)) / steps
 
 
 def mean_rank(values):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.segmentation._regions import connected_components, merge_small_regions, region_graph
+from depthcli.labelling.regions import connected_components, merge_small_regions, region_graph
 from depthcli.segmentation.mean_shift import MeanShift
 from tests.naive import segments as naive
 
@@ -48,25 +48,3 @@ def test_small_regions_join_the_nearest_color():
 def test_one_region_smaller_than_the_limit_stays():
     image = np.zeros((2, 2, 3), np.uint8)
     assert np.array_equal(MeanShift(min_size=50)(image), np.zeros((2, 2), np.int32))
-
-
-def _scene():
-    image = np.full((60, 80, 3), (40, 60, 90), np.uint8)
-    image[15:45, 20:50] = (200, 150, 60)
-    noise = np.random.default_rng(0).integers(-3, 4, image.shape)
-    return (image + noise).astype(np.uint8)
-
-
-def test_regions_are_connected_large_and_follow_the_edge():
-    image = _scene()
-    copy = image.copy()
-    labels = MeanShift(min_size=20)(image)
-    assert labels.dtype == np.int32 and labels.shape == image.shape[:2]
-    assert np.array_equal(np.unique(labels), np.arange(labels.max() + 1))
-    assert np.bincount(labels.ravel()).min() >= 20
-    inside = np.zeros(labels.shape, bool)
-    inside[15:45, 20:50] = True
-    assert not set(labels[inside]) & set(labels[~inside])
-    assert np.array_equal(naive.components(labels[..., None], 0), labels)  # each label is one piece
-    assert np.array_equal(image, copy)
-    assert np.array_equal(MeanShift(min_size=20)(image), labels)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from depthcli.kernels.winners import winners
 from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.stereo.volume import CostVolume
-from depthcli.stereo.winner import winners
 from tests.stereo._pairs import TINY, assert_pure, blocky_pair, inside, methods, random_volume, shifted_pair
 
 AGGREGATIONS = methods("depthcli.stereo.aggregation")

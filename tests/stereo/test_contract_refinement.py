@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from depthcli.core.maps import DisparityMap, Status
+from depthcli.kernels.winners import winners
 from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
-from depthcli.stereo.refinement._evidence import Evidence
-from depthcli.stereo.winner import winners
+from depthcli.stereo.volume import Evidence
 from tests.stereo._pairs import TINY, assert_pure, blocky_pair, methods, random_volume, shifted_pair
 
 STEPS = methods("depthcli.stereo.refinement")

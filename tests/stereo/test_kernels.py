@@ -9,6 +9,7 @@ import pytest
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.cross_support import cross_arms
+from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.aggregation.cross import Cross
@@ -18,7 +19,6 @@ from depthcli.stereo.cost.combined import Combined
 from depthcli.stereo.cost.gradient import Gradient
 from depthcli.stereo.cost.rank import Rank
 from depthcli.stereo.optimization.scanline import Scanline
-from depthcli.stereo.refinement._evidence import Evidence
 from depthcli.stereo.refinement.background_fill import BackgroundFill
 from depthcli.stereo.refinement.discontinuity_adjustment import DiscontinuityAdjustment
 from depthcli.stereo.refinement.interpolation import Interpolation
@@ -29,8 +29,7 @@ from depthcli.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.stereo.refinement.subpixel import Subpixel
 from depthcli.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.stereo.refinement.weighted_median import WeightedMedian
-from depthcli.stereo.volume import CostVolume
-from depthcli.stereo.winner import winners
+from depthcli.stereo.volume import CostVolume, Evidence
 from tests.naive import stereo as naive
 from tests.stereo._pairs import TINY, blocky_pair, inside, random_volume, texture
 

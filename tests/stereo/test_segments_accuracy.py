@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.evaluation.metrics import middlebury_v2
-from depthcli.io.scenes import find_scenes
-from depthcli.jobs.stereo import StereoConfig
+from depthcli.stereo.config import StereoConfig
 from depthcli.synthetic.stereo_scenes import make_scene
+from tests.scenes import rates, real_scenes
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 pytestmark = pytest.mark.slow
 
 
@@ -25,15 +21,9 @@ def _pipeline(name):
 
 def _mean_error(name, folder):
     """Mean of nonocc, all and disc over the scenes of a data set, bad > 1 px."""
-    if not (DATA / folder).is_dir():
-        pytest.skip(f"{folder} is not in ../shared/data")
-    rates = []
-    for scene in find_scenes(DATA / folder):
-        truth = scene.load_truth()
-        values = _pipeline(name)(StereoPair(*scene.load_pair()), scene.max_disparity).disparity.values
-        scores = middlebury_v2(values, truth.disparity, truth.masks, (1.0,))
-        rates += [s.value for s in scores if s.metric == "bad"]
-    return np.mean(rates)
+    pipeline = _pipeline(name)
+    found = real_scenes(folder).values()
+    return np.mean([[*rates(pipeline(pair, top).disparity.values, truth).values()] for pair, truth, top in found])
 
 
 @pytest.mark.parametrize(

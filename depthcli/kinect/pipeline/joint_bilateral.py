@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.method import Odd
 from depthcli.core.result import Clock
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kinect.noise import noise_level
 from depthcli.kinect.outcome import measured_disparity, outcome
 from depthcli.kinect.pipeline import KinectPipeline

@@ -9,11 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 
 # First pass: the sum of an arm, above 9 bits of its length. An arm has at most 511 pixels of at most 4080.
 _LENGTH_BITS = 9

@@ -5,22 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.aggregation import Aggregator
-from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
+from depthcli.stereo.fixed_point import FixedPoint, as_fixed_point
 from depthcli.stereo.volume import CostVolume
 
 
 class ConstantWindow(Aggregator):
     """Mean of the costs in an n x n window, clipped at the image border."""
 
-    window: Odd = Field(11, ge=1, description="side of the window, odd, pixels")
+    aliases = ("CW",)
+
+    window: Odd = Field(11, ge=1, le=1023, description="side of the window, odd, pixels")
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         if volume.costs.dtype != np.uint8:

@@ -1,7 +1,8 @@
 """Fill a cost volume from two per-pixel feature images.
 
 All volumes are (H, W, D) with D innermost. Along d the right image is read backwards; a reversed copy of
-its row makes both streams contiguous, so that the compiler can use SIMD.
+its row makes both streams contiguous, so that the compiler can use SIMD. What is written where the match
+lies outside the right image means nothing: ``fill_outside`` comes after.
 """
 
 from __future__ import annotations
@@ -9,16 +10,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels._jit import parallel_jit
 from depthcli.kernels.bits import popcount
+from depthcli.kernels.jit import parallel_jit, prange
 
 
 @parallel_jit
-def hamming_volume(left: Any, right: Any, costs: Any, outside: Any) -> None:
+def hamming_volume(left: Any, right: Any, costs: Any) -> None:
     """Hamming distance of (H, W) uint64 bit strings into (H, W, D) uint8."""
     height, width = left.shape
     depth = costs.shape[2]
@@ -31,12 +31,10 @@ def hamming_volume(left: Any, right: Any, costs: Any, outside: Any) -> None:
             out = costs[y, x]
             for i in range(out.size):
                 out[i] = np.uint8(popcount(bits ^ row[i]))
-            for i in range(min(x + 1, depth), depth):
-                out[i] = outside
 
 
 @parallel_jit
-def difference_volume(left: Any, right: Any, costs: Any, limit: Any, outside: Any) -> None:
+def difference_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
     """Sum over channels of |left - right|, at most ``limit``, of (C, H, W) uint8 into (H, W, D) uint8."""
     channels, height, width = left.shape
     depth = costs.shape[2]
@@ -68,25 +66,6 @@ def difference_volume(left: Any, right: Any, costs: Any, limit: Any, outside: An
                     for i in range(out.size):
                         total = np.int16(np.int16(out[i]) + np.int16(abs(np.int16(a - np.int16(row_a[i])))))
                         out[i] = np.uint8(min(total, limit))
-            for i in range(min(x + 1, depth), depth):
-                out[i] = outside
-
-
-@parallel_jit
-def fill_outside(costs: Any, outside: Any) -> None:
-    """Set the cells of (H, W, D) costs whose match lies outside the right image, d > x."""
-    height, width, depth = costs.shape
-    for y in prange(height):
-        for x in range(min(width, depth - 1)):
-            for d in range(x + 1, depth):
-                costs[y, x, d] = outside
-
-
-def check_odd(window: tuple[int, int]) -> None:
-    """ValueError unless both sides of a (width, height) window are odd and positive."""
-    width, height = window
-    if width < 1 or height < 1 or width % 2 == 0 or height % 2 == 0:
-        raise ValueError("both sides of the window must be odd and positive")
 
 
 def empty_volume(shape: tuple[int, int], disparities: int) -> NDArray[np.uint8]:

@@ -10,6 +10,7 @@ from pydantic import Field
 from depthcli.core.frames import StereoPair
 from depthcli.stereo.cost import CostMeasure
 from depthcli.stereo.cost._fill import difference_volume, empty_volume
+from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
 
@@ -19,6 +20,11 @@ class AbsoluteDifference(CostMeasure):
     The thesis sums over the channels; the mean is the same measure in units of grey levels, the unit of
     Mei et al.'s lambda. Three channels are stored as their sum (scale 3), which is exact.
     """
+
+    aliases = (
+        "AD",
+        "SAD",
+    )
 
     truncation: float = Field(60.0, gt=0, le=255, description="largest cost, grey levels")
     outside: float = Field(20.0, ge=0, le=255, description="cost of a match outside the right image, grey levels")
@@ -33,6 +39,6 @@ class AbsoluteDifference(CostMeasure):
         scale = left.shape[0]
         costs = empty_volume(pair.shape, disparities)
         limit = min(round(self.truncation * scale), self.MAX_STORED)
-        outside = min(round(self.outside * scale), limit)
-        difference_volume(left, right, costs, np.int16(limit), np.uint8(outside))
+        difference_volume(left, right, costs, np.int16(limit))
+        fill_outside(costs, np.uint8(min(round(self.outside * scale), limit)))
         return CostVolume(costs, float(scale))

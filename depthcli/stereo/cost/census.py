@@ -5,28 +5,27 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels._jit import parallel_jit
-from depthcli.stereo.cost import CostMeasure
-from depthcli.stereo.cost._fill import check_odd, empty_volume, hamming_volume
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.stereo.cost import CostMeasure, Side
+from depthcli.stereo.cost._fill import empty_volume, hamming_volume
+from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
 
 class Census(CostMeasure):
     """Hamming distance of census bit strings: bit k is set where neighbor k is brighter than the center."""
 
-    window: tuple[int, int] = Field((9, 7), description="window width and height, odd, at most 64 neighbors, pixels")
+    window: tuple[Side, Side] = Field((9, 7), description="window width and height, odd, at most 64 neighbors, pixels")
     outside: float = Field(16.0, ge=0, le=64, description="cost of a match outside the right image, bits")
 
     @field_validator("window")
     @classmethod
-    def _odd_and_small(cls, window: tuple[int, int]) -> tuple[int, int]:
-        check_odd(window)
+    def _small(cls, window: tuple[int, int]) -> tuple[int, int]:
         if not 2 <= window[0] * window[1] <= 65:
             raise ValueError("the window must have 1 to 64 neighbors (9 x 7 has 62)")
         return window
@@ -34,7 +33,8 @@ class Census(CostMeasure):
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         costs = empty_volume(pair.shape, disparities)
         left, right = (census_transform(image, self.window) for image in pair.grey)
-        hamming_volume(left, right, costs, np.uint8(round(self.outside)))
+        hamming_volume(left, right, costs)
+        fill_outside(costs, np.uint8(round(self.outside)))
         return CostVolume(costs, 1.0)
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels._jit import parallel_jit
-from depthcli.stereo.cost import Cost, CostMeasure
-from depthcli.stereo.cost._fill import fill_outside
+from depthcli.kernels.exponential import exp_minus_16
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.stereo.cost import CostMeasure, PartCost
+from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
 
@@ -21,15 +21,17 @@ class Part(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
 
-    cost: Cost = Field(description="the measure")
-    lambda_: float = Field(alias="lambda", gt=0, description="cost at which the part has risen to 1 - 1/e")
+    cost: PartCost = Field(description="the measure")
+    lambda_: float = Field(alias="lambda", gt=0, le=1e6, description="cost at which the part has risen to 1 - 1/e")
 
 
 class Combined(CostMeasure):
     """Sum over the parts of ``1 - exp(-C_m / lambda_m)``: every part lies in [0, 1), none can dominate."""
 
     parts: tuple[Part, ...] = Field(min_length=1, max_length=16, description="measures and their lambdas")
-    outside: float = Field(1.0, ge=0, description="cost of a match outside the right image, in units of one part")
+    outside: float = Field(
+        1.0, ge=0, le=16, description="cost of a match outside the right image, in units of one part"
+    )
 
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         unit = 255 // len(self.parts)
@@ -45,19 +47,12 @@ class Combined(CostMeasure):
 
 @parallel_jit
 def _add_exponential(costs: Any, rate: Any, unit: Any, total: Any) -> None:
-    # exp(-z) as the 16th power of a cubic in z / 16: right to 1e-4 everywhere, and it vectorizes,
-    # which a table of 256 entries does not.
+    # A table of 256 entries would not vectorize.
     height, width, depth = costs.shape
-    half, sixth, one = np.float32(0.5), np.float32(1.0 / 6.0), np.float32(1.0)
+    half, one = np.float32(0.5), np.float32(1.0)
     for y in prange(height):
         source = costs[y].reshape(width * depth)
         out = total[y].reshape(width * depth)
         for i in range(out.size):
-            z = np.float32(source[i]) * rate
-            z = z if z < one else one
-            power = one - z * (one - z * (half - z * sixth))
-            power *= power
-            power *= power
-            power *= power
-            power *= power
-            out[i] = np.uint8(out[i] + np.uint8(np.int32(unit * (one - power) + half)))
+            part = one - exp_minus_16(np.float32(source[i]) * rate)
+            out[i] = np.uint8(out[i] + np.uint8(np.int32(unit * part + half)))

@@ -6,14 +6,14 @@ from typing import Any, ClassVar
 
 import cv2
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.cost import CostMeasure
 from depthcli.stereo.cost._fill import empty_volume
+from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
 
@@ -23,6 +23,8 @@ class Gradient(CostMeasure):
     Derivatives are those of a Gaussian, 5 x 5, normalized so that a ramp of 1 grey level a pixel has
     the derivative 1.
     """
+
+    aliases = ("GRAD",)
 
     sigma: float = Field(1.0, ge=0.3, le=2, description="standard deviation of the derivative filter, pixels")
     truncation: float = Field(40.0, gt=0, le=63, description="largest cost, grey levels a pixel")
@@ -34,7 +36,8 @@ class Gradient(CostMeasure):
         costs = empty_volume(pair.shape, disparities)
         left, right = (image_gradient(image, self.sigma) for image in pair.grey)
         limit = round(self.truncation * self.SCALE)
-        _gradient_volume(left, right, costs, np.int16(limit), np.uint8(min(limit, round(self.outside * self.SCALE))))
+        _gradient_volume(left, right, costs, np.int16(limit))
+        fill_outside(costs, np.uint8(min(limit, round(self.outside * self.SCALE))))
         return CostVolume(costs, float(self.SCALE))
 
 
@@ -66,7 +69,7 @@ def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
 
 
 @parallel_jit
-def _gradient_volume(left: Any, right: Any, costs: Any, limit: Any, outside: Any) -> None:
+def _gradient_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
     """(2, H, W) int16 sixteenths into (H, W, D) uint8 quarters, rounded half up."""
     height, width, depth = costs.shape
     for y in prange(height):
@@ -83,5 +86,3 @@ def _gradient_volume(left: Any, right: Any, costs: Any, limit: Any, outside: Any
                     np.int16(abs(np.int16(a - row_a[i]))) + np.int16(abs(np.int16(b - row_b[i]))) + np.int16(2)
                 )
                 out[i] = np.uint8(min(np.int16(total >> np.int16(2)), limit))
-            for i in range(min(x + 1, depth), depth):
-                out[i] = outside

@@ -5,27 +5,26 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from depthcli.core.frames import Image, StereoPair
-from depthcli.kernels._jit import parallel_jit
-from depthcli.stereo.cost import CostMeasure
-from depthcli.stereo.cost._fill import check_odd, difference_volume, empty_volume
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.stereo.cost import CostMeasure, Side
+from depthcli.stereo.cost._fill import difference_volume, empty_volume
+from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
 
 class Rank(CostMeasure):
     """``|RT(y, x) - RT'(y, x - d)|``, where RT counts the window's pixels that are darker than its center."""
 
-    window: tuple[int, int] = Field((9, 9), description="window width and height, odd, at most 255 pixels, pixels")
+    window: tuple[Side, Side] = Field((9, 9), description="window width and height, odd, at most 255 pixels, pixels")
     outside: float = Field(16.0, ge=0, le=255, description="cost of a match outside the right image, ranks")
 
     @field_validator("window")
     @classmethod
-    def _odd_and_small(cls, window: tuple[int, int]) -> tuple[int, int]:
-        check_odd(window)
+    def _small(cls, window: tuple[int, int]) -> tuple[int, int]:
         if not 2 <= window[0] * window[1] <= 255:
             raise ValueError("the window must have 2 to 255 pixels")
         return window
@@ -33,7 +32,8 @@ class Rank(CostMeasure):
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         costs = empty_volume(pair.shape, disparities)
         left, right = (rank_transform(image, self.window) for image in pair.grey)
-        difference_volume(left[None], right[None], costs, np.int16(255), np.uint8(round(self.outside)))
+        difference_volume(left[None], right[None], costs, np.int16(255))
+        fill_outside(costs, np.uint8(round(self.outside)))
         return CostVolume(costs, 1.0)
 
 

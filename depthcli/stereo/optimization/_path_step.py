@@ -10,10 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
-from numba import types
-from numba.core import cgutils
 
-from depthcli.kernels._jit import intrinsic
+from depthcli.kernels.jit import cgutils, intrinsic, types
 
 LANES = 16
 """16-bit numbers in a vector; no volume may have fewer disparities."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels._jit import jit, parallel_jit
-from depthcli.stereo.aggregation._mean import FixedPoint, as_fixed_point
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.stereo.fixed_point import FixedPoint, as_fixed_point
 from depthcli.stereo.optimization import Optimizer
 from depthcli.stereo.optimization._path_step import LANES, path_step
 from depthcli.stereo.volume import CostVolume
@@ -27,11 +26,16 @@ class Scanline(Optimizer):
     p on the path. Where the left image has an edge between q and p both penalties are reduced.
     """
 
-    p1: float = Field(0.5, gt=0, description="penalty of a disparity change by 1, in units of the cost")
-    p2: float = Field(2.0, gt=0, description="penalty of a larger change, in units of the cost")
+    aliases = (
+        "SGM",
+        "SO",
+    )
+
+    p1: float = Field(0.5, gt=0, le=1e6, description="penalty of a disparity change by 1, in units of the cost")
+    p2: float = Field(2.0, gt=0, le=1e6, description="penalty of a larger change, in units of the cost")
     paths: Literal[4, 8] = Field(8, description="number of path directions")
     edge_threshold: int = Field(10, ge=0, le=255, description="color difference that counts as an edge, grey levels")
-    edge_divisor: float = Field(4.0, ge=1, description="penalties are divided by this across an edge")
+    edge_divisor: float = Field(4.0, ge=1, le=1e4, description="penalties are divided by this across an edge")
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         if volume.costs.dtype == np.float32:

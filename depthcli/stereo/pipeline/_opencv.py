@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import cv2
@@ -11,6 +10,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.result import Clock
+from depthcli.stereo.refinement.background_fill import fill_background
 from depthcli.stereo.volume import StereoResult
 
 _FRACTIONS = 16  # OpenCV's disparities are int16 sixteenths
@@ -21,8 +22,8 @@ class Wls(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    lambda_: float = Field(8000.0, alias="lambda", gt=0, description="strength of the smoothing")
-    sigma_color: float = Field(1.5, gt=0, description="color sensitivity; smaller keeps more edges")
+    lambda_: float = Field(8000.0, alias="lambda", gt=0, le=1e9, description="strength of the smoothing")
+    sigma_color: float = Field(1.5, gt=0, le=1e4, description="color sensitivity; smaller keeps more edges")
 
 
 def search_range(max_disparity: int) -> int:
@@ -54,14 +55,13 @@ def match(
     """
     height, width = left.shape[:2]
     lead = search_range(max_disparity) + margin
-    seconds: dict[str, float] = {}
-    start = time.perf_counter()
+    clock = Clock()
     padded_left, padded_right = (
         cv2.copyMakeBorder(image, margin, margin, lead, margin, cv2.BORDER_REPLICATE) for image in (left, right)
     )
     raw = matcher.compute(padded_left, padded_right)
     values, status = _to_map(raw[margin : margin + height, lead : lead + width], max_disparity)
-    start = _lap(seconds, "matching", start)
+    clock.stop("matching")
     if wls is not None:
         mirrored = cv2.ximgproc.createRightMatcher(matcher).compute(padded_right, padded_left)
         smoother = cv2.ximgproc.createDisparityWLSFilter(matcher)
@@ -72,11 +72,12 @@ def match(
         answered = ~np.isnan(values)
         status = np.where(answered, status | Status.SMOOTHED, status | beyond).astype(np.uint8)
         status[answered & (status != Status.SMOOTHED)] |= np.uint8(Status.FILLED)
-        start = _lap(seconds, "wls", start)
+        clock.stop("wls")
+    disparity = DisparityMap(values, status)
     if fill:
-        values, status = _fill_background(values, status)
-        _lap(seconds, "fill", start)
-    return StereoResult(DisparityMap(values, status), seconds=seconds)
+        disparity = fill_background(disparity)
+        clock.stop("fill")
+    return StereoResult(disparity, seconds=clock.seconds)
 
 
 def _to_map(raw: NDArray[Any], max_disparity: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -86,27 +87,3 @@ def _to_map(raw: NDArray[Any], max_disparity: int) -> tuple[NDArray[np.float32],
     status[raw < 0] = Status.MISMATCH
     values = np.where(status == 0, raw.astype(np.float32) / _FRACTIONS, np.float32(np.nan))
     return values.astype(np.float32), status
-
-
-def _fill_background(
-    values: NDArray[np.float32], status: NDArray[np.uint8]
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Give pixels without a value the smaller of the nearest values left and right of them in their row."""
-    width = values.shape[1]
-    known = ~np.isnan(values)
-    columns = np.arange(width)
-    before = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
-    after = np.minimum.accumulate(np.where(known, columns, width)[:, ::-1], axis=1)[:, ::-1]
-    rows = np.arange(values.shape[0])[:, None]
-    nearest = np.fmin(
-        np.where(before >= 0, values[rows, np.maximum(before, 0)], np.float32(np.nan)),
-        np.where(after < width, values[rows, np.minimum(after, width - 1)], np.float32(np.nan)),
-    )
-    filled = np.where(known, values, nearest).astype(np.float32)
-    return filled, np.where(~known & ~np.isnan(filled), status | Status.FILLED, status).astype(np.uint8)
-
-
-def _lap(seconds: dict[str, float], stage: str, start: float) -> float:
-    now = time.perf_counter()
-    seconds[stage] = now - start
-    return now

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from depthcli.core.maps import DisparityMap
 from depthcli.core.method import Method, method_of
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 
 class Refinement(Method):

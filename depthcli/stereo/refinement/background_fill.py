@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 
 class BackgroundFill(Refinement):
@@ -21,11 +20,16 @@ class BackgroundFill(Refinement):
     """
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
-        values = disparity.values.copy()
-        _fill_rows(values)
-        _fill_columns(values)
-        filled = np.where(~disparity.valid & ~np.isnan(values), np.uint8(Status.FILLED), np.uint8(0))
-        return DisparityMap(values, disparity.status | filled)
+        return fill_background(disparity)
+
+
+def fill_background(disparity: DisparityMap) -> DisparityMap:
+    """What :class:`BackgroundFill` does: it needs no evidence."""
+    values = disparity.values.copy()
+    _fill_rows(values)
+    _fill_columns(values)
+    filled = np.where(~disparity.valid & ~np.isnan(values), np.uint8(Status.FILLED), np.uint8(0))
+    return DisparityMap(values, disparity.status | filled)
 
 
 @parallel_jit

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 
 class DiscontinuityAdjustment(Refinement):

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.winners import partner_difference
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 
 class LeftRightCheck(Refinement):
@@ -22,7 +22,11 @@ class LeftRightCheck(Refinement):
     surface), else a mismatch (Hirschmueller 2008).
     """
 
-    tolerance: float = Field(1.0, ge=0, description="largest accepted difference of the two disparities, pixels")
+    aliases = ("LRC",)
+
+    tolerance: float = Field(
+        1.0, ge=0, le=16384, description="largest accepted difference of the two disparities, pixels"
+    )
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         values, status = disparity.values.copy(), disparity.status.copy()
@@ -39,8 +43,7 @@ def _check(values: Any, status: Any, right: Any, tolerance: Any, disparities: in
             d = values[y, x]
             if np.isnan(d):
                 continue
-            u = x - int(d + np.float32(0.5))
-            if u >= 0 and abs(d - np.float32(right[y, u])) <= tolerance:
+            if partner_difference(d, x, right[y]) <= tolerance:
                 continue
             mutual = False
             for other in range(min(disparities, x + 1)):

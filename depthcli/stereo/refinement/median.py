@@ -10,7 +10,7 @@ from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 
 class Median(Refinement):

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 
 class Subpixel(Refinement):
@@ -22,12 +21,13 @@ class Subpixel(Refinement):
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         values = disparity.values.copy()
-        _parabola(evidence.volume.costs, values)
+        move_to_minimum(evidence.volume.costs, values)
         return DisparityMap(values, disparity.status)
 
 
 @parallel_jit
-def _parabola(costs: Any, values: Any) -> None:
+def move_to_minimum(costs: Any, values: Any) -> None:
+    """Do so for (H, W) float32 ``values``, in place."""
     height, width, depth = costs.shape
     for y in prange(height):
         for x in range(width):

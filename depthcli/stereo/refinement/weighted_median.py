@@ -6,13 +6,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import prange
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels._jit import parallel_jit
+from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.refinement._evidence import Evidence
+from depthcli.stereo.volume import Evidence
 
 _PER_PIXEL = 8  # bins
 _BLOCK = 16
@@ -26,9 +25,13 @@ class WeightedMedian(Refinement):
     median's bin (a whole-pixel map stays one). Pixels without a value stay so.
     """
 
+    aliases = ("WM",)
+
     radius: int = Field(7, ge=1, le=32, description="half side of the window, pixels")
-    color_scale: float = Field(15.0, gt=0, description="color difference (mean of channels) of weight 1/e, grey levels")
-    distance_scale: float = Field(20.0, gt=0, description="distance of weight 1/e, pixels")
+    color_scale: float = Field(
+        15.0, gt=0, le=1e4, description="color difference (mean of channels) of weight 1/e, grey levels"
+    )
+    distance_scale: float = Field(20.0, gt=0, le=1e4, description="distance of weight 1/e, pixels")
     filled_weight: float = Field(1.0, ge=0, le=1, description="factor of pixels whose value was filled")
     passes: int = Field(1, ge=1, le=8, description="number of times the filter is applied")
 

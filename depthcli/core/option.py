@@ -1,0 +1,42 @@
+"""Command-line options as data: declared by commands and kinds of input, built by ``cli/``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option, or one positional argument where a command lists it as such.
+
+    Attributes
+    ----------
+    name : ``max_disparity`` is ``--max-disparity`` on the command line, ``from_`` is ``--from``
+    type : ``str``, ``int``, ``float``, ``bool`` or ``Path``
+    help : one sentence
+    metavar : what the value is called in the help
+    default : value where it is not given; None for nothing
+    many : repeatable; the value is a list
+    short : one-letter form, such as ``-i``
+    required : must be given
+    least, most : bounds of a number
+    sets : the config key that it overrides, as ``--set`` does; such an option reaches no command by itself
+    """
+
+    name: str
+    type: type
+    help: str
+    metavar: str = ""
+    default: Any = None
+    many: bool = False
+    short: str = ""
+    required: bool = False
+    least: float | None = None
+    most: float | None = None
+    sets: str = ""
+
+    @property
+    def flag(self) -> str:
+        """As written on the command line."""
+        return "--" + self.name.rstrip("_").replace("_", "-")

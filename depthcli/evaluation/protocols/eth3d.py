@@ -1,0 +1,57 @@
+"""The two-view evaluation of ETH3D, as its program ``two-view-evaluation`` takes its measures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally
+
+QUANTILES = (50, 90, 95, 99)
+MISSING_NOT_COUNTED = "estimated pixels only; an empty map counts as bad"
+
+
+class Eth3d(DisparityProtocol):
+    """Bad pixels among the estimated ones, with the coverage beside them.
+
+    Values are neither clipped nor rounded; one beyond the image's width counts as missing. A map without any
+    value is 100 % bad. The quantile A_q is element floor(q n / 100) of the n sorted errors.
+    """
+
+    title = "ETH3D two-view: bad pixels among the estimated ones, %"
+    note = "bad: % of the estimated pixels; coverage: % of all pixels; avgerr, rms, A50 ...: px, estimated pixels only"
+    thresholds = (0.5, 1.0, 2.0, 4.0)
+    default_threshold = 1.0
+    rule = Measure("bad", "%", convention=MISSING_NOT_COUNTED, worst=100.0)
+
+    def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
+        """Values beyond the width, of either sign, are no values."""
+        fitted = self.resized(estimate, truth)
+        with np.errstate(invalid="ignore"):
+            return np.where(np.abs(fitted) > fitted.shape[1], np.float32(np.nan), fitted)
+
+    def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
+        """``bad`` at four thresholds, ``coverage``, ``avgerr``, ``rms`` and quantiles."""
+        return [score for tally in self.tallies(estimate, truth) for score in self._measures(tally)]
+
+    def _measures(self, tally: Tally) -> list[Score]:
+        valid = tally.valid
+        if valid.size:
+            scores = [tally.rate(self.at(t), valid > np.float32(t)) for t in self.all_thresholds]
+        else:
+            scores = [tally.rate(self.at(t), np.isnan(tally.error)) for t in self.all_thresholds]
+        coverage = Measure("coverage", "%", worst=0.0, larger_is_better=True)
+        mean, rms = tally.means()
+        # In single precision, as there; the places of the quantiles too.
+        square = float(np.mean(valid * valid, dtype=np.float64)) if valid.size else math.nan
+        rms = replace(rms, value=float(np.sqrt(np.float32(square))))
+        scores += [tally.number(coverage, tally.density, tally.error.size), mean, rms]
+        ordered = np.sort(valid)
+        for q in QUANTILES:
+            place = int(np.float32(valid.size) * np.float32(q / 100))
+            value = float(ordered[place]) if valid.size else math.nan
+            scores.append(tally.number(Measure(f"A{q}", "px", convention=ESTIMATED_ONLY), value, valid.size))
+        return scores

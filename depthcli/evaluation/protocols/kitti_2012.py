@@ -1,0 +1,120 @@
+"""The stereo evaluation of KITTI 2012, as its development kit's ``evaluate_stereo`` takes its measures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth, Masks, difference
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, float_sum
+from depthcli.io.disparity import KITTI_SCALE
+from depthcli.io.items.stereo import StereoTruth
+
+INTERPOLATED = "background-interpolated"
+_EMPTY = np.float32(-1)
+
+
+class Kitti2012(DisparityProtocol):
+    """Outliers and average errors, on the background-interpolated map and on the estimated pixels; frames averaged.
+
+    The map is scored as the 16-bit PNG that would be submitted: multiples of 1/256 px, negative values missing.
+    ``noc`` is compared with the values of ``disp_noc``. A row that is still empty after the interpolation holds
+    -1 there, and so it does here: its pixels are wrong, and count in the average error by that value.
+    """
+
+    title = "KITTI 2012: outliers > 3 px, %; background-interpolated maps"
+    note = "out, avgerr: background-interpolated maps; est: estimated pixels only; means: every frame counts once"
+    mask_order: ClassVar[tuple[str, ...]] = ("noc", "occ")
+    curve_masks = ("noc", "occ")
+    visible = "noc"
+    thresholds = (2.0, 3.0, 4.0, 5.0)
+    default_threshold = 3.0
+    rule = Measure("out", "%", convention=INTERPOLATED, worst=100.0)
+
+    def masks(self, stored: StereoTruth) -> Masks:
+        """``noc`` where there is such a file, and ``occ``, all pixels."""
+        known = {"occ": known_kitti(stored.disparity)}
+        return known if stored.noc is None else {"noc": known_kitti(stored.noc), **known}
+
+    def reference(self, truth: DisparityTruth, mask: str) -> Disparity:
+        """``disp_noc`` has its own values."""
+        return truth.noc if truth.noc is not None and mask.startswith("noc") else truth.disparity
+
+    def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
+        """As the PNG holds it: codes 1 to 65535, 256 a pixel."""
+        values = self.resized(estimate, truth)
+        codes = np.clip(np.rint(values.astype(np.float64) * KITTI_SCALE), 1, 65535) / KITTI_SCALE
+        return np.where(known_kitti(values), codes, np.nan).astype(np.float32)
+
+    def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
+        """Every measure on the interpolated map, then on the estimated pixels."""
+        as_is = self.fit(estimate, truth)
+        filled = interpolate_background(as_is)
+        filled[np.isnan(filled)] = _EMPTY
+        scores = []
+        for name, region in self.regions(truth).items():
+            reference = self.reference(truth, name)
+            # Column after column, the order of the kit's loops: its sums are in single precision.
+            inside, known = region.T, ~np.isnan(as_is.T)
+            tally = Tally(name, difference(as_is, reference).T[inside])
+            for convention, pixels in ((INTERPOLATED, inside), (ESTIMATED_ONLY, inside & known)):
+                error = difference(filled, reference).T[pixels]
+                scores += self.measures(tally, error, reference.T[pixels], convention)
+        return scores
+
+    def measures(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
+        """``out`` at the thresholds and ``avgerr``."""
+        est = "est " if convention == ESTIMATED_ONLY else ""
+        scores = [
+            tally.rate(Measure("out", "%", t, convention, 100.0, label=f"{est}out {t:g}"), error > np.float32(t))
+            for t in self.all_thresholds
+        ]
+        value = float_sum(error) / error.size if error.size else math.nan
+        average = Measure("avgerr", "px", convention=convention, label=f"{est}avgerr")
+        return [*scores, tally.number(average, value, error.size)]
+
+    def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
+        """The mean over the frames, summed in single precision as by the kit."""
+        mean = super().pool(scores, weights)
+        unit = 100.0 if mean.measure.unit == "%" else 1.0
+        values = np.array([s.value / unit for s in scores if not math.isnan(s.density)], np.float32)
+        value = unit * float_sum(values) / max(values.size, 1)
+        return mean if math.isnan(mean.value + value) else replace(mean, value=value)
+
+
+def known_kitti(disparity: Disparity) -> NDArray[np.bool_]:
+    """Pixels with a value: a negative one is none."""
+    with np.errstate(invalid="ignore"):
+        known: NDArray[np.bool_] = disparity >= 0
+    return known
+
+
+def interpolate_background(disparity: Disparity) -> Disparity:
+    """Fill missing values as the KITTI development kit does before it takes D1.
+
+    Along rows, a run between two values gets the smaller of them; then the first and last value of a
+    row are extended to its borders; then the first and last filled row of a column to top and bottom.
+    Only a row without any value that lies between others stays empty.
+
+    Parameters
+    ----------
+    disparity : (H, W) float32, NaN = none
+    """
+    known = ~np.isnan(disparity)
+    width = disparity.shape[1]
+    column = np.arange(width)
+    left = np.maximum.accumulate(np.where(known, column, -1), axis=1)
+    right = np.minimum.accumulate(np.where(known, column, width)[:, ::-1], axis=1)[:, ::-1]
+    from_left = np.take_along_axis(disparity, np.maximum(left, 0), axis=1)
+    from_right = np.take_along_axis(disparity, np.minimum(right, width - 1), axis=1)
+    filled = np.fmin(np.where(left >= 0, from_left, np.nan), np.where(right < width, from_right, np.nan))
+    rows = np.flatnonzero(~np.isnan(filled[:, 0]))
+    if rows.size:
+        filled[: rows[0]] = filled[rows[0]]
+        filled[rows[-1] + 1 :] = filled[rows[-1]]
+    return filled.astype(np.float32)

@@ -1,0 +1,78 @@
+"""The stereo evaluation of KITTI 2015, as its development kit's ``evaluate_scene_flow`` takes its measures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.evaluation.disparity import Disparity, DisparityTruth, Masks, difference
+from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, Kitti2012
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, percent
+from depthcli.io.items.stereo import StereoTruth
+
+
+class Kitti2015(Kitti2012):
+    """D1: more than 3 px and at least 5 % of the truth off; pixels pooled over all frames.
+
+    A quotient of exactly 5 % counts as wrong: in single precision it is a little above. ``occ_bg`` and ``occ_fg`` are
+    the background and the objects of ``occ``, likewise for ``noc``; they are never averaged into one figure. The
+    outliers and average errors of KITTI 2012 stand beside D1, pooled too.
+    """
+
+    title = "KITTI 2015: D1, %; background-interpolated maps"
+    note = "D1: > 3 px and >= 5 %; out, avgerr: as KITTI 2012; est: estimated pixels only; means: all frames pooled"
+    mask_order = ("occ", "occ_bg", "occ_fg", "noc", "noc_bg", "noc_fg")
+    curve_masks = ("occ", "noc")
+
+    @property
+    def headline(self) -> Measure:
+        """D1, or plain outliers above the user's threshold."""
+        return _d1(INTERPOLATED) if self.settings.threshold is None else self.at(self.settings.threshold)
+
+    def masks(self, stored: StereoTruth) -> Masks:
+        """Of both kinds of truth all pixels, and background and objects where there is an object map."""
+        masks = super().masks(stored)
+        if stored.objects is not None:
+            for name in list(masks):
+                masks[f"{name}_bg"], masks[f"{name}_fg"] = masks[name] & ~stored.objects, masks[name] & stored.objects
+        return masks
+
+    def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:
+        """By the D1 rule, or the user's threshold."""
+        if self.settings.threshold is not None:
+            return super().wrong(estimate, truth)
+        return is_d1(difference(self.fit(estimate, truth), truth.disparity), truth.disparity)
+
+    def measures(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
+        """``D1``, then those of KITTI 2012."""
+        return [tally.rate(_d1(convention), is_d1(error, truth)), *super().measures(tally, error, truth, convention)]
+
+    def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
+        """Over all pixels of all frames: wrong ones / all, or errors / all."""
+        pixels = sum(s.pixels for s in scores)
+        # What a region holds, of which scores over the estimated pixels know only a share.
+        sizes = [s.pixels if s.measure.convention == INTERPOLATED or not s.density > 0 else 100 * s.pixels / s.density
+                 for s in scores]  # fmt: skip
+        answered = math.fsum(n * s.density for n, s in zip(sizes, scores, strict=True) if n)
+        density = answered / math.fsum(sizes) if pixels else math.nan
+        measure, mask = scores[0].measure, scores[0].mask
+        counts = [s.wrong for s in scores if s.wrong is not None]
+        if counts:
+            return Score(measure, mask, percent(sum(counts), pixels), pixels, density, sum(counts))
+        value = math.fsum(s.value * s.pixels for s in scores if s.pixels) / pixels if pixels else math.nan
+        return Score(measure, mask, value, pixels, density)
+
+
+def is_d1(error: Disparity, truth: Disparity) -> NDArray[np.bool_]:
+    """Wrong by the D1 rule; NaN is not. A truth of 0 px is off by more than 5 % wherever the error is above 3 px."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        wrong: NDArray[np.bool_] = (error > 3) & ((error / np.abs(truth)).astype(np.float64) > 0.05)
+    return wrong
+
+
+def _d1(convention: str) -> Measure:
+    label = "est D1" if convention == ESTIMATED_ONLY else "D1"
+    return Measure("D1", "%", 3.0, convention, 100.0, label=label)

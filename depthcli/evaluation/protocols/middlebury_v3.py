@@ -1,0 +1,119 @@
+"""The third Middlebury evaluation, as the SDK's ``evaldisp`` takes its measures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth, size
+from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Measure, Score, Tally, float_sum
+from depthcli.io.items import Item
+
+QUANTILES = (50, 90, 95, 99)
+_FACTORS = {"F": 1, "H": 2, "Q": 4}
+# Full-size widths of the training scenes; those of 2014 lie between 2632 and 2964 pixels.
+_FULL_WIDTHS = {"ArtL": 1388, "Teddy": 1800}
+_SCENES = ("Adirondack", "ArtL", "Jadeplant", "Motorcycle", "MotorcycleE", "Piano", "PianoL", "Pipes", "Playroom",
+           "Playtable", "PlaytableP", "Recycle", "Shelves", "Teddy", "Vintage")  # fmt: skip
+# The site's average weighs the hard scenes with 4 % and the other ten with 8 %.
+_HARD = ("PianoL", "Playroom", "Playtable", "Shelves", "Vintage")
+# A value beyond so many search ranges is no value.
+_ABSURD = 1000
+
+
+class MiddleburyV3(DisparityProtocol):
+    """Measures of the SDK.
+
+    Maps of half or quarter size are scaled up; values are clipped to the search range at their own size, and
+    rounded where the truth is whole pixels. ``bad`` counts wrong values and ``invalid`` missing ones, both over all
+    pixels; ``totbad`` is their sum. ``avgerr`` (summed in single precision, as there), ``rms`` and the quantiles
+    ``A50`` ... are over the valid pixels; the quantile A_q is the smallest error that at least q percent of them do
+    not exceed. Thresholds are pixels of the full size: at quarter size 2.0 is applied as 0.5, so that the headline
+    means the same at every size.
+    """
+
+    title = "Middlebury v3: bad pixels, missing ones included, %"
+    note = (
+        "thresholds: px of the full size (in brackets: of this size); bad, invalid, totbad: % of all pixels; avgerr, "
+        "rms, A50 ...: px of this size, valid pixels only; PianoL, Playroom, Playtable, Shelves, Vintage count half"
+    )
+    thresholds = (0.5, 1.0, 2.0, 4.0)
+    default_threshold = 2.0
+    rule = Measure("totbad", "%", convention=MISSING_IS_BAD, worst=100.0)
+
+    def weight(self, scene: str) -> float:
+        """As in the site's average."""
+        return 0.5 if scene.rpartition("/")[2] in _HARD else 1.0
+
+    def truth(self, item: Item) -> DisparityTruth:
+        """Ground truth with the size of the benchmark's full image.
+
+        That is ``resolution``; without it, it is told from the width of a training scene of the benchmark, and
+        other scenes are taken for full size.
+        """
+        truth = super().truth(item)
+        width = truth.disparity.shape[1]
+        name, factor = item.name.rpartition("/")[2], 1
+        if self.settings.resolution is not None:
+            factor = _FACTORS[self.settings.resolution]
+        elif name in _SCENES:
+            full = _FULL_WIDTHS.get(name, 2800)
+            factor = min(_FACTORS.values(), key=lambda f: abs(math.log(full / f / width)))
+        return replace(truth, factor=factor)
+
+    def resized(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
+        """Nearest neighbor, values multiplied; only an exact half or quarter of the truth's size fits."""
+        factor = truth.disparity.shape[1] // estimate.shape[1]
+        if factor not in (1, 2, 4) or truth.disparity.shape != tuple(factor * n for n in estimate.shape):
+            raise ValueError(
+                f"the map is {size(estimate)}, the truth {size(truth.disparity)} "
+                "(the same, or exactly half or a quarter of the size can be evaluated)"
+            )
+        with np.errstate(over="ignore"):
+            return np.repeat(np.repeat(estimate * np.float32(factor), factor, axis=0), factor, axis=1)
+
+    def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
+        """Scaled up, clipped to the range, rounded where the truth is."""
+        fitted = self.resized(estimate, truth)
+        if truth.max_disparity is not None:
+            factor = truth.disparity.shape[1] // estimate.shape[1]
+            # The range of the smaller image, rounded up to whole pixels, at the truth's size.
+            top = np.float32(factor * math.ceil(truth.max_disparity / factor))
+            fitted[fitted > top * _ABSURD] = np.nan
+            fitted = np.minimum(fitted, top)
+        fitted = np.maximum(fitted, np.float32(0))
+        return np.floor(fitted + np.float32(0.5)) if truth.round_disparity else fitted
+
+    def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:
+        """By the headline's threshold at this size."""
+        assert self.headline.threshold is not None
+        wrong: NDArray[np.bool_] = self.error(estimate, truth) > np.float32(self.headline.threshold / truth.factor)
+        return wrong
+
+    def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
+        """``bad`` and ``totbad`` at four thresholds, ``invalid``, ``avgerr``, ``rms`` and quantiles."""
+        return [score for tally in self.tallies(estimate, truth) for score in _measures(self, tally, truth.factor)]
+
+
+def _measures(protocol: MiddleburyV3, tally: Tally, factor: int) -> list[Score]:
+    error, valid, missing = tally.error, tally.valid, np.isnan(tally.error)
+    scores = []
+    for metric, convention, extra in (("bad", MISSING_APART, False), ("totbad", MISSING_IS_BAD, True)):
+        for t in protocol.all_thresholds:
+            here = t / factor
+            label = f"{metric} {t:g}" + (f" ({here:g})" if factor > 1 else "")
+            measure = Measure(metric, "%", t, convention, 100.0, label=label)
+            wrong = (error > np.float32(here)) | (missing & extra)
+            scores.append(tally.rate(measure, wrong))
+    scores.append(tally.rate(Measure("invalid", "%", None, MISSING_APART, 100.0), missing))
+    mean, *others = tally.means()
+    average = float_sum(valid.astype(np.float32)) / valid.size if valid.size else math.nan
+    scores += [replace(mean, value=average), *others]
+    ordered = np.sort(valid)
+    for q in QUANTILES:
+        value = float(ordered[max(0, -(-q * valid.size // 100) - 1)]) if valid.size else math.nan
+        scores.append(tally.number(Measure(f"A{q}", "px", convention=ESTIMATED_ONLY), value, valid.size))
+    return scores

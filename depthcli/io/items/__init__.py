@@ -1,0 +1,88 @@
+"""Items: what a command works on one at a time, one file a kind of input.
+
+An item knows its files and how to load them; it opens none of them before it is asked to.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.option import Option
+
+
+@dataclass(frozen=True, kw_only=True)
+class Item(ABC):
+    """Base of all kinds.
+
+    Attributes
+    ----------
+    name : unique in its listing, with ``/`` where the item lies in a data set's folder
+    folder : the folder it was found in
+    layout : name of the layout that found it; empty for files named on the command line
+    protocol : name of the evaluation protocol that its ground truth asks for
+    problem : why the item cannot be used (``load`` and ``truth`` raise it), or empty
+    """
+
+    options: ClassVar[tuple[Option, ...]] = ()
+    """What this kind adds to the command line: files of a single item, and config keys it sets."""
+
+    name: str
+    folder: Path
+    layout: str = ""
+    protocol: str = ""
+    problem: str = ""
+
+    @property
+    @abstractmethod
+    def input_files(self) -> dict[str, Path]:
+        """Role -> file that a method may look at; ground truth is not among them."""
+
+    @property
+    def has_truth(self) -> bool:
+        """There is ground truth to compare with."""
+        return False
+
+    @abstractmethod
+    def load(self) -> Any:
+        """The algorithm's input; InputError where the files cannot be used."""
+
+    def truth(self) -> Any:
+        """The ground truth as stored; InputError where there is none or it cannot be used."""
+        self.check()
+        raise InputError(f"{self.folder}: {self.name} has no ground truth")
+
+    @classmethod
+    def single(cls, values: Mapping[str, Any]) -> Self | None:
+        """The item whose files were named on the command line; None where none was.
+
+        Raises
+        ------
+        ConfigError
+            Some of the options that belong together are missing.
+        """
+        return None
+
+    def check(self) -> None:
+        """Raise the item's problem."""
+        if self.problem:
+            raise InputError(self.problem)
+
+
+def together(values: Mapping[str, Any], *names: str) -> bool:
+    """True where all of the options are given, False where none is; ConfigError otherwise."""
+    given = [name for name in names if values.get(name) is not None]
+    if given and len(given) < len(names):
+        missing = " and ".join(f"--{name.replace('_', '-')}" for name in names if name not in given)
+        raise ConfigError(f"--{given[0].replace('_', '-')} wants {missing} beside it")
+    return bool(given)
+
+
+def name_of(file: Path, usual: tuple[str, ...]) -> str:
+    """Name of a single item: its file's, or its folder's where the file is called as in every scene."""
+    folder = file.absolute().parent.name
+    return folder if file.stem.lower() in usual and folder else file.stem

@@ -1,0 +1,143 @@
+"""Rectified stereo pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from depthcli.core.errors import InputError
+from depthcli.core.option import Option
+from depthcli.io.items import Item, name_of, together
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.core.frames import StereoPair
+
+# Full-size widths of the Middlebury 2005 and 2006 sets lie between 1240 and 1396: the width tells the size.
+_SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
+_USUAL_NAMES = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")
+
+
+@dataclass(frozen=True)
+class StereoTruth:
+    """Ground truth of one pair, as stored; what follows from it is up to the protocol.
+
+    Attributes
+    ----------
+    disparity : (H, W) float32, pixels, NaN = unknown
+    right, noc : the same for the right view, and for the visible pixels alone (KITTI); or None
+    objects : (H, W) bool, foreground objects (KITTI 2015), or None
+    masks : name -> (H, W) bool, True = evaluate
+    scale : codes per pixel that the files were read with; None = what their kind says
+    """
+
+    disparity: NDArray[np.float32]
+    right: NDArray[np.float32] | None = None
+    noc: NDArray[np.float32] | None = None
+    objects: NDArray[np.bool_] | None = None
+    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    scale: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StereoItem(Item):
+    """The files of one pair.
+
+    Attributes
+    ----------
+    left, right : image files; ``right`` is None where there is only one view
+    disparity_left, disparity_right, disparity_noc : ground truth files or None
+    disparity_scale : codes per pixel of the ground truth; None = what the file's kind says
+    scale_by_width : the scale follows from the map's width, as in the Middlebury 2005 and 2006 sets
+    masks : name -> file; a pixel counts where the value is 255
+    objects : KITTI 2015 object map (> 0: foreground) or None
+    max_disparity : largest disparity to search, inclusive, or None
+    round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
+    """
+
+    options: ClassVar[tuple[Option, ...]] = (
+        Option("left", Path, "Left image, instead of --input.", "FILE"),
+        Option("right", Path, "Right image, instead of --input.", "FILE"),
+        Option("max_disparity", int, "Largest disparity searched.", "PIXELS", sets="max_disparity"),
+    )
+
+    left: Path
+    right: Path | None = None
+    disparity_left: Path | None = None
+    disparity_right: Path | None = None
+    disparity_noc: Path | None = None
+    disparity_scale: float | None = None
+    scale_by_width: bool = False
+    masks: dict[str, Path] = field(default_factory=dict)
+    objects: Path | None = None
+    max_disparity: int | None = None
+    round_disparity: bool = False
+
+    @classmethod
+    def single(cls, values: Mapping[str, Any]) -> Self | None:
+        """The pair of ``--left`` and ``--right``."""
+        if not together(values, "left", "right"):
+            return None
+        left, right = values["left"], values["right"]
+        return cls(name=name_of(left, _USUAL_NAMES), folder=left.parent, left=left, right=right)
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """``left`` and, where there is one, ``right``."""
+        return {"left": self.left} if self.right is None else {"left": self.left, "right": self.right}
+
+    @property
+    def has_truth(self) -> bool:
+        """The left view's disparity is known."""
+        return self.disparity_left is not None
+
+    def load(self) -> StereoPair:
+        """Left and right image, same size, dtype and number of channels; InputError otherwise."""
+        from depthcli.io.images import read_pair
+
+        self.check()
+        if self.right is None:
+            raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
+        return read_pair(self.left, self.right)
+
+    def truth(self) -> StereoTruth:
+        """Ground truth and masks of the left view, as stored.
+
+        Raises
+        ------
+        InputError
+            No ground truth, an unreadable file, or files of different sizes.
+        """
+        from depthcli.io.disparity import read_disparity
+        from depthcli.io.images import read_grey
+
+        self.check()
+        if self.disparity_left is None:
+            raise InputError(f"{self.left.parent}: scene {self.name} has no ground truth")
+        scale = self.disparity_scale
+        if self.scale_by_width and scale is None:
+            width = read_grey(self.disparity_left).shape[1]
+            scale = next(factor for least, factor in _SCALE_BY_WIDTH if width > least)
+        disparity = read_disparity(self.disparity_left, scale)
+        right = None if self.disparity_right is None else read_disparity(self.disparity_right, scale)
+        noc = objects = None
+        if self.disparity_noc is not None:
+            noc = self._same(read_disparity(self.disparity_noc, scale), disparity, self.disparity_noc)
+        if self.objects is not None:
+            objects = self._same(read_grey(self.objects), disparity, self.objects) > 0
+        masks = {name: self._same(read_grey(path), disparity, path) == 255 for name, path in self.masks.items()}
+        return StereoTruth(disparity, right, noc, objects, masks, scale)
+
+    def _same(self, array: NDArray[Any], truth: NDArray[np.float32], path: Path) -> NDArray[Any]:
+        if array.shape != truth.shape:
+            assert self.disparity_left is not None
+            raise InputError(f"{path}: {_size(array)}, but {self.disparity_left.name} is {_size(truth)}")
+        return array
+
+
+def _size(array: NDArray[Any]) -> str:
+    return f"{array.shape[1]} x {array.shape[0]}"

@@ -1,0 +1,49 @@
+"""Our own layout of stereo scenes."""
+
+from __future__ import annotations
+
+from depthcli.io.disparity import MAP_SUFFIXES
+from depthcli.io.images import IMAGE_SUFFIXES
+from depthcli.io.items import Item
+from depthcli.io.items.stereo import StereoItem
+from depthcli.io.layouts import Folder, Layout
+
+
+class Scenes(Layout):
+    """A folder a scene, everything under a name that says what it is."""
+
+    kind = StereoItem
+    wants = (
+        "`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), `meta.json` "
+        "(`max_disparity`, `disp_scale`, `protocol`)"
+    )
+
+    def items(self, folder: Folder) -> list[Item]:
+        left, right = (folder.one(stem, IMAGE_SUFFIXES) for stem in ("left", "right"))
+        truth = folder.one("disp_left", MAP_SUFFIXES)
+        if left is None and right is None:
+            return []
+        problem = ""
+        if left is None or (right is None and truth is None):
+            problem = f"{folder.path}: only one image of the pair, no {'right' if left else 'left'}.*"
+        meta = folder.meta()
+        masks = folder.starting("mask_", IMAGE_SUFFIXES)
+        return [
+            StereoItem(
+                name=folder.name,
+                folder=folder.path,
+                layout=self.name,
+                protocol=folder.text(meta, "protocol", "middlebury_v2"),
+                problem=problem,
+                left=left or folder.path / "left.png",
+                right=right,
+                disparity_left=truth,
+                disparity_right=folder.one("disp_right", MAP_SUFFIXES),
+                disparity_noc=folder.one("disp_left_noc", MAP_SUFFIXES),
+                disparity_scale=folder.positive(meta, "disp_scale"),
+                masks={name: file for name, file in masks.items() if not name.endswith("_right")},
+                objects=folder.one("objects", IMAGE_SUFFIXES),
+                max_disparity=folder.whole(meta, "max_disparity"),
+                round_disparity=meta.get("isint") is True,
+            )
+        ]

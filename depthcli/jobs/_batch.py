@@ -1,0 +1,190 @@
+"""What the commands that go through a folder item by item have in common."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from depthcli.batch.command import SOME_FAILED, Command
+from depthcli.core.errors import ConfigError
+from depthcli.core.option import Option
+from depthcli.io.items import Item
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.runner import Outcome
+    from depthcli.batch.tables import Column
+    from depthcli.io.pictures import Palette
+
+_INPUT = Option("input", Path, "Folder of scenes.", "DIR", short="-i")
+OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True)
+LAYOUT = Option("layout", str, "Layout of the folder, where it is not recognized.", "NAME")
+SCENES = Option("scenes", str, "Only scenes whose name matches; repeatable.", "GLOB", many=True)
+_SELECT = (
+    Option("name", str, "Name of a single scene; default: its file's or folder's.", "NAME"),
+    LAYOUT,
+    SCENES,
+    Option("set", str, "Override one key; repeatable.", "KEY=VALUE", many=True),
+)
+HOW = (
+    Option("jobs", int, "Scenes at a time, each in a process.", "N", default=1, short="-j", least=1, most=512),
+    Option("threads", int, "Threads of each process.", "N", least=1, most=1024),
+    Option("max_memory", str, "Such as 2GiB. Default: all that is free.", "SIZE"),
+    Option("overwrite", bool, "Replace what an earlier run with another config left.", default=False),
+)
+_EVALUATE = Option("evaluate", bool, "Compare with the ground truth of the input folder.", default=False)
+
+
+class BatchCommand(Command):
+    """Goes through items one by one, into a run folder."""
+
+    @abstractmethod
+    def compute(self, config: Any, item: Any, folder: Path, memory: int) -> Outcome:
+        """Compute ``item`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
+
+    @abstractmethod
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the command's table."""
+
+    def files(self, config: Any, item: Any) -> dict[str, Path]:
+        """Role -> file whose content the result depends on."""
+        files: dict[str, Path] = item.input_files
+        return files
+
+    def settings(self, config: Any, item: Any) -> dict[str, str]:
+        """What else the result depends on, beside the config: facts that the layout found."""
+        return {}
+
+    def run_on(self, config: Any, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> int:
+        """The batch itself, its table and report; the exit code."""
+        from depthcli.batch import record
+        from depthcli.batch.runner import BUG, run_items
+        from depthcli.batch.tables import run_table
+
+        rows = run_items(self, config, items, values["output"], run_options(values), reporter)
+        self._write_legend(values["output"], rows)
+        failed = [row for row in rows if row["status"] == "failed"]
+        evaluation = self._evaluation(items, values, reporter) if values.get("evaluate") else None
+        if values["json"]:
+            document = record.report_document(self.name, rows)
+            if evaluation is not None:
+                document["evaluation"] = evaluation.to_dict()
+            reporter.data(record.to_json(document))
+        elif not values["quiet"]:
+            reporter.data(run_table(rows, self.columns()) if evaluation is None else evaluation.text())
+        reporter.info(f"{len(rows) - len(failed)} of {len(rows)} scenes done, in {values['output']}")
+        if any(row["error"].startswith(BUG) for row in failed):
+            return 1
+        return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0
+
+    def palette(self) -> Palette | None:
+        """Colors of the status maps that it writes, or None."""
+        return None
+
+    def legend_values(self) -> tuple[int, ...] | None:
+        """Combinations of bits that the legend shows; None for each bit alone."""
+        return None
+
+    def _write_legend(self, output: Path, rows: list[dict[str, Any]]) -> None:
+        from depthcli.io.pictures import write_legend
+
+        palette = self.palette()
+        if palette is not None and any(row["status"] == "done" for row in rows):
+            write_legend(output / "legend.png", palette, self.legend_values())
+
+    def _evaluation(self, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> Any:
+        from depthcli.jobs.evaluate import evaluate
+
+        if not any(item.has_truth for item in items):
+            reporter.error(f"{values['input']}: no ground truth there, nothing to evaluate")
+            return None
+        output = values["output"]
+        return evaluate(
+            [output], values["input"], output / "evaluation", values["scenes"] or ["*"], values["layout"],
+            reporter=reporter, kinds=tuple({type(item) for item in items}),
+        )  # fmt: skip
+
+
+class ConfigCommand(BatchCommand):
+    """``depthcli COMMAND CONFIG --input DIR --output DIR ...``: a config, a folder of items, a run folder."""
+
+    kinds: ClassVar[tuple[type[Item], ...]]
+    """Kinds of item that it reads."""
+
+    @property
+    def arguments(self) -> tuple[Option, ...]:
+        """The config."""
+        return (Option("config", str, "YAML file, or the name of a preset.", "CONFIG", required=True),)
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """What the kinds of item declare, between what all batches share."""
+        own = {option.name: option for kind in self.kinds for option in kind.options}
+        return (_INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE)
+
+    @abstractmethod
+    def config_model(self) -> type[BaseModel]:
+        """Model of the config's root."""
+
+    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+        """Compute every item, then evaluate where that is asked for; the exit code."""
+        run_options(values)  # wrong ones are told before anything is looked at
+        config = self._config(values)
+        items = self.find(values, reporter)
+        return self.run_on(config, items, values, reporter)
+
+    def find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Item]:
+        """The items that the command line means."""
+        from depthcli.io.walk import find_items
+
+        single = next((item for kind in self.kinds if (item := kind.single(values)) is not None), None)
+        if single is not None:
+            if values["input"] is not None:
+                raise ConfigError(f"--input and {self._single_options()} exclude each other")
+            if values["evaluate"]:
+                raise ConfigError("--evaluate wants --input: a single scene has no ground truth")
+            return [single if values["name"] is None else _renamed(single, values["name"])]
+        if values["input"] is None:
+            raise ConfigError(f"want --input DIR, or {self._single_options()}")
+        if values["name"] is not None:
+            raise ConfigError(f"--name is for a single scene, given by {self._single_options()}")
+        patterns = values["scenes"] or ["*"]
+        return find_items(values["input"], self.kinds, values["layout"], patterns, reporter.info)
+
+    def _single_options(self) -> str:
+        kinds = (" and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path) for kind in self.kinds)
+        return ", or ".join(text for text in kinds if text)
+
+    def _config(self, values: Mapping[str, Any]) -> BaseModel:
+        from depthcli.batch.presets import find_config, find_preset
+        from depthcli.core.config_file import load_config
+
+        settings: list[str | tuple[str, str]] = list(values["set"] or [])
+        for option in self.options:
+            if option.sets and values[option.name] is not None:
+                settings.append((option.flag, f"{option.sets}={values[option.name]}"))
+        return load_config(
+            self.config_model(),
+            find_config(self.name, values["config"]),
+            settings,
+            lambda name: find_preset(self.name, name),
+        )
+
+
+def run_options(values: Mapping[str, Any]) -> Any:
+    """How a run is done; ConfigError for a wrong size."""
+    from depthcli.batch.resources import parse_bytes
+    from depthcli.batch.runner import Options
+
+    memory = parse_bytes(values["max_memory"]) if values["max_memory"] else None
+    return Options(values["jobs"], values["threads"], memory, values["overwrite"])
+
+
+def _renamed(item: Item, name: str) -> Item:
+    from dataclasses import replace
+
+    return replace(item, name=name)

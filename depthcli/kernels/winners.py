@@ -1,0 +1,103 @@
+"""Winner-takes-all: the cheapest disparity of every pixel, for both views, from one volume; do they agree?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.kernels.jit import jit, parallel_jit, prange
+
+
+def winners(costs: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """Cheapest disparities of the left and of the right view.
+
+    The right view's costs are the left's read along diagonals, ``c_R(x, d) = c(x + d, d)``. Cells outside
+    the other image take no part; the smaller disparity wins ties.
+
+    Parameters
+    ----------
+    costs : (H, W, D) uint8, uint16 or float32
+
+    Returns
+    -------
+    left, right : (H, W) uint16, pixels
+    """
+    left = np.empty(costs.shape[:2], np.uint16)
+    right = np.empty(costs.shape[:2], np.uint16)
+    if costs.dtype == np.float32:
+        _float_winners(costs, left, right)
+    else:
+        _integer_winners(costs, left, right)
+    return left, right
+
+
+@parallel_jit
+def _integer_winners(costs: Any, left: Any, right: Any) -> None:
+    # Cost and disparity share one 32-bit key, so that a plain minimum finds both.
+    height, width, depth = costs.shape
+    for y in prange(height):
+        best_right = np.full(width + depth, 0xFFFFFFFF, np.uint32)
+        for x in range(width):
+            count = min(depth, x + 1)
+            row = costs[y, x, :count]
+            mirror = best_right[width - 1 - x : width - 1 - x + count]
+            best = np.uint32(0xFFFFFFFF)
+            for i in range(row.size):
+                key = np.uint32((np.uint32(row[i]) << np.uint32(16)) | np.uint32(i))
+                best = min(best, key)
+                mirror[i] = min(mirror[i], key)
+            left[y, x] = np.uint16(best & np.uint32(0xFFFF))
+        for x in range(width):
+            right[y, x] = np.uint16(best_right[width - 1 - x] & np.uint32(0xFFFF))
+
+
+@parallel_jit
+def _float_winners(costs: Any, left: Any, right: Any) -> None:
+    height, width, depth = costs.shape
+    for y in prange(height):
+        best_right = np.full(width, np.inf, np.float32)
+        for x in range(width):
+            best = np.float32(np.inf)
+            winner = 0
+            for d in range(min(depth, x + 1)):
+                cost = costs[y, x, d]
+                if cost < best:
+                    best = cost
+                    winner = d
+                if cost < best_right[x - d]:
+                    best_right[x - d] = cost
+                    right[y, x - d] = d
+            left[y, x] = winner
+
+
+@jit
+def partner_difference(disparity: Any, x: int, right: Any) -> Any:
+    """``|d - d_R|`` at the match of a pixel in column x, its row of the right map given; inf outside the image."""
+    u = x - int(disparity + np.float32(0.5))
+    return abs(np.float32(disparity) - np.float32(right[u])) if u >= 0 else np.float32(np.inf)
+
+
+def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np.float32]:
+    """How far the right view's disparity at a pixel's match is from the pixel's own.
+
+    Parameters
+    ----------
+    left, right : (H, W) disparities of the two views, pixels, no NaN
+
+    Returns
+    -------
+    (H, W) float32, pixels; inf where the match lies outside the right image
+    """
+    difference = np.empty(left.shape, np.float32)
+    _left_right_difference(left, right, difference)
+    return difference
+
+
+@parallel_jit
+def _left_right_difference(left: Any, right: Any, difference: Any) -> None:
+    height, width = left.shape
+    for y in prange(height):
+        for x in range(width):
+            difference[y, x] = partner_difference(left[y, x], x, right[y])

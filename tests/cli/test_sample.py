@@ -1,0 +1,105 @@
+"""``depthcli sample``: generated scenes, through the loop of every other command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.io.images import read_image
+from depthcli.io.items.stereo import StereoItem
+from depthcli.io.walk import find_items
+from depthcli.synthetic.stereo_scenes import Radiometry, make_scene
+
+SMALL = ("--width", "64", "--height", "48", "--max-disparity", "10")
+
+
+def sample(output: Path, *options: str | Path) -> int:
+    return main(["sample", "-o", str(output), "-q", *SMALL, *map(str, options)])
+
+
+def _bytes(folder: Path) -> dict[str, bytes]:
+    files = [p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("report.")]
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(files)}
+
+
+def items(folder: Path) -> dict[str, StereoItem]:
+    found = {}
+    for item in find_items(folder, (StereoItem,)):
+        assert isinstance(item, StereoItem)
+        found[item.name] = item
+    return found
+
+
+def test_scenes_are_what_the_generator_made(tmp_path: Path):
+    assert sample(tmp_path, "-n", "5", "--noise", "2", "--radiometric", "0.5") == 0
+    assert sorted(items(tmp_path)) == ["curved_0", "foreground_0", "planes_0", "planes_1", "repetitive_0"]
+    stored = items(tmp_path)["planes_1"]
+    made = make_scene("planes", 1, 64, 48, 10, noise=2.0, radiometry=Radiometry.of_strength(0.5))
+    pair, truth = stored.load(), stored.truth()
+    np.testing.assert_array_equal(pair.left, made.left)
+    np.testing.assert_array_equal(pair.right, made.right)
+    np.testing.assert_array_equal(truth.disparity, made.disparity_left)
+    assert truth.right is not None
+    np.testing.assert_array_equal(truth.right, made.disparity_right)
+    np.testing.assert_array_equal(truth.masks["nonocc"], made.nonocc)
+    np.testing.assert_array_equal(truth.masks["disc"], made.disc)
+    assert truth.masks["all"].all()
+    assert stored.max_disparity == 10
+    assert stored.protocol == "middlebury_v2"
+    meta = json.loads((tmp_path / "planes_1" / "meta.json").read_text())
+    assert set(meta) == {"protocol", "disp_scale", "max_disparity", "width", "height", "masks", "source", "notes"}
+
+
+def test_same_options_same_bytes_and_a_second_run_keeps_them(tmp_path: Path):
+    options = ("--cross-modal", "--speckles", "0.02", "--noise", "3")
+    for name, jobs in (("a", "1"), ("b", "2")):
+        assert sample(tmp_path / name, *options, "--jobs", jobs) == 0
+    assert _bytes(tmp_path / "a") == _bytes(tmp_path / "b")
+    stamps = {p: p.stat().st_mtime_ns for p in (tmp_path / "a").rglob("*.png")}
+    assert sample(tmp_path / "a", *options) == 0
+    assert stamps == {p: p.stat().st_mtime_ns for p in (tmp_path / "a").rglob("*.png")}
+    assert read_image(tmp_path / "a" / "planes_0" / "left.png").ndim == 2
+
+
+def test_more_scenes_are_added_and_lost_files_made_again(tmp_path: Path):
+    assert sample(tmp_path / "whole") == 0
+    assert sample(tmp_path / "cut", "-n", "2") == 0
+    (tmp_path / "cut" / "planes_0" / "disp_left.pfm").unlink()
+    assert sample(tmp_path / "cut") == 0
+    assert _bytes(tmp_path / "whole") == _bytes(tmp_path / "cut")
+
+
+def test_other_options_need_overwrite(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert sample(tmp_path, "-n", "2") == 0
+    before = _bytes(tmp_path)
+    assert sample(tmp_path, "-n", "2", "--noise", "5") == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert _bytes(tmp_path) == before
+    assert sample(tmp_path, "-n", "2", "--noise", "5", "--overwrite") == 0
+    assert _bytes(tmp_path)["planes_0/left.png"] != before["planes_0/left.png"]
+
+
+def test_files_of_others_are_left_alone(tmp_path: Path):
+    (tmp_path / "planes_0").mkdir()
+    (tmp_path / "planes_0" / "holiday.jpg").write_bytes(b"holiday")
+    assert sample(tmp_path, "-n", "1") == 0
+    assert _bytes(tmp_path)["planes_0/holiday.jpg"] == b"holiday"
+
+
+def test_cross_modal_keeps_the_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert sample(tmp_path / "in", "-n", "4") == 0
+    (tmp_path / "in" / "curved_0" / "right.png").write_bytes(b"not a picture")
+    assert sample(tmp_path / "out", "--cross-modal", "--from", tmp_path / "in", "--speckles", "0.01") == 3
+    assert "right.png" in capsys.readouterr().err
+    before, after = (items(tmp_path / folder)["planes_0"] for folder in ("in", "out"))
+    assert sorted(items(tmp_path / "out")) == ["foreground_0", "planes_0", "repetitive_0"]
+    np.testing.assert_array_equal(before.truth().disparity, after.truth().disparity)
+    np.testing.assert_array_equal(before.truth().masks["nonocc"], after.truth().masks["nonocc"])
+    assert after.max_disparity == 10
+    assert after.load().right.ndim == 2
+    assert sample(tmp_path / "in", "--cross-modal", "--from", tmp_path / "in") == 2
+    assert sample(tmp_path / "x", "--cross-modal", "--from", tmp_path / "missing") == 2

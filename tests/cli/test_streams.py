@@ -1,0 +1,88 @@
+"""Closed pipes, full disks, signals, odd names: the computation goes on, the exit code says what happened."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full, signals and file names of bytes")
+
+COMMAND = [sys.executable, "-m", "depthcli", "stereo", "opencv-bm"]
+
+
+def shell(line: str, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run ``line`` in bash with ``arguments`` as the command's, "$@" in the line."""
+    command = ["bash", "-o", "pipefail", "-c", line, "bash", *map(str, [*COMMAND, *arguments])]
+    env = os.environ | environment
+    return subprocess.run(command, env=env, capture_output=True, text=True, check=False, errors="replace")
+
+
+def report(output: Path) -> dict[str, str]:
+    return {row["scene"]: row["status"] for row in json.loads((output / "report.json").read_text())["scenes"]}
+
+
+@pytest.mark.parametrize(("line", "code"), [
+    ('"$@" | true', 0),
+    ('"$@" >&-', 0),
+    ('"$@" 2>&-', 0),
+    ('"$@" 2>/dev/full', 0),
+    ('"$@" --json >/dev/full', 3),
+    ('"$@" --json | head -c 1', 0),
+])  # fmt: skip
+def test_no_stream_stops_the_work(made_scenes: Path, tmp_path: Path, line: str, code: int):
+    done = shell(line, "-i", made_scenes, "-o", tmp_path / "r")
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+    assert set(report(tmp_path / "r").values()) == {"done"}
+    if code == 3:
+        assert "stdout: cannot be written (No space left on device)" in done.stderr
+
+
+def test_a_failed_scene_is_told_through_a_closed_pipe(made_scenes: Path, tmp_path: Path):
+    shutil.copytree(made_scenes / "planes_0", tmp_path / "in" / "a")
+    shutil.copytree(made_scenes / "planes_0", tmp_path / "in" / "b")
+    (tmp_path / "in" / "a" / "left.png").write_bytes(b"")
+    done = shell('"$@" | true; exit ${PIPESTATUS[0]}', "-i", tmp_path / "in", "-o", tmp_path / "r")
+    assert done.returncode == 3
+    assert report(tmp_path / "r") == {"a": "failed", "b": "done"}
+
+
+def test_quiet_means_only_errors(made_scenes: Path, tmp_path: Path):
+    done = shell('"$@"', "-i", made_scenes, "-o", tmp_path / "r", "-q")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("locale", ["C", "C.UTF-8"])
+def test_names_that_no_terminal_shows(made_scenes: Path, tmp_path: Path, locale: str):
+    for name in (b"caf\xc3\xa9", b"latin\xe9", b"new\nline"):
+        target = os.path.join(os.fsencode(tmp_path), b"in", name)
+        shutil.copytree(os.fsencode(made_scenes / "planes_0"), target)
+    for options in ([], ["--json"]):
+        done = shell('"$@"', "-i", tmp_path / "in", "-o", tmp_path / "r", *options, LC_ALL=locale, PYTHONUTF8="0")
+        assert done.returncode == 0, done.stderr
+        assert "Traceback" not in done.stderr
+    assert len(report(tmp_path / "r")) == 3
+
+
+def test_sigterm_ends_like_ctrl_c(made_scenes: Path, tmp_path: Path):
+    for number in range(30):
+        shutil.copytree(made_scenes / "planes_0", tmp_path / "in" / str(number))
+    command = [*COMMAND, "-i", str(tmp_path / "in"), "-o", str(tmp_path / "r")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not list((tmp_path / "r").glob("*/record.json")) and time.monotonic() < deadline:
+        time.sleep(0.002)
+    process.terminate()
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 143, err
+    assert "terminated; the same command goes on" in err
+    assert set(report(tmp_path / "r").values()) == {"done"}
+    assert not list((tmp_path / "r").glob(".partial-*"))

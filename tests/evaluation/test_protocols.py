@@ -1,0 +1,495 @@
+"""The protocols against closed forms, slow twins, and what the benchmarks' own programs print."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.evaluation import protocols
+from depthcli.evaluation.disparity import DisparityProtocol, DisparityTruth, scale_warning
+from depthcli.evaluation.protocols import Settings
+from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
+from depthcli.evaluation.results import Result
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, bad_rate, find_score
+from depthcli.io.disparity import read_disparity, write_pfm
+from depthcli.io.items.stereo import StereoItem, StereoTruth
+from depthcli.io.walk import find_items
+from tests.naive import metrics as naive
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real scenes of ../shared/data are not here")
+STEREO = [name for name in protocols.names() if issubclass(protocols.load(name), DisparityProtocol)]
+
+
+def make(name: str, **what: Any) -> Any:
+    return protocols.load(name)(Settings(**what))
+
+
+def everywhere(truth: np.ndarray, mask: str = "all") -> DisparityTruth:
+    return DisparityTruth(truth, {mask: np.ones(truth.shape, bool)})
+
+
+def pick(scores: list[Score], metric: str, t: float | None = None, convention: str | None = None) -> Score:
+    (mask,) = {score.mask for score in scores}
+    return find_score(scores, metric, mask, t, convention)
+
+
+def random_maps(seed: int, shape: tuple[int, int] = (13, 17)):
+    rng = np.random.default_rng(seed)
+    truth = rng.uniform(0, 80, shape).astype(np.float32)
+    estimate = (truth + rng.normal(0, 3, shape)).astype(np.float32)
+    truth[rng.random(shape) < 0.2] = np.nan
+    estimate[rng.random(shape) < rng.choice([0.05, 0.5, 0.95])] = np.nan
+    if rng.random() < 0.3:
+        estimate[rng.integers(shape[0])] = np.nan
+    estimate[rng.random(shape) < 0.05] = rng.choice([-4, 200, 1e6])
+    return estimate, truth, rng.random(shape) < 0.7
+
+
+# Every protocol
+
+
+def test_names_and_unknown_names():
+    assert {"middlebury_v2", "middlebury_v3", "eth3d", "kitti_2012", "kitti_2015"} <= set(protocols.names())
+    assert protocols.load("KITTI-2015") is protocols.load("kitti_2015")
+    with pytest.raises(InputError, match=r"no protocol called 'kitti'; one of: .*kitti_2012, kitti_2015"):
+        protocols.load("kitti")
+
+
+@pytest.mark.parametrize("name", STEREO)
+@pytest.mark.parametrize("mask", ["nonocc", "occ"])
+def test_truth_scores_best_nothing_worst_and_the_headline_is_there(name, mask):
+    truth = everywhere((2 + np.arange(60, dtype=np.float32) / 16).reshape(6, 10), mask)
+    judge = make(name)
+    for scores, best in ((judge.scores(truth.disparity, truth), True), (judge.missing(truth), False)):
+        headline = next(s for s in scores if (s.measure, s.mask) == (judge.headline, mask))
+        assert headline.value == (0 if best else 100)
+        for s in scores:
+            worst = s.measure.worst
+            expected = (100 if s.measure.larger_is_better else 0) if best else math.nan if worst is None else worst
+            assert s.value == expected or (math.isnan(s.value) and math.isnan(expected)), s
+            assert s.density == (100 if best else 0)
+            assert s.pixels == 60 or (best and s.measure.unit == "px")
+            assert set(s.row()) == {
+                "metric", "mask", "threshold", "value", "unit", "wrong", "pixels", "density", "convention",
+            }  # fmt: skip
+    assert not judge.wrong(truth.disparity, truth).any()
+    assert judge.picture(truth.disparity, truth).shape == (6, 10, 3)
+    with pytest.raises(KeyError, match="no score"):
+        find_score(scores, "nonsense", mask)
+    with pytest.raises(KeyError, match="no score"):
+        find_score(scores, judge.headline.metric, "elsewhere")
+
+
+def test_a_name_that_several_scores_fit_is_an_error():
+    truth = everywhere(np.ones((3, 3), np.float32))
+    with pytest.raises(KeyError, match="5 scores for bad"):
+        find_score(make("middlebury_v2").scores(truth.disparity, truth), "bad", "all")
+
+
+@pytest.mark.parametrize("name", STEREO)
+def test_a_region_without_truth_gives_no_number_and_no_error(name):
+    truth = everywhere(np.full((3, 3), np.nan, np.float32))
+    judge = make(name)
+    for scores in (judge.scores(np.ones((3, 3), np.float32), truth), judge.missing(truth)):
+        assert scores
+        assert all(math.isnan(score.value) for score in scores if score.measure.metric != "coverage")
+        mean = judge.mean([Result("r", "a", "d", name, scores=tuple(scores))])
+        assert all(math.isnan(score.value) for score in mean)
+
+
+@pytest.mark.parametrize("name", STEREO)
+def test_another_size_is_refused(name, tmp_path):
+    write_pfm(tmp_path / "m.pfm", np.ones((6, 8), np.float32))
+    truth = everywhere(np.ones((6, 9), np.float32))
+    with pytest.raises(InputError, match=r"m\.pfm: the map is 8 x 6, the truth 9 x 6"):
+        make(name).read(tmp_path / "m.pfm", None, truth)
+
+
+@pytest.mark.parametrize("name", STEREO)
+@pytest.mark.parametrize("threshold", [1.0, 2.5])
+def test_a_users_threshold_is_the_headlines(name, threshold):
+    truth = everywhere(np.full((1, 4), 1, np.float32))
+    judge = make(name, threshold=threshold)
+    scores = judge.scores(truth.disparity + np.array([[0, 1.25, 2, 3]], np.float32), truth)
+    headline = pick(scores, judge.headline.metric, threshold, judge.headline.convention)
+    assert headline.wrong == {1.0: 3, 2.5: 1}[threshold]
+    assert judge.wrong(truth.disparity + np.float32(2), truth).all() == (threshold == 1)
+
+
+def test_mean_of_a_map_that_answers_nothing_is_not_taken_over_fewer():
+    truth = everywhere(np.full((2, 2), 5, np.float32))
+    judge = make("middlebury_v2")
+    maps = (truth.disparity, np.full((2, 2), np.nan, np.float32))
+    results = [Result("r", str(k), "d", judge.name, scores=tuple(judge.scores(m, truth))) for k, m in enumerate(maps)]
+    mean = judge.mean(results)
+    assert pick(mean, "bad", 1.0).value == 50
+    assert math.isnan(pick(mean, "avgerr").value)
+
+
+# Middlebury v2
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=40, deadline=None)
+def test_v2_agrees_with_twin(seed):
+    estimate, truth, mask = random_maps(seed)
+    scores = make("middlebury_v2").scores(estimate, DisparityTruth(truth, {"all": mask}))
+    for t in (0.5, 0.75, 1.0, 1.5, 2.0):
+        score = pick(scores, "bad", t)
+        wrong, pixels = naive.bad_v2(estimate, truth, mask, t)
+        assert (score.wrong, score.pixels) == (wrong, pixels)
+        assert score.value == pytest.approx(100 * wrong / pixels)
+    assert bad_rate(estimate, truth, mask) == pick(scores, "bad", 1.0).value
+
+
+def test_an_error_of_exactly_the_threshold_is_right():
+    truth = everywhere(np.tile(np.arange(20, dtype=np.float32), (5, 1)))
+    assert pick(make("middlebury_v2").scores(truth.disparity + 1, truth), "bad", 1.0).value == 0
+    assert pick(make("middlebury_v2").scores(truth.disparity + 2, truth), "bad", 1.0).value == 100
+
+
+def test_masks_that_are_not_given_follow_from_both_views():
+    left = np.full((20, 30), 2, np.float32)
+    left[:, 15:20] = 7
+    right = np.full((20, 30), 2, np.float32)
+    right[:, 8:13] = 7
+    judge = make("middlebury_v2")
+    derived = judge.masks(StereoTruth(left, right))
+    assert not derived["nonocc"][:, :2].any()  # outside the right image
+    assert not derived["nonocc"][:, 10:15].any()  # hidden
+    assert derived["nonocc"][:, 15:20].all()
+    assert derived["disc"][:, 16].all()
+    given = np.zeros((20, 30), bool)
+    assert not judge.masks(StereoTruth(left, right, masks={"nonocc": given}))["disc"].any()
+    assert set(judge.masks(StereoTruth(left))) == {"all"}
+
+
+# Middlebury v3
+
+
+@given(st.integers(0, 10**6), st.sampled_from([1, 2, 4]), st.booleans(), st.sampled_from("FHQ"))
+@settings(max_examples=40, deadline=None)
+def test_v3_agrees_with_twin(seed, factor, rounded, size):
+    _, truth, mask = random_maps(seed, (12, 16))
+    estimate, _, _ = random_maps(seed + 1, (12 // factor, 16 // factor))
+    full = {"F": 1, "H": 2, "Q": 4}[size]
+    reference = DisparityTruth(truth, {"all": mask}, max_disparity=59, round_disparity=rounded, factor=full)
+    judge = make("middlebury_v3")
+    scores = judge.scores(estimate, reference)
+    for t in (0.5, 1.0, 2.0, 4.0):
+        bad, invalid, total, average = naive.evaldisp(estimate, truth, mask, t / full, 59, rounded)
+        assert pick(scores, "bad", t).value == pytest.approx(bad)
+        assert pick(scores, "totbad", t).value == pytest.approx(total)
+    assert pick(scores, "invalid").value == pytest.approx(invalid)
+    assert pick(scores, "avgerr").value == pytest.approx(average, nan_ok=True, rel=1e-5)
+    assert judge.wrong(estimate, reference)[mask].sum() == pick(scores, "bad", 2.0).wrong
+
+
+def test_quantiles_are_errors_that_occur():
+    truth = everywhere(np.zeros((1, 10), np.float32))
+    estimate = np.arange(1, 11, dtype=np.float32)[None]
+    v3, eth3d = (make(name).scores(estimate, truth) for name in ("middlebury_v3", "eth3d"))
+    assert [pick(v3, f"A{q}").value for q in (50, 90, 95, 99)] == [5, 9, 10, 10]
+    assert [pick(eth3d, f"A{q}").value for q in (50, 90, 95, 99)] == [6, 10, 10, 10]
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (6, 7), (3, 4), (2, 2), (11, 13)])
+def test_v3_refuses_what_is_no_exact_half_or_quarter(shape):
+    with pytest.raises(ValueError, match="exactly half or a quarter"):
+        make("middlebury_v3").resized(np.ones(shape, np.float32), everywhere(np.ones((10, 13), np.float32)))
+
+
+@pytest.mark.parametrize(
+    ("name", "width", "asked", "factor"),
+    [
+        ("Motorcycle", 741, None, 4), ("Motorcycle", 1482, None, 2), ("Motorcycle", 2964, None, 1),
+        ("Jadeplant", 658, None, 4), ("Teddy", 450, None, 4), ("Teddy", 900, None, 2), ("ArtL", 347, None, 4),
+        ("set/Teddy", 1800, None, 1), ("MyDesk", 700, None, 1), ("MyDesk", 700, "H", 2), ("Motorcycle", 741, "F", 1),
+    ],
+)  # fmt: skip
+def test_v3_thresholds_are_those_of_the_full_size(tmp_path, name, width, asked, factor):
+    write_pfm(tmp_path / "disp0GT.pfm", np.full((1, width), 20, np.float32))
+    item = StereoItem(name=name, folder=tmp_path, left=tmp_path, disparity_left=tmp_path / "disp0GT.pfm")
+    judge = make("middlebury_v3", resolution=asked)
+    truth = judge.truth(item)
+    assert truth.factor == factor
+    for off, expected in ((2.0, 0), (2.25, 100)):
+        scores = judge.scores(truth.disparity + np.float32(off / factor), truth)
+        assert pick(scores, "totbad", 2.0).value == expected
+    here = {1: "totbad 2", 2: "totbad 2 (1)", 4: "totbad 2 (0.5)"}
+    assert pick(scores, "totbad", 2.0).measure.heading == here[factor]
+    with pytest.raises(ConfigError, match="want F, H or Q"):
+        Settings(resolution="X")
+
+
+def test_v3_means_weigh_the_hard_scenes_half():
+    judge, measure = make("middlebury_v3"), Measure("totbad", "%", 2.0, worst=100.0)
+    values = {"Teddy": 10.0, "PianoL": 40.0}
+    results = [Result("r", f"set/{n}", "set", "middlebury_v3", scores=(Score(measure, "nonocc", v, 1, 100.0),))
+               for n, v in values.items()]  # fmt: skip
+    (mean,) = judge.mean(results)
+    assert mean.value == pytest.approx((10 + 20) / 1.5)
+
+
+# ETH3D
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=40, deadline=None)
+def test_eth3d_agrees_with_twin(seed):
+    estimate, truth, mask = random_maps(seed, (13, 90))
+    scores = make("eth3d").scores(estimate, DisparityTruth(truth, {"all": mask}))
+    for t in (0.5, 1.0, 2.0, 4.0):
+        bad, coverage, average, median = naive.eth3d(estimate, truth, mask, t)
+        assert pick(scores, "bad", t).value == pytest.approx(bad)
+    assert pick(scores, "coverage").value == pytest.approx(coverage)
+    assert pick(scores, "avgerr").value == pytest.approx(average, rel=1e-5, nan_ok=True)
+    assert pick(scores, "A50").value == pytest.approx(median, rel=1e-5, nan_ok=True)
+
+
+def test_eth3d_counts_the_estimated_pixels_and_neither_clips_nor_rounds():
+    truth = everywhere(np.array([[1, 1, 1, 1, 1]], np.float32))
+    estimate = np.array([[1, -1.5, np.nan, 5.5, -6]], np.float32)
+    scores = make("eth3d").scores(estimate, replace(truth, max_disparity=2, round_disparity=True))
+    assert (pick(scores, "bad", 1.0).wrong, pick(scores, "bad", 1.0).pixels) == (1, 2)  # 5.5 and -6: beyond the width
+    assert pick(scores, "coverage").value == 40
+    assert pick(scores, "avgerr").value == 1.25
+
+
+# KITTI
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_kitti_agrees_with_twin(seed):
+    estimate, truth, mask = random_maps(seed)
+    png = naive.submitted(estimate)
+    filled = interpolate_background(png)
+    np.testing.assert_array_equal(filled, naive.interpolate_background(png))
+    scores = make("kitti_2015").scores(estimate, DisparityTruth(truth, {"occ": mask}))
+    for convention in (INTERPOLATED, ESTIMATED_ONLY):
+        for metric, t in (("D1", 3.0), ("out", 3.0), ("out", 5.0)):
+            only = convention == ESTIMATED_ONLY
+            wrong, pixels, average = naive.kitti(png, filled, truth, mask, only, None if metric == "D1" else t)
+            score = pick(scores, metric, t, convention)
+            assert (score.wrong, score.pixels) == (wrong, pixels)
+        assert pick(scores, "avgerr", None, convention).value == pytest.approx(average, rel=1e-5, nan_ok=True)
+
+
+def test_interpolation_leaves_an_empty_row_between_full_ones():
+    nan = np.nan
+    disparity = np.array([[nan] * 3, [nan, 5, nan], [nan] * 3, [4, nan, 2], [nan] * 3], np.float32)
+    expected = np.array([[5] * 3, [5] * 3, [nan] * 3, [4, 2, 2], [4, 2, 2]], np.float32)
+    np.testing.assert_array_equal(interpolate_background(disparity), expected)
+    assert np.isnan(interpolate_background(np.full((3, 4), nan, np.float32))).all()
+    # There the kit's map holds -1: the pixels are wrong, and their errors count.
+    truth = everywhere(np.full((5, 3), 5, np.float32), "occ")
+    scores = make("kitti_2012").scores(disparity, truth)
+    assert pick(scores, "out", 3.0, INTERPOLATED).wrong == 3
+    assert pick(scores, "avgerr", None, INTERPOLATED).value == pytest.approx((3 * 6 + 2 * (1 + 3 + 3)) / 15)
+
+
+def test_d1_needs_both_conditions_and_exactly_five_percent_is_wrong():
+    truth = everywhere(np.array([[100, 100, 20, 80]], np.float32), "occ")
+    estimate = np.array([[104, 106, 23.5, 84]], np.float32)  # 4 %; 6 %; 3.5 px and 17.5 %; 5 %
+    judge = make("kitti_2015")
+    assert pick(judge.scores(estimate, truth), "D1", 3.0, ESTIMATED_ONLY).wrong == 3
+    np.testing.assert_array_equal(judge.wrong(estimate, truth), [[False, True, True, True]])
+
+
+def test_kitti_scores_the_png_that_would_be_submitted(tmp_path):
+    truth = everywhere(np.array([[10, 10, 10, 300]], np.float32), "occ")
+    estimate = np.array([[-10, 13 + 1 / 600, 13 + 1 / 400, 300]], np.float32)  # missing; 13; 13 + 1/256; 255.996
+    write_pfm(tmp_path / "m.pfm", estimate)
+    judge = make("kitti_2012")
+    scores = judge.scores(judge.read(tmp_path / "m.pfm", None, truth), truth)
+    out = pick(scores, "out", 3.0, ESTIMATED_ONLY)
+    assert (out.wrong, out.pixels, out.density) == (2, 3, 75)
+
+
+def test_kitti_2012_averages_frames_and_2015_pools_their_pixels():
+    frames = [(np.full((1, 4), 10, np.float32), [0, 0, 0, 9]), (np.full((1, 1), 10, np.float32), [9])]
+    for name, metric, expected in (("kitti_2012", "out", 62.5), ("kitti_2015", "D1", 40.0)):
+        judge = make(name)
+        found = [judge.scores(t + np.array([e], np.float32), everywhere(t, "occ")) for t, e in frames]
+        results = [Result("r", str(k), "d", name, scores=tuple(scores)) for k, scores in enumerate(found)]
+        mean = judge.mean(results)
+        for convention in (INTERPOLATED, ESTIMATED_ONLY):
+            assert pick(mean, metric, 3.0, convention).value == pytest.approx(expected)
+        assert pick(mean, metric, 3.0, INTERPOLATED).density == 100
+    assert pick(mean, "avgerr", None, INTERPOLATED).value == pytest.approx(18 / 5)
+    # A frame that a run lacks: all of its pixels are wrong.
+    lacking = [results[0], replace(results[1], scores=tuple(judge.missing(everywhere(frames[1][0], "occ"))), error="x")]
+    assert pick(judge.mean(lacking), "D1", 3.0, ESTIMATED_ONLY).value == 40
+    assert pick(judge.mean(lacking), "D1", 3.0, INTERPOLATED).density == 80
+    assert math.isnan(pick(judge.mean(lacking), "avgerr", None, INTERPOLATED).value)
+
+
+def test_kitti_regions():
+    occ = np.array([[10, 10, 10, -1, np.nan]], np.float32)
+    noc = np.array([[12, np.nan, 10, np.nan, np.nan]], np.float32)
+    stored = StereoTruth(occ, None, noc, np.array([[True, False, False, False, True]]))
+    judge = make("kitti_2015")
+    masks = judge.masks(stored)
+    sizes = {"occ": 3, "occ_bg": 2, "occ_fg": 1, "noc": 2, "noc_bg": 1, "noc_fg": 1}
+    assert {name: int(masks[name].sum()) for name in judge.ordered(masks)} == sizes
+    # noc has its own values: an estimate of 10 is off by 2 there.
+    scores = make("kitti_2012").scores(np.full((1, 5), 10, np.float32), DisparityTruth(occ, masks, noc))
+    assert find_score(scores, "avgerr", "noc", None, INTERPOLATED).value == 1
+    assert find_score(scores, "avgerr", "occ", None, INTERPOLATED).value == 0
+    assert judge.figure_masks(judge.ordered(masks)) == ["occ"]
+    assert make("kitti_2012").figure_masks(["noc", "occ"]) == ["noc"]
+
+
+# Suspicions
+
+
+@pytest.mark.parametrize("name", STEREO)
+@pytest.mark.parametrize("factor", [16, 4, 256, 0.5, 1 / 16, -1])
+def test_wrong_scale_is_noticed(name, factor):
+    _, truth, _ = random_maps(3, (40, 50))
+    estimate = truth + np.float32(0.3)
+    judge, reference = make(name), replace(everywhere(truth), max_disparity=80)
+    assert judge.warnings(estimate, reference) == []
+    (warning,) = judge.warnings(estimate * np.float32(factor), reference)
+    assert "times the truth" in warning
+
+
+def test_noise_is_not_taken_for_a_scale():
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(1, 60, (50, 50)).astype(np.float32)
+    assert scale_warning(rng.uniform(1, 240, (50, 50)).astype(np.float32), truth) is None
+
+
+# What the benchmarks' own programs print for maps that anybody can make again
+
+
+def disturbed(truth: np.ndarray, holes: bool) -> np.ndarray:
+    """The truth with a saw of up to 1.4 px, outliers of 9.5 px, and, where asked for, holes and empty rows."""
+    y, x = np.indices(truth.shape)
+    values = np.where(np.isnan(truth), np.float32(20), truth)
+    values += ((7 * x + 13 * y) % 23 - 11).astype(np.float32) / 8
+    values[(31 * x + 17 * y) % 29 == 0] += 9.5
+    if holes:
+        values[(5 * x + 3 * y) % 11 < 3] = np.nan
+        values[40:60] = np.nan
+    return values
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("holes", "nonocc", "everything"),
+    [
+        (False, "62.21 0.00 62.21 1.02", "28.63 0.00 28.63 1.02"),
+        (True, "43.33 30.35 73.67 1.02", "19.99 30.16 50.16 1.02"),
+    ],
+)
+def test_numbers_of_evaldisp(holes, nonocc, everything):
+    """SDK 1.6: ``evaldisp`` with 0.5 px and the mask, with 1.0 px and without it; 70 disparities, not rounded."""
+    (item,) = find_items(DATA / "middlebury_v3", patterns=["Motorcycle"])
+    judge = make("middlebury_v3")
+    truth = judge.truth(item)
+    scores = judge.scores(disturbed(truth.disparity, holes), truth)
+    for mask, t, printed in (("nonocc", 2.0, nonocc), ("all", 4.0, everything)):
+        keys = (("bad", t), ("invalid", None), ("totbad", t), ("avgerr", None))
+        assert " ".join(f"{find_score(scores, metric, mask, at).value:.2f}" for metric, at in keys) == printed
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("holes", "mask", "printed"),
+    [
+        (False, "nonocc", "1 0.622092 0.286175 0.0344336 0.0344336 1.01966 1.94796 0.75 1.375 1.375 10.125"),
+        (False, "all", "1 0.622289 0.286284 0.0344654 0.0344654 1.0201 1.94891 0.75 1.375 1.375 10.125"),
+        (True, "nonocc", "0.696541 0.622044 0.286091 0.0343306 0.0343306 1.01877 1.94548 0.75 1.375 1.375 10.125"),
+        (True, "all", "0.698352 0.622259 0.286283 0.0344292 0.0344292 1.01984 1.94826 0.75 1.375 1.375 10.125"),
+    ],
+)
+def test_numbers_of_the_eth3d_program(holes, mask, printed):
+    (item,) = find_items(DATA / "middlebury_v3", patterns=["Motorcycle"])
+    judge = make("eth3d")
+    truth = judge.truth(item)
+    scores = judge.scores(disturbed(truth.disparity, holes), truth)
+    shares = [("coverage", None), *(("bad", t) for t in (0.5, 1.0, 2.0, 4.0))]
+    pixels = ["avgerr", "rms", "A50", "A90", "A95", "A99"]
+    found = [f"{find_score(scores, metric, mask, t).value / 100:g}" for metric, t in shares]
+    assert " ".join([*found, *(f"{find_score(scores, metric, mask).value:g}" for metric in pixels)]) == printed
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("holes", "mask", "printed"),
+    [
+        (False, "noc", "0.034131 0.034131 0.034483 0.034483 0.034247 0.034247 1.000000"),
+        (False, "occ", "0.034055 0.034055 0.034440 0.034440 0.034180 0.034180 1.000000"),
+        (True, "noc", "0.158709 0.034072 0.154431 0.034940 0.157304 0.034358 0.725978"),
+        (True, "occ", "0.160477 0.033999 0.154601 0.034900 0.158567 0.034292 0.725918"),
+    ],
+)
+def test_numbers_of_evaluate_scene_flow(holes, mask, printed):
+    """``stats_disp_*_0.txt`` for two frames: D1 of background, foreground and all, each interpolated and estimated."""
+    judge = make("kitti_2015")
+    mean = {(s.measure.metric, s.mask, s.measure.convention): s for s in judge.mean(_kitti_frames(judge, holes))}
+    keys = [(f"{mask}{part}", c) for part in ("_bg", "_fg", "") for c in (INTERPOLATED, ESTIMATED_ONLY)]
+    found = [mean["D1", m, c].value for m, c in keys] + [mean["D1", mask, INTERPOLATED].density]
+    assert " ".join(f"{value / 100:.6f}" for value in found) == printed
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("holes", "mask", "out", "average"),
+    [
+        (False, "noc", "0.034248 0.034248 0.034248 0.034248 0.034248 0.034248 0.034248 0.034248 1.000000",
+         "1.019000 1.019000"),
+        (False, "occ", "0.034187 0.034187 0.034187 0.034187 0.034187 0.034187 0.034187 0.034187 1.000000",
+         "1.018526 1.018526"),
+        (True, "noc", "0.160359 0.034356 0.157289 0.034356 0.154926 0.034356 0.152741 0.034356 0.726003",
+         "5.056188 1.020277"),
+        (True, "occ", "0.161482 0.034296 0.158431 0.034296 0.156088 0.034296 0.153919 0.034296 0.725951",
+         "5.176367 1.019825"),
+    ],
+)  # fmt: skip
+def test_numbers_of_evaluate_stereo(holes, mask, out, average):
+    """``stats_*_out.txt`` (2 to 5 px, interpolated and estimated; density) and ``stats_*_avg.txt`` for two frames."""
+    judge = make("kitti_2012")
+    mean = judge.mean(_kitti_frames(judge, holes))
+    both = (INTERPOLATED, ESTIMATED_ONLY)
+    rates = [find_score(mean, "out", mask, t, c).value for t in (2.0, 3.0, 4.0, 5.0) for c in both]
+    rates.append(find_score(mean, "out", mask, 3.0, INTERPOLATED).density)
+    assert " ".join(f"{rate / 100:.6f}" for rate in rates) == out
+    assert " ".join(f"{find_score(mean, 'avgerr', mask, None, c).value:.6f}" for c in both) == average
+
+
+def _kitti_frames(judge: Any, holes: bool) -> list[Result]:
+    results = []
+    for folder, noc in (("kitti/2012_000070_10", "disp_left_noc.png"), ("kitti_eval_pairs/pair_07", "disp_left.png")):
+        occ = read_disparity(DATA / folder / "disp_left.png")
+        objects = (np.indices(occ.shape)[1] // 100) % 3 == 1
+        stored = StereoTruth(occ, None, read_disparity(DATA / folder / noc), objects)
+        truth = DisparityTruth(occ, judge.masks(stored), stored.noc)
+        results.append(Result("r", folder, "d", judge.name, scores=tuple(judge.scores(disturbed(occ, holes), truth))))
+    return results
+
+
+@needs_data
+@pytest.mark.parametrize(("pair", "d1", "three", "end_point"), [
+    ("pair_01", 4.19, 4.36, 0.797), ("pair_04", 3.54, 3.71, 1.045), ("pair_07", 8.30, 11.05, 1.438),
+])  # fmt: skip
+def test_figures_of_the_kitti_pairs(pair, d1, three, end_point):
+    """The D1, > 3 px and end-point errors that DATA.md gives for a real network's maps."""
+    (item,) = find_items(DATA / "kitti_eval_pairs", patterns=[pair])
+    judge = make("kitti_2015")
+    truth = judge.truth(item)
+    scores = judge.scores(judge.read(DATA / "kitti_eval_pairs" / pair / "disp_est.png", item, truth), truth)
+    assert pick(scores, "D1", 3.0, ESTIMATED_ONLY).value == pytest.approx(d1, abs=0.005)
+    assert pick(scores, "out", 3.0, ESTIMATED_ONLY).value == pytest.approx(three, abs=0.005)
+    assert pick(scores, "avgerr", None, ESTIMATED_ONLY).value == pytest.approx(end_point, abs=0.0005)

@@ -1,0 +1,49 @@
+"""Real scenes with ground truth, where they are present, and errors on them by a protocol."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from depthcli.core.frames import StereoPair
+from depthcli.evaluation import protocols
+from depthcli.io.items.stereo import StereoItem
+from depthcli.io.walk import find_items
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+V2 = "middlebury_v2"
+
+
+class RealScene(NamedTuple):
+    """A pair, its truth as the protocol prepares it, and the largest disparity."""
+
+    pair: StereoPair
+    truth: Any
+    top: int
+
+
+@cache
+def real_scenes(folder: str = V2, protocol: str = "middlebury_v2") -> dict[str, RealScene]:
+    """Scenes of a folder of the shared data by name; skips the test where it is missing."""
+    if not (DATA / folder).is_dir():
+        pytest.skip(f"{folder} is not in ../shared/data")
+    judge = protocols.load(protocol)()
+    found = {}
+    for item in find_items(DATA / folder, (StereoItem,)):
+        assert isinstance(item, StereoItem)
+        if item.right is not None:
+            assert item.max_disparity is not None
+            found[item.name] = RealScene(item.load(), judge.truth(item), item.max_disparity)
+    return found
+
+
+def rates(values: NDArray[Any], truth: Any, protocol: str = "middlebury_v2") -> dict[str, float]:
+    """Mask -> headline figure of the protocol."""
+    judge = protocols.load(protocol)()
+    scores = judge.scores(values.astype(np.float32), truth)
+    return {score.mask: score.value for score in scores if score.measure == judge.headline}
