@@ -131,8 +131,9 @@ def _order(nodes, count):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _visit(y, x, n, send_to_earlier, nodes, values, unary, weights, truncation, choices, share, before, messages,
-           belief):  # type: ignore[no-untyped-def]  # fmt: skip
+def _visit(  # type: ignore[no-untyped-def]
+    y, x, n, send_to_earlier, nodes, values, unary, weights, truncation, choices, share, before, messages, belief,
+):  # fmt: skip
     """Renew the messages from pixel (y, x), node n, to its earlier or its later neighbors; its least belief."""
     labels = choices[n]
     for i in range(labels):
