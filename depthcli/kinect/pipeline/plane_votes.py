@@ -1,0 +1,116 @@
+"""Local planes vote for what was not measured, or measured wrongly; message passing chooses among their votes."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.core.frames import RgbdFrame
+from depthcli.core.result import Clock
+from depthcli.kinect.choice import CLOSE, choose
+from depthcli.kinect.holes import hidden_openings
+from depthcli.kinect.local_planes import REACH, local_planes
+from depthcli.kinect.noise import noise_level
+from depthcli.kinect.outcome import measured_disparity, outcome
+from depthcli.kinect.outlines import truth_probability
+from depthcli.kinect.pipeline import KinectPipeline
+from depthcli.kinect.result import RefinedDepth
+from depthcli.kinect.shadows import left_rims, shadow_belief, shadow_limits
+from depthcli.kinect.votes import LEVELS, Evidence, Voters, cast_votes
+
+
+class PlaneVotes(KinectPipeline):
+    """Doubt what was measured beside depth edges, ask the surfaces around, and let neighbors agree.
+
+    1. Suspects: gaps, and measurements that are probably wrong by their place beside depth edges. How far true
+       outlines lie inside measured ones is learned from the frame (``depthcli.kinect.outlines``).
+    2. Robust planes around every trusted pixel, which are the answer outside the suspects.
+    3. Votes of these planes, weighted by color and distance, in a histogram for each suspect: its modes are
+       candidates. What a shadow allows counts as far as the frame's gaps behave like shadows.
+    4. TRW-S chooses, and all is repeated with the refined map.
+    """
+
+    jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
+    sure: float = Field(0.9, gt=0, lt=1, description="what is right with less probability than this is a suspect")
+    least_trust: float = Field(0.4, ge=0, lt=1, description="measurements less probable than this do not vote")
+    openings: float | None = Field(
+        0.6, gt=0, lt=1, description="probability of a measurement whose color speaks for what lies behind; null: 1"
+    )
+    shadows: bool = Field(True, description="use that shadows are as wide as the step they lie at")
+    candidates: int = Field(5, ge=1, le=8, description="most candidates a pixel")
+    sigma_color: float = Field(11.0, gt=0, le=500, description="L1 difference in 8-bit Lab over which votes fade")
+    sigma_space: float = Field(20.0, gt=0, le=500, description="distance over which votes fade, pixels")
+    smoothness: float = Field(0.1, ge=0, description="cost of neighbors that differ by as much as the noise")
+    truncation: float = Field(13.0, gt=0, description="largest difference that costs, multiples of the noise")
+    iterations: int = Field(8, ge=1, le=100, description="of the message passing")
+    passes: int = Field(2, ge=1, le=5, description="how often all is done, each time on the map refined so far")
+
+    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+        clock = Clock()
+        measured = measured_disparity(frame)
+        known = ~np.isnan(measured)
+        lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB), np.uint8)
+        noise = noise_level(measured)
+        jump = self.jump * noise
+        right = truth_probability(lab, measured, jump)
+        belief = shadow_belief(measured, jump) if self.shadows else 0.0
+        suspect = ~known | (right < self.sure)
+        trust = np.where(known & (right > self.least_trust), right, np.float32(0))
+        clock.stop("suspects")
+
+        refined = measured
+        planes = local_planes(measured, trust, noise)
+        limit, beyond = shadow_limits(lab, measured, planes, jump, 3 * noise, belief)
+        clock.stop("planes")
+        for step in range(self.passes):
+            voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
+            if step == 0 and self.openings is not None:
+                opened = hidden_openings(
+                    lab, planes, voters[1], known & ~suspect, jump, self.sigma_color, self.sigma_space
+                )
+                right = np.where(opened, np.minimum(right, np.float32(self.openings)), right)
+                suspect |= opened
+                clock.stop("openings")
+            pixels = np.argwhere(suspect).astype(np.int32)
+            rim, bonus = left_rims(measured, planes, jump, belief)
+            bonus = np.where(known, bonus * (1 - right), bonus).astype(np.float32)
+            evidence = Evidence(limit, beyond, rim, bonus)
+            votes = cast_votes(
+                pixels, lab, voters, evidence, noise, self.candidates, self.sigma_color, self.sigma_space
+            )
+            clock.stop("votes")
+            chosen = choose(
+                pixels, *votes, lab, measured, right, suspect, planes,
+                noise, self.smoothness, self.truncation, self.iterations,
+            )  # fmt: skip
+            # Where the choice agrees with the measurement, the measurement says more.
+            agreed = known & ~(np.abs(chosen - measured) >= np.float32(CLOSE * noise))
+            refined = np.where(agreed, measured, chosen)
+            trust = (~np.isnan(refined)).astype(np.float32)
+            clock.stop("choice")
+            planes = local_planes(refined, trust, noise)
+            clock.stop("planes")
+        fallback = np.isnan(planes.value)
+        values = _nearest(planes.value)
+        sigma = np.maximum(planes.scale, np.float32(noise / (2 * REACH + 1)))
+        return outcome(frame, values, sigma.astype(np.float32), noise, clock, fallback)
+
+    def peak_bytes(self, shape: tuple[int, int]) -> int:
+        """Candidates, messages and weights of every pixel, should all be suspects."""
+        return (60 * self.candidates + 200) * shape[0] * shape[1]
+
+
+def _nearest(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unknown values take that of the nearest known one."""
+    unknown = np.isnan(values)
+    if not unknown.any():
+        return values
+    _, label = cv2.distanceTransformWithLabels(
+        unknown.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    table = np.full(int(label.max()) + 1, np.nan, np.float32)
+    table[label[~unknown]] = values[~unknown]
+    filled: NDArray[np.float32] = table[label]
+    return filled
