@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from depthcli.core.frames import StereoPair
-from depthcli.evaluation.metrics import middlebury_v2
-from depthcli.io.scenes import find_scenes
+from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
+from depthcli.evaluation.report import Table, number
+from depthcli.io.walk import find_items
 from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation import Aggregator
 from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
@@ -56,8 +56,8 @@ def aggregations(windows: list[int]) -> list[tuple[str, int | None, Aggregator]]
 def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
     """One row a similarity, aggregation, window and scene, with the error in every mask."""
     rows: list[dict[str, object]] = []
-    for scene in find_scenes(data):
-        pair, truth = StereoPair(*scene.load_pair()), scene.load_truth()
+    for scene in find_items(data):
+        pair, truth = scene.load(), MiddleburyV2().truth(scene)
         if scene.max_disparity is None or not set(MASKS) <= set(truth.masks):
             raise SystemExit(f"scene {scene.name}: want max_disparity and the masks {', '.join(MASKS)}")
         for similarity, cost in similarities().items():
@@ -66,10 +66,10 @@ def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
                 start = time.perf_counter()
                 disparity = winners(aggregate(volume, pair).costs)[0].astype(np.float32)
                 seconds = time.perf_counter() - start
-                scores = middlebury_v2(disparity, truth.disparity, truth.masks, (1.0,))
-                bad = {score.mask: round(score.value, 3) for score in scores if score.metric == "bad"}
+                rates = MiddleburyV2().rates(disparity, truth)
+                bad = {mask: round(rates[mask], 3) for mask in MASKS}
                 rows.append({"similarity": similarity, "aggregation": name, "window": window, "scene": scene.name,
-                             **{mask: bad[mask] for mask in MASKS}, "seconds": round(seconds, 4)})  # fmt: skip
+                             **bad, "seconds": round(seconds, 4)})  # fmt: skip
     return rows
 
 
@@ -108,25 +108,15 @@ def findings(table: dict[tuple[str, str], dict[int | None, float]], windows: lis
 def markdown(rows: list[dict[str, object]], windows: list[int]) -> str:
     table = means(rows)
     columns = [(name, aggregation) for aggregation in ("CW", "AW") for name in similarities()]
-    lines = [
-        "# Error by similarity, aggregation and window",
-        "",
-        "Winner-takes-all without refinement; bad > 1 px in non-occluded regions, %, mean over "
-        + ", ".join(sorted({str(row["scene"]) for row in rows}))
-        + ".",
-        "",
-        "| window | " + " | ".join(f"{name} {aggregation}" for name, aggregation in columns) + " |",
-        "| ---: |" + " ---: |" * len(columns),
-    ]
-    for window in windows:
-        cells = " | ".join(f"{table[column][window]:.2f}" for column in columns)
-        lines.append(f"| {window} | {cells} |")
-    lines += ["", "| CROSS | " + " | ".join(similarities()) + " |", "| --- |" + " ---: |" * len(similarities())]
-    for mask in MASKS:
-        by_mask = means(rows, mask)
-        cells = " | ".join(f"{by_mask[name, 'CROSS'][None]:.2f}" for name in similarities())
-        lines.append(f"| {mask} | {cells} |")
-    return "\n".join([*lines, "", *(f"- {line}" for line in findings(table, windows)), ""])
+    scenes = ", ".join(sorted({str(row["scene"]) for row in rows}))
+    note = f"Winner-takes-all without refinement; bad > 1 px in non-occluded regions, %, mean over {scenes}."
+    body = [(str(window), *(number(table[column][window]) for column in columns)) for window in windows]
+    header = ("window", *(f"{name} {aggregation}" for name, aggregation in columns))
+    tables = [Table("Error by similarity, aggregation and window", header, tuple(body), note)]
+    by_mask = {mask: means(rows, mask) for mask in MASKS}
+    body = [(mask, *(number(by_mask[mask][name, "CROSS"][None]) for name in similarities())) for mask in MASKS]
+    tables.append(Table("CROSS, which chooses its own support", ("mask", *similarities()), tuple(body)))
+    return "\n".join([*(each.markdown() for each in tables), *(f"- {line}" for line in findings(table, windows)), ""])
 
 
 def plot(rows: list[dict[str, object]], windows: list[int], path: Path) -> None:

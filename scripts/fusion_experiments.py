@@ -6,7 +6,7 @@
 DATA holds the folders ``middlebury_v2``, ``_2001``, ``_2005``, ``_2006`` and ``kitti``. OUT receives one Markdown
 table an experiment, ``fusion.md`` with all of them, ``fusion.csv`` with every figure by scene, and plots (SVG).
 ``--quick`` takes four scenes only. Error rates: bad > 1 px in non-occluded regions, %, missing counts as
-bad; KITTI: > 3 px. "wins": scenes better than equal weights; "worst": largest ratio to equal weights.
+bad; KITTI: Out-Noc > 3 px. "wins": scenes better than equal weights; "worst": largest ratio to equal weights.
 """
 
 from __future__ import annotations
@@ -24,17 +24,20 @@ import yaml
 from depthcli.confidence import confidence_maps, measures
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
+from depthcli.evaluation.protocols import load
 from depthcli.evaluation.report import Line, Table, line_plot, number
 from depthcli.evaluation.summary import compare
 from depthcli.fusion import Fusion
-from depthcli.io.scenes import Scene, find_scenes
+from depthcli.io.items.stereo import StereoItem
+from depthcli.io.walk import find_items
 from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.pipeline.local import Local
 from depthcli.synthetic.cross_modal import cross_modal_pair
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
-SETS = ("middlebury_v2", "middlebury_2001", "middlebury_2005", "middlebury_2006")
+V2 = "middlebury_v2"
+SETS = (V2, "middlebury_2001", "middlebury_2005", "middlebury_2006")
 QUICK = ("Teddy", "Cones", "Lampshade1", "Baby2")
 ALL = ("absolute_difference", "gradient", "rank", "census")
 EQUAL: dict[str, Any] = {"weights": "equal", "consensus": {"vote_cost": 0}}
@@ -55,23 +58,20 @@ class Bench:
     """Runs configs over scenes, remembers every figure."""
 
     def __init__(self, data: Path, quick: bool) -> None:
-        self.scenes = [s for name in SETS for s in find_scenes(data / name)]
+        self.scenes = [s for name in SETS for s in find_items(data / name, [StereoItem])]
         if quick:
             self.scenes = [s for s in self.scenes if s.name.rpartition("/")[2] in QUICK]
-        self.kitti = [s for s in find_scenes(data / "kitti") if s.disparity_left] if (data / "kitti").is_dir() else []
+        self.kitti = find_items(data / "kitti", [StereoItem]) if (data / "kitti").is_dir() else []
         self.rows: list[dict[str, object]] = []
         self.plots: dict[str, str] = {}
 
-    def bad(self, scenes: list[Scene], match: Callable[[StereoPair, int], np.ndarray], limit: float = 1.0,
+    def bad(self, scenes: list[StereoItem], match: Callable[[StereoPair, int], np.ndarray], protocol: str = V2,
             change: Callable[[StereoPair], StereoPair] = lambda pair: pair) -> list[float]:  # fmt: skip
         rates = []
         for scene in scenes:
-            truth = scene.load_truth()
-            mask = truth.masks.get("nonocc", truth.masks.get("noc", next(iter(truth.masks.values()))))
-            mask = mask & ~np.isnan(truth.disparity)
-            pair = change(StereoPair(*scene.load_pair()))
-            values = match(pair, scene.max_disparity or 255)
-            rates.append(100 * float(np.mean(~(np.abs(values[mask] - truth.disparity[mask]) <= limit))))
+            judge = load(protocol)()
+            by_region = judge.rates(match(change(scene.load()), scene.max_disparity or 255), judge.truth(scene))
+            rates.append(next(iter(by_region.values())))
         return rates
 
     def table(self, title: str, configs: dict[str, dict[str, Any]], base: str | None = None, **how: Any) -> Table:
@@ -100,7 +100,7 @@ def confidences(bench: Bench) -> list[Table]:
     tables = []
     chosen = [s for s in bench.scenes if s.name.rpartition("/")[2] in ("Teddy", "Cones")]
     for scene in chosen:
-        pair, truth = StereoPair(*scene.load_pair()), scene.load_truth()
+        pair, truth = scene.load(), load(V2)().truth(scene)
         known = ~np.isnan(truth.disparity)
         columns: dict[str, dict[str, float]] = {}
         for cost in ALL:
@@ -128,9 +128,9 @@ def _areas(maps: dict[str, Any], known: np.ndarray, wrong: np.ndarray) -> tuple[
     lines = []
     for name, values in maps.items():
         curve = sparsification(np.ascontiguousarray(values[known]), wrong)
-        areas |= {name: curve.auc, "optimal": curve.optimal, "random": curve.random}
+        areas |= {name: curve.auc, "optimal": curve.optimal, "random": curve.mean}
         if name in ("msm", "pkr", "mlm", "lrd", "da", "apkr", "dap"):
-            lines.append(Line(name, curve.percentages, [100 * rate for rate in curve.rates]))
+            lines.append(Line(name, curve.percentages, [100 * rate for rate in curve.errors]))
     return areas, lines
 
 
@@ -216,9 +216,9 @@ def after_segments() -> dict[str, Any]:
 def kitti(bench: Bench) -> list[Table]:
     """6.4.8: driving scenes, 3 px."""
     configs = {"equal": equal_of(preset("consensus")), "consensus": preset("consensus")}
-    tables = [bench.table("KITTI, CW 11", configs, "equal", scenes=bench.kitti, limit=3.0)]
+    tables = [bench.table("KITTI, CW 11", configs, "equal", scenes=bench.kitti, protocol="kitti_2012")]
     configs = {"equal": equal_of(preset("kitti")), "kitti": preset("kitti")}
-    return [*tables, bench.table("KITTI, preset kitti", configs, "equal", scenes=bench.kitti, limit=3.0)]
+    return [*tables, bench.table("KITTI, preset kitti", configs, "equal", scenes=bench.kitti, protocol="kitti_2012")]
 
 
 def cross_modal(bench: Bench) -> list[Table]:
@@ -236,7 +236,7 @@ def cross_modal(bench: Bench) -> list[Table]:
 def seconds(bench: Bench) -> list[Table]:
     """6.4.6: time by stage on Cones, best of nine."""
     scene = next(s for s in bench.scenes if s.name.rpartition("/")[2] == "Cones")
-    pair, top = StereoPair(*scene.load_pair()), scene.max_disparity or 0
+    pair, top = scene.load(), scene.max_disparity or 0
     rows = []
     for name in ("equal", "consensus", "weights-only", "accurate"):
         model = Fusion.model_validate(preset(name))

@@ -16,9 +16,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from depthcli.evaluation.pictures import error_picture
+from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
 from depthcli.io.disparity import read_disparity
-from depthcli.io.scenes import find_scenes
+from depthcli.io.walk import find_items
 
 
 def main() -> int:
@@ -38,23 +38,21 @@ def main() -> int:
             done = subprocess.run([sys.executable, "-m", "depthcli", *map(str, command)], check=False)
             if done.returncode:
                 return done.returncode
-        (scene,) = find_scenes(scenes)
-        left, _ = scene.load_pair()
-        truth = scene.load_truth()
+        (scene,) = find_items(scenes)
+        left, truth = scene.load().left, MiddleburyV2().truth(scene)
         estimate = read_disparity(run / scene.name / "disp_left.pfm")
     assert scene.max_disparity is not None
-    wrong = ~(np.abs(estimate - truth.disparity) <= 1)
     strip = np.hstack([
         left,
         colored(truth.disparity, scene.max_disparity),
         colored(estimate, scene.max_disparity),
-        error_picture(estimate, wrong, truth.masks["all"], truth.masks["nonocc"]),
+        MiddleburyV2().picture(estimate, truth),
     ])
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / f"{options.preset}-{scene.name}.jpg"
     half = cv2.resize(strip, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
     cv2.imwrite(str(path), half[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
-    bad = 100 * wrong[truth.masks["nonocc"]].mean()
+    bad = MiddleburyV2().rates(estimate, truth)["nonocc"]
     print(f"{path}: {path.stat().st_size / 1000:.0f} kB, {bad:.2f} % of the visible pixels are off by more than 1 px")
     return 0
 

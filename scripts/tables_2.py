@@ -19,9 +19,11 @@ import numpy as np
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.evaluation.metrics import middlebury_v2
+from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
+from depthcli.evaluation.report import Table, number
+from depthcli.evaluation.scores import bad_rate
 from depthcli.evaluation.summary import average_ranks
-from depthcli.io.scenes import find_scenes
+from depthcli.io.walk import find_items
 from depthcli.stereo.config import StereoConfig
 from depthcli.stereo.pipeline import StereoPipeline
 from depthcli.synthetic.stereo_scenes import make_scene
@@ -55,15 +57,12 @@ def preset(name: str) -> StereoPipeline:
 
 def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
     """The twelve figures: nonocc, all, disc of every scene."""
-    by_name = {scene.name.rpartition("/")[2]: scene for scene in find_scenes(data)}
+    by_name = {item.name.rpartition("/")[2]: item for item in find_items(data)}
     figures: list[float] = []
     for name in SCENES:
         scene = by_name[name]
-        assert scene.max_disparity is not None
-        truth = scene.load_truth()
-        values = pipeline(StereoPair(*scene.load_pair()), scene.max_disparity).disparity.values
-        scores = middlebury_v2(values, truth.disparity, truth.masks, (1.0,))
-        rates = {score.mask: score.value for score in scores if score.metric == "bad"}
+        values = pipeline(scene.load(), scene.max_disparity).disparity.values
+        rates = MiddleburyV2().rates(values, MiddleburyV2().truth(scene))
         figures += [rates[mask] for mask in MASKS]
     return figures
 
@@ -72,11 +71,7 @@ def repetitive(pipeline: StereoPipeline, seed: int) -> float:
     """Error on the visible pixels of a generated scene with repeating patterns."""
     scene = make_scene("repetitive", seed=seed)
     values = pipeline(StereoPair(scene.left, scene.right), scene.max_disparity).disparity.values
-    return float(100 * np.mean(~(np.abs(values - scene.disparity_left) <= 1)[scene.nonocc]))
-
-
-def line(*cells: object) -> str:
-    return "| " + " | ".join(f"{c:.2f}" if isinstance(c, float) else str(c) for c in cells) + " |"
+    return bad_rate(values, scene.disparity_left, scene.nonocc)
 
 
 def main() -> None:
@@ -86,30 +81,30 @@ def main() -> None:
     options = parser.parse_args()
     ours = {row: measure(preset(name), options.data) for row, name in ROWS.items()}
 
-    print("## Table 2.1: Tsukuba, bad > 1 px (thesis / ours)\n")
-    print(line("", *MASKS, "ours, mean of 4 scenes"))
-    print("|---" * 5 + "|")
-    for row, thesis in THESIS_2_1.items():
-        print(line(row, *(f"{t:.2f} / {o:.2f}" for t, o in zip(thesis, ours[row], strict=False)), np.mean(ours[row])))
+    rows = [
+        (row, *(f"{t:.2f} / {o:.2f}" for t, o in zip(thesis, ours[row], strict=False)), number(np.mean(ours[row])))
+        for row, thesis in THESIS_2_1.items()
+    ]
+    title = "Table 2.1: Tsukuba, bad > 1 px (thesis / ours)"
+    print(Table(title, ("", *MASKS, "ours, mean of 4 scenes"), tuple(rows)).markdown())
 
-    table = {**THESIS_2_2, "ours": tuple(ours["DEDC and KP"])}
-    table = {"ours": table.pop("ours"), **table}
+    table = {"ours": tuple(ours["DEDC and KP"]), **THESIS_2_2}
     rank = average_ranks(np.array(list(table.values())))
-    print("\n## Table 2.2: bad > 1 px, nonocc / all / disc\n")
-    print(line("method", "average rank", *SCENES, "mean of 12"))
-    print("|---" * 7 + "|")
+    rows = []
     for (name, row12), r in zip(table.items(), rank, strict=True):
-        cells = [" / ".join(f"{v:.2f}" for v in row12[3 * k : 3 * k + 3]) for k in range(4)]
-        print(line(name, float(r), *cells, float(np.mean(row12))))
+        cells = [" / ".join(number(v) for v in row12[3 * k : 3 * k + 3]) for k in range(4)]
+        rows.append((name, number(r), *cells, number(np.mean(row12))))
+    header = ("method", "average rank", *SCENES, "mean of 12")
+    print(Table("Table 2.2: bad > 1 px, nonocc / all / disc", header, tuple(rows)).markdown())
 
     if options.repetitive:
         seeds = range(options.repetitive)
-        print("\n## Generated repetitive scenes: nonocc, bad > 1 px\n")
-        print(line("", *(f"seed {seed}" for seed in seeds), "mean"))
-        print("|---" * (options.repetitive + 2) + "|")
+        rows = []
         for row, name in ROWS.items():
             errors = [repetitive(preset(name), seed) for seed in seeds]
-            print(line(row, *errors, float(np.mean(errors))))
+            rows.append((row, *(number(e) for e in errors), number(np.mean(errors))))
+        header = ("", *(f"seed {seed}" for seed in seeds), "mean")
+        print(Table("Generated repetitive scenes: nonocc, bad > 1 px", header, tuple(rows)).markdown())
 
 
 if __name__ == "__main__":

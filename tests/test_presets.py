@@ -2,28 +2,77 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from depthcli.batch.presets import find_config, list_presets, preset_folder
+from depthcli.batch.presets import find_config, find_preset, list_presets, preset_folder
 from depthcli.cli import main
 from depthcli.core.config_file import dump_config, load_config, parse_config
 from depthcli.io.disparity import read_pfm
-from depthcli.jobs.commands import root_config, show_preset
+from depthcli.jobs import load_command
+from depthcli.jobs._batch import ConfigCommand
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]
+
+MADE = {
+    "stereo": [],
+    "fuse": [],
+    "refine-kinect": ["--kinect", "--frames", "3"],
+    "transparent": ["--transparent"],
+    "register-confidence": ["--registration"],
+}
+"""Options of ``depthcli sample`` that make an input of a command."""
+SMALL = {
+    "stereo": ["--width", "96", "--height", "64", "--max-disparity", "12", "-n", "1"],
+    "fuse": ["--width", "96", "--height", "64", "--max-disparity", "12", "-n", "1"],
+    "refine-kinect": ["--width", "128", "--height", "96"],
+    "transparent": [],
+    "register-confidence": [],
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Folder of small items for a command, made once."""
+    folders: dict[str, Path] = {}
+
+    def make(command: str) -> Path:
+        if command not in folders:
+            folders[command] = tmp_path_factory.mktemp(command)
+            assert main(["sample", *MADE[command], *SMALL[command], "-o", str(folders[command]), "-q"]) == 0
+        return folders[command]
+
+    return make
 
 
 def test_there_are_presets():
     assert len(PRESETS) == len(list(preset_folder().rglob("*.yaml"))) > 0
 
 
+def test_names_are_found_in_any_case_and_bases_are_resolved():
+    assert find_preset("stereo", "OpenCV_SGBM") == preset_folder() / "stereo" / "opencv-sgbm.yaml"
+    assert find_preset("stereo", "cross") == preset_folder() / "stereo" / "thesis" / "cross.yaml"
+    command = load_command("stereo")
+    assert isinstance(command, ConfigCommand)
+    texts = [
+        dump_config(load_config(command.config_model(), find_config("stereo", n))) for n in ("segments", "segments-kp")
+    ]
+    differing = [pair for pair in zip(*(text.splitlines() for text in texts), strict=True) if pair[0] != pair[1]]
+    assert len(differing) == 1
+    assert "matching_cost" in differing[0][1]
+
+
 @pytest.mark.parametrize(("command", "name"), PRESETS)
-def test_shown_with_every_field_it_is_the_same_config(command: str, name: str):
-    model = root_config(command)
-    shown = show_preset(f"{command}/{name}")
+def test_shown_with_every_field_it_is_the_same_config(command: str, name: str, capsys: pytest.CaptureFixture[str]):
+    batch = load_command(command)
+    assert isinstance(batch, ConfigCommand)
+    model = batch.config_model()
+    assert main(["presets", "show", f"{command}/{name}"]) == 0
+    shown = capsys.readouterr().out
     resolved = dump_config(load_config(model, find_config(command, name)))
     assert dump_config(load_config(model, parse_config(shown, "shown"))) == resolved
     assert shown.count("#") > 3
@@ -32,12 +81,14 @@ def test_shown_with_every_field_it_is_the_same_config(command: str, name: str):
 
 
 @pytest.mark.parametrize(("command", "name"), PRESETS)
-def test_it_runs_on_a_toy_scene(made_scenes: Path, tmp_path: Path, command: str, name: str):
-    one = ["-i", str(made_scenes), "--scenes", "planes_0", "-o", str(tmp_path / "r"), "-q"]
-    assert main([command, name, *one]) == 0
-    values = read_pfm(tmp_path / "r" / "planes_0" / "disp_left.pfm")
-    assert values.shape == (64, 96)
-    known = np.isfinite(values)
-    assert known.mean() > 0.5
-    assert values[known].min() >= 0
-    assert values[known].max() <= 13
+def test_it_runs_on_a_toy_scene(made: Callable[[str], Path], tmp_path: Path, command: str, name: str):
+    assert main([command, name, "-i", str(made(command)), "-o", str(tmp_path / "r"), "-q"]) == 0
+    report = json.loads((tmp_path / "r" / "report.json").read_text())
+    assert report["done"] >= 1
+    if command in ("stereo", "fuse"):
+        values = read_pfm(tmp_path / "r" / "planes_0" / "disp_left.pfm")
+        assert values.shape == (64, 96)
+        known = np.isfinite(values)
+        assert known.mean() > 0.5
+        assert values[known].min() >= 0
+        assert values[known].max() <= 13

@@ -18,7 +18,7 @@ from depthcli.confidence import measures
 from depthcli.core.maps import Status
 from depthcli.core.method import Family
 from depthcli.io.disparity import read_pfm
-from depthcli.io.scenes import LAYOUTS
+from depthcli.io.layouts import layouts
 from depthcli.stereo import cost
 from tests.stereo._pairs import shifted_pair
 
@@ -74,7 +74,7 @@ def test_every_preset_has_a_row_and_every_name_in_the_text_is_one():
 
 
 def test_layouts_status_bits_and_exit_codes():
-    assert listed("## Layouts") == set(LAYOUTS)
+    assert listed("## Layouts") == {each.name for each in layouts()}
     bits = TEXT[TEXT.index("| bit of `status.png`") : TEXT.index("| exit code")]
     for flag in Status:
         assert re.search(rf"^\| {flag.value} \| {flag.name.lower().replace('_', '.*')}", bits, re.MULTILINE), flag

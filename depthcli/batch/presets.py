@@ -21,14 +21,29 @@ def preset_folder() -> Path:
     return shipped if shipped.is_dir() else package.parent / "configs"
 
 
+THESIS = "thesis/"
+"""What the names of presets begin with that reproduce a table or figure of the thesis."""
+
+
 def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
-    """(command, name, one line about it) of every preset, sorted."""
+    """(command, name, one line about it) of every preset: by command, those of the thesis behind the others."""
+    root = preset_folder()
     found = []
-    for file in sorted(preset_folder().glob("*/*.yaml")):
-        if command in (None, file.parent.name):
+    for file in sorted((*root.glob("*/*.yaml"), *root.glob(f"*/{THESIS}*.yaml"))):
+        of, _, name = file.relative_to(root).with_suffix("").as_posix().partition("/")
+        if command in (None, of):
             first = file.read_text("utf-8").partition("\n")[0]
-            found.append((file.parent.name, file.stem, first.removeprefix("#").strip()))
-    return found
+            found.append((of, name, first.removeprefix("#").strip()))
+    return sorted(found, key=lambda preset: (preset[0], preset[1].startswith(THESIS), preset[1]))
+
+
+def find_preset(command: str, name: str) -> Path | None:
+    """The file of a preset of ``command``; case and underscores do not matter, nor ``thesis/``."""
+    wanted = name.lower().replace("_", "-")
+    for of, preset, _ in list_presets(command):
+        if wanted in (preset, preset.removeprefix(THESIS)):
+            return preset_folder() / of / f"{preset}.yaml"
+    return None
 
 
 def find_config(command: str, config: str) -> Path:
@@ -40,14 +55,21 @@ def find_config(command: str, config: str) -> Path:
         Neither a file nor a preset.
     """
     path = Path(config)
-    shipped = preset_folder() / command / f"{config}.yaml"
-    if "/" not in config and "\\" not in config and not path.suffix and shipped.is_file():
+    shipped = find_preset(command, config) if not path.suffix else None
+    if shipped is not None:
         return shipped
-    if path.exists():
-        return path
+    try:
+        if path.exists():
+            return path
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{config[:200]}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     names = [name for _, name, _ in list_presets(command)]
-    near = difflib.get_close_matches(config, names, 1)
+    near = difflib.get_close_matches(config.lower(), names, 1)
+    elsewhere = [of for of, name, _ in list_presets() if name == config.lower() and of != command]
     hint = f"; did you mean {near[0]!r}?" if near else ""
+    hint += (
+        f"; {' and '.join(elsewhere)} {'has' if len(elsewhere) == 1 else 'have'} one of that name" if elsewhere else ""
+    )
     raise ConfigError(f"{config}: neither a file nor a preset of {command}{hint} (presets: {', '.join(names)})")
 
 

@@ -41,6 +41,9 @@ class Method(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    aliases: ClassVar[tuple[str, ...]] = ()
+    """Abbreviations of the field that a config may use for the name, in any case."""
+
     @classmethod
     def method_name(cls) -> str:
         """Name of the method in a config: the name of its module."""
@@ -78,6 +81,16 @@ class Family:
         path = importlib.import_module(self.package).__path__
         return sorted(m.name for m in pkgutil.iter_modules(path) if not m.name.startswith("_"))
 
+    def named(self, name: str) -> str | None:
+        """The method's own name for ``name``: in any case, with hyphens or underscores, or an abbreviation."""
+        plain = name.lower().replace("-", "_").replace(" ", "_")
+        known = self.names()
+        if plain in known:
+            return plain
+        # Only now are all methods of the family imported.
+        fitting = [each for each in known if plain in (a.lower().replace("-", "_") for a in self.load(each).aliases)]
+        return fitting[0] if fitting else None
+
     def load(self, name: str) -> type[Method]:
         """Import the model class of method ``name``; KeyError where there is none."""
         return _load(self.package, name)
@@ -108,7 +121,8 @@ class Family:
                 "want '{key}' in this mapping; one of: {names}",
                 {"key": self.key, "names": ", ".join(self.names())},
             )
-        if not isinstance(name, str) or name not in self.names():
+        own = self.named(name) if isinstance(name, str) else None
+        if own is None:
             hint = difflib.get_close_matches(str(name), self.names(), 1)
             raise PydanticCustomError(
                 "method_name",
@@ -120,18 +134,18 @@ class Family:
                     "names": ", ".join(self.names()),
                 },
             )
-        return self.load(name).model_validate(fields)
+        return self.load(own).model_validate(fields)
 
 
 @cache
 def _load(package: str, name: str) -> type[Method]:
     module = importlib.import_module(f"{package}.{name}")
-    for value in vars(module).values():
-        if not (isinstance(value, type) and issubclass(value, Method) and value.__module__ == module.__name__):
-            continue
-        if any("__call__" in vars(base) for base in value.__mro__[:-1]):
-            return value
-    raise KeyError(f"{package}.{name} defines no Method")
+    own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
+    found = [v for v in own if issubclass(v, Method) and any("__call__" in vars(base) for base in v.__mro__[:-1])]
+    if len(found) != 1:
+        what = " and ".join(v.__name__ for v in found) or "no method"
+        raise TypeError(f"{package}.{name} defines {what}; a file of a family holds one method")
+    return found[0]
 
 
 def method_of(package: str, key: str = "method") -> Any:

@@ -19,7 +19,7 @@ NPY_MAGIC = b"\x93NUMPY"
 _HEADER_BYTES = 1 << 16
 _DTYPE = re.compile(rb"""['"]descr['"]\s*:\s*['"]([<>=|]?(?:[iuf][1248]|b1))['"]""")
 _ORDER = re.compile(rb"""['"]fortran_order['"]\s*:\s*(True|False)""")
-_SHAPE = re.compile(rb"""['"]shape['"]\s*:\s*\(((?:\s*\d{1,12}L?\s*,?){0,8})\s*\)""")
+_SHAPE = re.compile(rb"""['"]shape['"]\s*:\s*\(([\d\sL,]{0,200})\)""")
 
 
 class _Layout(NamedTuple):
@@ -68,9 +68,10 @@ def _layout(data: bytes, size: int, dimensions: int | None) -> _Layout:
     start = 12 + int.from_bytes(data[8:12], "little") if wide else 10 + int.from_bytes(data[8:10], "little")
     header = data[:start]
     dtype, order, shape = _DTYPE.search(header), _ORDER.search(header), _SHAPE.search(header)
-    if start > len(data) or order is None or shape is None:
+    lengths = re.findall(rb"\d+", shape[1]) if shape else []
+    if start > len(data) or order is None or shape is None or any(len(n) > 15 for n in lengths):
         raise InputError("damaged .npy header")
-    numbers = tuple(int(n) for n in re.findall(rb"\d+", shape[1]))
+    numbers = tuple(int(n) for n in lengths)
     if dtype is None or dimensions not in (None, len(numbers)) or 0 in numbers:
         wanted = {2: "an (H, W) array", 3: "an (H, W, D) array"}.get(dimensions or 0, "an array")
         raise InputError(f"want {wanted} of numbers, got shape {numbers}{'' if dtype else ' of another type'}")

@@ -149,7 +149,8 @@ def preview(values: NDArray[np.float32], top: float) -> NDArray[np.uint8]:
     """(H, W, 3) RGB picture of a map for eyes: blue = 0 to red = ``top``, black = no value."""
     known = ~np.isnan(values)
     grey = np.zeros(values.shape, np.uint8)
-    grey[known] = np.clip(np.rint(values[known] * (255.0 / max(top, 1e-6))), 0, 255).astype(np.uint8)
+    with np.errstate(over="ignore"):
+        grey[known] = np.clip(np.rint(values[known] * (255.0 / max(top, 1e-6))), 0, 255).astype(np.uint8)
     picture: NDArray[Any] = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[..., ::-1].copy()
     picture[~known] = 0
     return picture

@@ -143,14 +143,19 @@ class ConfigCommand(BatchCommand):
         return ", or ".join(text for text in kinds if text)
 
     def _config(self, values: Mapping[str, Any]) -> BaseModel:
-        from depthcli.batch.presets import find_config
+        from depthcli.batch.presets import find_config, find_preset
         from depthcli.core.config_file import load_config
 
-        settings = list(values["set"] or [])
+        settings: list[str | tuple[str, str]] = list(values["set"] or [])
         for option in self.options:
             if option.sets and values[option.name] is not None:
-                settings.append(f"{option.sets}={values[option.name]}")
-        return load_config(self.config_model(), find_config(self.name, values["config"]), settings)
+                settings.append((option.flag, f"{option.sets}={values[option.name]}"))
+        return load_config(
+            self.config_model(),
+            find_config(self.name, values["config"]),
+            settings,
+            lambda name: find_preset(self.name, name),
+        )
 
 
 def run_options(values: Mapping[str, Any]) -> Any:

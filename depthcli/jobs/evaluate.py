@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,15 +35,9 @@ class EvaluateCommand(Command):
     def arguments(self) -> tuple[Option, ...]:
         """The runs."""
         return (
-            Option(
-                "runs",
-                Path,
-                "Run folders, folders of others' maps, or single maps.",
-                "RUN...",
-                many=True,
-                required=True,
-            ),
-        )
+            Option("runs", Path, "Run folders, folders of others' maps, or single maps.", "RUN...", many=True,
+                   required=True),
+        )  # fmt: skip
 
     @property
     def options(self) -> tuple[Option, ...]:
@@ -56,15 +51,16 @@ class EvaluateCommand(Command):
             Option("protocol", str, "How to score, such as kitti-2015, instead of what the scenes name.", "NAME"),
             Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", least=1e-6),
             Option("resolution", str, "Size of the ground truth of Middlebury v3, where it cannot be told.", "F|H|Q"),
+            Option("resize", str, "Bring depth maps and their truth to one size, nearest neighbor.", "WxH"),
             Option("threshold", float, "Error above which a pixel is wrong, not the benchmark's.", "T", least=1e-6),
         )  # fmt: skip
 
     def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
         """Evaluate and print the tables; the exit code."""
         from depthcli.batch.record import to_json
-        from depthcli.evaluation.protocols import Settings
+        from depthcli.evaluation.protocols import Settings, parse_size
 
-        settings = Settings(values["scale"], values["resolution"], values["threshold"])
+        settings = Settings(values["scale"], values["resolution"], values["threshold"], parse_size(values["resize"]))
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
             values["protocol"], settings, reporter,
@@ -117,6 +113,7 @@ def evaluate(
     from depthcli.evaluation.protocols import Settings
     from depthcli.evaluation.results import EvaluationReport, run_names
     from depthcli.io.atomic import write_text
+    from depthcli.io.walk import names_in_runs
 
     reporter = reporter or Reporter(-1)
     settings, truth = settings or Settings(), Path(truth)
@@ -134,7 +131,7 @@ def evaluate(
     results: list[Result] = []
     with reporter:
         reporter.start(len(items), 0, "evaluate")
-        for item, keys in zip(items, _keys(items, truth), strict=True):
+        for item, keys in zip(items, names_in_runs(items, truth.resolve().name), strict=True):
             results += (found := job.results(item, keys))
             reporter.step(any(result.error for result in found))
     report = EvaluationReport(tuple(job.runs), tuple(results), job.judges, truth)
@@ -154,17 +151,13 @@ def _items(
 ) -> list[Item]:
     """The scenes to evaluate: all with ground truth, and those that cannot be used."""
     from depthcli.evaluation.protocols import load
-    from depthcli.io.layouts import Folder, layouts
-    from depthcli.io.walk import find_items
+    from depthcli.io.walk import find_items, item_with_file
 
     judge = None if protocol is None else load(protocol)
     if truth.is_file():
-        # A scene's own file brings the scene's masks, scale and protocol.
-        for place in (truth.absolute().parent, truth.absolute().parent.parent):
-            folder = Folder(place, place.name, "")
-            for item in (item for each in layouts() for item in each.items(folder)):
-                if truth.absolute() in vars(item).values():
-                    return [item]
+        item = item_with_file(truth)  # a scene's own file brings the scene's masks, scale and protocol
+        if item is not None:
+            return [item]
         if judge is None:
             reporter.info(f"{truth}: in no scene's folder; scored as {_PLAIN} (--protocol says otherwise)")
         return [(judge or load(_PLAIN))(settings).single(truth)]
@@ -174,19 +167,6 @@ def _items(
             raise InputError(found[0].problem)
         raise InputError(f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)")
     return found
-
-
-def _keys(items: Sequence[Item], truth: Path) -> list[list[str]]:
-    """The names that every item may go by in a run folder; a short one only where it is one item's alone."""
-    short = [item.name.rpartition("/")[2] for item in items]
-    return [
-        list(
-            dict.fromkeys(
-                [item.name, f"{truth.resolve().name}/{item.name}", *([name] if short.count(name) == 1 else [])]
-            )
-        )
-        for item, name in zip(items, short, strict=True)
-    ]
 
 
 @dataclass
@@ -199,6 +179,13 @@ class _Job:
     protocol: str | None
     settings: Settings
     judges: dict[str, Protocol[Any, Any]] = field(default_factory=dict)
+
+    @cached_property
+    def reports(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Run -> scene -> row of the run's own report."""
+        from depthcli.batch.record import read_report
+
+        return {run: read_report(place) for run, place in self.runs.items()}
 
     def results(self, item: Item, keys: Sequence[str]) -> list[Result]:
         """The results of one scene for every run."""
@@ -219,15 +206,12 @@ class _Job:
         return [self._result(Result(run, item.name, data_set, name), judge, item, truth, keys) for run in self.runs]
 
     def _result(self, start: Result, judge: Protocol[Any, Any], item: Item, truth: Any, keys: Sequence[str]) -> Result:
-        from depthcli.batch.record import read_report
-
-        place = self.runs[start.run]
-        rows = read_report(place)
+        place, rows = self.runs[start.run], self.reports[start.run]
         row: dict[str, Any] = next((rows[key] for key in keys if key in rows), {})
         try:
             path = place if place.is_file() else judge.find(place, keys)
             if path is None:
-                raise InputError(f"{place}: no map of scene {item.name}{_why(judge, item, keys, row)}")
+                raise InputError(f"{place}: no map of scene {item.name}{judge.why_missing(keys, row)}")
             estimate = judge.read(path, item, truth)
         except DepthcliError as error:
             return replace(start, scores=tuple(judge.missing(truth)), error=str(error))
@@ -249,15 +233,6 @@ class _Job:
         if self.output is not None:
             _draw(result, judge.picture(estimate, truth), self.output)
         return result
-
-
-def _why(judge: Protocol[Any, Any], item: Item, keys: Sequence[str], row: Mapping[str, Any]) -> str:
-    if row.get("error"):
-        return f": the run failed there: {row['error']}"
-    looked = ", ".join(each.replace("{scene}", "SCENE") + ".*" for each in judge.places)
-    short = item.name.rpartition("/")[2]
-    several = "" if short in keys else f"; several scenes are called {short}, so that the name needs its folder"
-    return f" (looked for {looked}{several})"
 
 
 def _draw(result: Result, picture: Any, output: Path) -> None:

@@ -31,7 +31,7 @@ class PresetsCommand(Command):
 
     def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
         """Print the list or the preset."""
-        from depthcli.batch.presets import list_presets
+        from depthcli.batch.presets import THESIS, list_presets
         from depthcli.batch.record import to_json
 
         if values["action"] == "show" and values["preset"]:
@@ -44,18 +44,20 @@ class PresetsCommand(Command):
         else:
             found = list_presets()
             width = max((len(f"{command} {preset}") for command, preset, _ in found), default=0)
-            reporter.data("\n".join(f"{f'{command} {preset}':<{width}}  {about}" for command, preset, about in found))
+            lines = [(p.startswith(THESIS), f"{f'{c} {p}':<{width}}  {about}") for c, p, about in found]
+            usual = [line for of_thesis, line in lines if not of_thesis]
+            reporter.data("\n".join([*usual, "", *(line for of_thesis, line in lines if of_thesis)]).rstrip())
         return 0
 
 
 def _show(name: str) -> str:
     """A preset as YAML with every field and its description; ``name`` may be ``command/name``."""
-    from depthcli.batch.presets import describe, find_config, leading_comment, list_presets
+    from depthcli.batch.presets import THESIS, describe, find_config, find_preset, leading_comment, list_presets
     from depthcli.core.config_file import load_config
     from depthcli.jobs import load_command
     from depthcli.jobs._batch import ConfigCommand
 
-    found = [(c, p) for c, p, _ in list_presets() if name in (p, f"{c}/{p}")]
+    found = [(c, p) for c, p, _ in list_presets() if name.lower() in (p, f"{c}/{p}", p.removeprefix(THESIS))]
     if not found:
         raise ConfigError(f"no preset called {name!r}; see: depthcli presets")
     if len(found) > 1:
@@ -67,7 +69,8 @@ def _show(name: str) -> str:
     file = find_config(command, preset)
     title = [leading_comment(file.read_text("utf-8"))]
     title.append(f"Use it as it is: depthcli {command} {preset} ...; or save, change and name this text as a file.")
-    return describe(load_config(batch.config_model(), file), "\n".join(title))
+    config = load_config(batch.config_model(), file, find=lambda base: find_preset(command, base))
+    return describe(config, "\n".join(title))
 
 
 COMMAND = PresetsCommand()

@@ -13,6 +13,8 @@ from depthcli.segmentation._regions import connected_components_of_labels, merge
 class Felzenszwalb(Segmenter):
     """Joins pixels along edges weaker than those inside the regions on both sides; sizes follow the texture."""
 
+    aliases = ("FH",)
+
     scale: float = Field(20.0, gt=0, le=1e6, description="larger values give larger regions, grey levels x pixels")
     sigma: float = Field(0.8, ge=0, le=10, description="of the Gaussian that smooths the image first, pixels")
     min_size: int = Field(20, ge=1, description="smaller regions join the neighbour of the nearest colour, pixels")

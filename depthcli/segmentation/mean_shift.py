@@ -17,6 +17,8 @@ class MeanShift(Segmenter):
     Small radii over-segment, which stereo matching wants: a region must not cross a depth edge.
     """
 
+    aliases = ("MS",)
+
     spatial_radius: float = Field(5.0, gt=0, le=50, description="hs, radius of the window, pixels")
     color_radius: float = Field(6.0, gt=0, le=255, description="hr, radius of the window in colour, grey levels")
     join_distance: float = Field(

@@ -135,7 +135,7 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
             "--set blok: no such key (got 3); did you mean 'bl",
         ),
         (("stereo", FAST, "-i", ".", "-o", "x", "--max-memory", "lots"), "--max-memory: want a size such as 2GiB"),
-        (("stereo", FAST, "-i", ".", "-o", "x", "--max-disparity", "0"), "--set max_disparity: should be greater"),
+        (("stereo", FAST, "-i", ".", "-o", "x", "--max-disparity", "0"), "--max-disparity: should be greater"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--jobs", "0"), "--jobs"),
         (("stereo", FAST, "-i", "."), "Missing option '--output'"),
         (("stereo",), "Missing"),

@@ -260,7 +260,7 @@ def test_real_scenes_truth_is_zero_and_two_pixels_off_is_hundred(tmp_path: Path)
     for item in find_items(DATA, patterns=list(wanted)):
         disparity = item.truth().disparity
         write_pfm(tmp_path / "truth" / item.name / "disp_left.pfm", disparity)
-        write_pfm(tmp_path / "shifted" / item.name / "disp_left.pfm", disparity - np.float32(2.75))  # disp_noc has values of its own
+        write_pfm(tmp_path / "shifted" / item.name / "disp_left.pfm", disparity - np.float32(2.75))
     for pattern, protocol in wanted.items():
         runs = [tmp_path / "truth", tmp_path / "shifted"]
         report = evaluate(runs, DATA, tmp_path / "out", [pattern], protocol=protocol)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import pkgutil
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.results import Curve, Result
 from depthcli.evaluation.scores import Measure, Score
@@ -39,11 +40,21 @@ class Settings:
     scale : codes per unit of the maps' files that hold codes; None: what the file's kind and the item say
     resolution : size of the ground truth where a benchmark has several (Middlebury v3: F, H or Q)
     threshold : of the headline, instead of the benchmark's; in the protocol's unit
+    resize : (width, height) that depth maps and their truth are brought to, nearest neighbor, as ClearGrasp does
     """
 
     scale: float | None = None
     resolution: str | None = None
     threshold: float | None = None
+    resize: tuple[int, int] | None = None
+
+
+def parse_size(text: str | None) -> tuple[int, int] | None:
+    """``640x480`` as (640, 480), None as it is; ConfigError for anything else."""
+    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", (text or "1x1").strip().lower())
+    if not found:
+        raise ConfigError(f"--resize: want WIDTHxHEIGHT, such as 256x144 (got {text!r})")
+    return (int(found[1]), int(found[2])) if text else None
 
 
 class Protocol(ABC, Generic[Estimate, Truth]):
@@ -132,6 +143,10 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """(H, W, 3) RGB picture of where the estimate is wrong, or None."""
         return None
 
+    def rates(self, estimate: Estimate, truth: Truth) -> dict[str, float]:
+        """The headline by region."""
+        return {s.mask: s.value for s in self.scores(estimate, truth) if s.measure == self.headline}
+
     def warnings(self, estimate: Estimate, truth: Truth) -> list[str]:
         """Suspicions about the estimate, one line each."""
         return []
@@ -155,6 +170,15 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     def find(self, folder: Path, names: Sequence[str]) -> Path | None:
         """The map of the scene that goes by any of ``names``; InputError where two compete."""
         return next((path for name in names for path in self.candidates(folder, name) if path.is_file()), None)
+
+    def why_missing(self, names: Sequence[str], row: Mapping[str, Any]) -> str:
+        """Why a run has no map of the scene that goes by ``names``, whose row of the run's report is ``row``."""
+        if row.get("error"):
+            return f": the run failed there: {row['error']}"
+        looked = ", ".join(each.replace("{scene}", "SCENE") + ".*" for each in self.places)
+        short = names[0].rpartition("/")[2]
+        several = "" if short in names else f"; several scenes are called {short}, so that the name needs its folder"
+        return f" (looked for {looked}{several})"
 
     def confidences(self, path: Path) -> dict[str, Path]:
         """Name -> confidence map that lies beside the map ``path``: ``confidence_<name>.pfm`` or ``.npy``."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated
+from typing import Annotated, Any
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.method import Method, method_of
@@ -28,6 +28,24 @@ class KinectPipeline(Method):
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
         raise NotImplementedError
+
+
+class SequencePipeline(KinectPipeline):
+    """A refinement that carries what it learned from frame to frame."""
+
+    @abstractmethod
+    def step(self, frame: RgbdFrame, state: Any) -> tuple[RefinedDepth, Any]:
+        """Refine the next frame.
+
+        Parameters
+        ----------
+        frame : of the size of those before
+        state : what the last step gave; None before the first frame
+        """
+
+    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+        """Refine a frame that belongs to no sequence."""
+        return self.step(frame, None)[0]
 
 
 Pipeline = Annotated[KinectPipeline, *method_of("depthcli.kinect.pipeline", key="pipeline")]

@@ -36,6 +36,11 @@ class AdaptiveWeight(Aggregator):
     outside keep their neutral cost.
     """
 
+    aliases = (
+        "AW",
+        "ASW",
+    )
+
     window: Odd = Field(33, ge=1, le=99, description="side of the square window, pixels, odd")
     gamma_color: float = Field(10.0, gt=0, description="color difference that costs a factor e of weight")
     gamma_space: float = Field(36.0, gt=0, description="distance that costs a factor e of weight, pixels")

@@ -19,6 +19,8 @@ from depthcli.stereo.volume import CostVolume
 class ConstantWindow(Aggregator):
     """Mean of the costs in an n x n window, clipped at the image border."""
 
+    aliases = ("CW",)
+
     window: Odd = Field(11, ge=1, description="side of the window, odd, pixels")
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:

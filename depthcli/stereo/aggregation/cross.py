@@ -28,6 +28,8 @@ class Cross(Aggregator):
     intersected iteration has fewer errors (3.3 %) than four of the reference's (3.6 %).
     """
 
+    aliases = ("CBCA",)
+
     length: int = Field(34, ge=1, le=255, description="longest arm L1, pixels")
     threshold: int = Field(20, ge=0, le=255, description="color difference tau1 that ends an arm, grey levels")
     inner_length: int = Field(17, ge=0, le=255, description="arm length L2 from which inner_threshold holds, pixels")

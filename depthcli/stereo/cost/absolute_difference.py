@@ -21,6 +21,11 @@ class AbsoluteDifference(CostMeasure):
     Mei et al.'s lambda. Three channels are stored as their sum (scale 3), which is exact.
     """
 
+    aliases = (
+        "AD",
+        "SAD",
+    )
+
     truncation: float = Field(60.0, gt=0, le=255, description="largest cost, grey levels")
     outside: float = Field(20.0, ge=0, le=255, description="cost of a match outside the right image, grey levels")
 

@@ -24,6 +24,8 @@ class Gradient(CostMeasure):
     the derivative 1.
     """
 
+    aliases = ("GRAD",)
+
     sigma: float = Field(1.0, ge=0.3, le=2, description="standard deviation of the derivative filter, pixels")
     truncation: float = Field(40.0, gt=0, le=63, description="largest cost, grey levels a pixel")
     outside: float = Field(4.0, ge=0, le=63, description="cost of a match outside the right image, grey levels a pixel")

@@ -26,6 +26,11 @@ class Scanline(Optimizer):
     p on the path. Where the left image has an edge between q and p both penalties are reduced.
     """
 
+    aliases = (
+        "SGM",
+        "SO",
+    )
+
     p1: float = Field(0.5, gt=0, description="penalty of a disparity change by 1, in units of the cost")
     p2: float = Field(2.0, gt=0, description="penalty of a larger change, in units of the cost")
     paths: Literal[4, 8] = Field(8, description="number of path directions")

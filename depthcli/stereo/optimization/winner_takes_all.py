@@ -10,5 +10,7 @@ from depthcli.stereo.volume import CostVolume
 class WinnerTakesAll(Optimizer):
     """The aggregated costs themselves; their minimum is the answer."""
 
+    aliases = ("WTA",)
+
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         return volume

@@ -19,6 +19,8 @@ class OpencvBm(StereoPipeline):
     are ``MISMATCH``.
     """
 
+    aliases = ("BM",)
+
     block: Odd = Field(15, ge=5, le=255, description="side of the matched block, pixels, odd")
     pre_filter_cap: int = Field(31, ge=1, le=63, description="truncation of the pre-filtered gradients, grey levels")
     texture: int = Field(10, ge=0, description="blocks with less summed gradient are rejected")

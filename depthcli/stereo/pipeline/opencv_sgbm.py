@@ -28,6 +28,8 @@ class OpencvSgbm(StereoPipeline):
     ``MISMATCH``.
     """
 
+    aliases = ("SGBM",)
+
     mode: Literal["sgbm", "hh", "hh4", "3way"] = Field("sgbm", description="paths: 5, 8, 4, or 3 per pixel")
     block: Odd = Field(5, ge=1, le=11, description="side of the matched block, pixels, odd")
     p1: int | None = Field(None, ge=0, description="penalty of a step of 1; none: 8 x channels x block^2")

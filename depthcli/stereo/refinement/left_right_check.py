@@ -22,6 +22,8 @@ class LeftRightCheck(Refinement):
     surface), else a mismatch (Hirschmueller 2008).
     """
 
+    aliases = ("LRC",)
+
     tolerance: float = Field(1.0, ge=0, description="largest accepted difference of the two disparities, pixels")
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:

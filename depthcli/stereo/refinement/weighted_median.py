@@ -25,6 +25,8 @@ class WeightedMedian(Refinement):
     median's bin (a whole-pixel map stays one). Pixels without a value stay so.
     """
 
+    aliases = ("WM",)
+
     radius: int = Field(7, ge=1, le=32, description="half side of the window, pixels")
     color_scale: float = Field(15.0, gt=0, description="color difference (mean of channels) of weight 1/e, grey levels")
     distance_scale: float = Field(20.0, gt=0, description="distance of weight 1/e, pixels")
