@@ -43,7 +43,7 @@ class Zncc(CostMeasure):
         ry, rx = self.window[1] // 2, self.window[0] // 2
         padded = [np.pad(image, ((ry, ry), (rx, rx)), mode="edge") for image in pair.grey8]
         moments = [_moments(image, self.window, self.noise) for image in padded]
-        scale = np.float32(1.0 / (self.window[0] * self.window[1]))
+        scale = 1.0 / (self.window[0] * self.window[1])
         _zncc_volume(padded[0], padded[1], *moments[0], *moments[1], scale, np.float32(self.noise**2), costs)
         fill_outside(costs, np.uint8(round(self.outside * self.SCALE)))
         return CostVolume(costs, float(self.SCALE))
@@ -51,7 +51,7 @@ class Zncc(CostMeasure):
 
 def _moments(
     padded: NDArray[np.uint8], window: tuple[int, int], noise: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Mean of every window, and 1 / sqrt(variance + noise^2); of an image that is padded by half a window."""
     ry, rx = window[1] // 2, window[0] // 2
     inner = slice(ry, padded.shape[0] - ry), slice(rx, padded.shape[1] - rx)
@@ -59,7 +59,7 @@ def _moments(
     sums = cv2.boxFilter(padded, cv2.CV_64F, window, normalize=False)[inner]
     squares = cv2.sqrBoxFilter(padded, cv2.CV_64F, window, normalize=False)[inner]
     variance = (squares - sums * sums / area) / area
-    return (sums / area).astype(np.float32), (1.0 / np.sqrt(variance + noise**2)).astype(np.float32)
+    return sums / area, (1.0 / np.sqrt(variance + noise**2)).astype(np.float32)
 
 
 @parallel_jit
@@ -76,7 +76,7 @@ def _zncc_volume(
         sums = np.zeros((columns, depth), np.int32)
         mirror = np.zeros(columns + depth, np.int32)
         total = np.zeros(depth, np.int32)
-        mean = np.zeros(width + depth, np.float32)
+        mean = np.zeros(width + depth)
         factor = np.zeros(width + depth, np.float32)
         first = band * _BAND
         for y in range(first, min(height, first + _BAND)):
@@ -105,7 +105,8 @@ def _zncc_volume(
                 m, f = left_mean[y, x], left_factor[y, x]
                 out = costs[y, x]
                 for i in range(out.size):
-                    covariance = np.float32(total[i]) * scale - m * means[i]
+                    # In double precision: the difference of two large and nearly equal numbers.
+                    covariance = np.float32(np.float64(total[i]) * scale - m * means[i])
                     correlation = (covariance + floor) * (f * factors[i])
                     out[i] = np.uint8(np.int32(unit * min(max(one - correlation, np.float32(0.0)), one) + half))
                 column = sums[x]
