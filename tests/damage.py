@@ -170,8 +170,8 @@ WAYS = (truncated, holed, flipped, forged, lying, lying, lying, spliced, padded,
 
 def bomb(rng: np.random.Generator) -> tuple[str, bytes]:
     """A small file that announces, or holds, a very large image."""
-    side = int(rng.choice((20_000, 60_000, 65_500)))
-    zeros = zlib.compress(bytes(int(rng.choice((1_000, 30_000_000)))), 1)
+    side = int(rng.choice((8_000, 20_000, 60_000, 65_500)))
+    zeros = zlib.compress(bytes(side * (side + 1) if side == 8_000 else int(rng.choice((1_000, 30_000_000)))), 1)
     parts = [struct.pack(">IIBBBBB", side, side, rng.choice((8, 16)), rng.choice((0, 2, 4, 6)), 0, 0, 0), zeros, b""]
     chunks = [
         struct.pack(">I", len(p)) + n + p + bytes(4) for n, p in zip((b"IHDR", b"IDAT", b"IEND"), parts, strict=True)

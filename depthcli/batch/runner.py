@@ -151,9 +151,10 @@ def run_items(
         rows: dict[str, dict[str, Any]] = {}
         tasks = []
         for number, item in enumerate(items):
-            files = work.files(config, item)
+            files = {} if item.problem else work.files(config, item)
             source = str(next(iter(files.values()), item.folder).absolute())
-            inputs = {role: record.file_digest(file) for role, file in files.items()} | work.settings(config, item)
+            inputs = {role: record.file_digest(file) for role, file in files.items()}
+            inputs |= {} if item.problem else work.settings(config, item)
             task = Task(item, output / item.name, output / f"{_HIDDEN}{os.getpid()}" / str(number), run, inputs, source)
             known, before = record.read_record(task.target), earlier.get(item.name, {})
             if record.is_done(task.target, run, inputs, known):
@@ -206,7 +207,8 @@ def _check_names(work: Work, config: Any, items: Sequence[Item], output: Path) -
         if any(not part or part.startswith(".") or "\0" in part for part in item.name.split("/")):
             raise ConfigError(f"{item.name!r} is no name for a folder of results; give one with --name")
         target = (output / item.name).resolve()
-        if any(target == file.resolve().parent for file in work.files(config, item).values()):
+        files = () if item.problem else work.files(config, item).values()
+        if any(target == file.resolve().parent for file in files):
             raise ConfigError(f"{output}: {item.name} would be written over its own input; choose another --output")
 
 
@@ -354,6 +356,7 @@ def run_one(task: Task, work: Work, config: Any, limit: int) -> dict[str, Any]:
     resources.reset_peak()
     row: dict[str, Any]
     try:
+        task.item.check()
         task.hidden.mkdir(parents=True)
         outcome = work.compute(config, task.item, task.hidden, limit)
         _install(task, outcome)

@@ -28,7 +28,8 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         The folder cannot be made, or the file cannot be written or renamed.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}{PARTIAL_SUFFIX}")
+    # The start of the name: all of it and the rest may be too long for a file system.
+    temporary = path.with_name(f".{path.name[:40]}.{os.getpid()}-{threading.get_ident()}{PARTIAL_SUFFIX}")
     try:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -38,7 +39,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             raise OutputError(f"{shown(path)}: cannot be written ({reason})") from error
     except BaseException:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, UnicodeError):
             temporary.unlink(missing_ok=True)
         raise
 

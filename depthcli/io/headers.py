@@ -6,6 +6,7 @@ A few bytes can announce gigabytes, and damage can hide behind a decoder that fi
 from __future__ import annotations
 
 import contextlib
+import importlib
 import re
 import struct
 import warnings
@@ -35,14 +36,19 @@ _SBIT = b"sBIT"
 _PNM_HEADER = re.compile(rb"P\d(?:\s|#[^\n]*\n)+" + rb"(\d{1,9})(?:\s|#[^\n]*\n)+" * 2 + rb"(\d{1,9})\s")
 # Comment lines, as some programs write them, may stand between the numbers.
 _PFM_GAP = rb"\s+(?:#[^\n]*\n\s*)*"
-_PFM_HEADER = re.compile(
-    rb"(P[fF])" + (_PFM_GAP + rb"(\d{1,9})") * 2 + _PFM_GAP + rb"([-+0-9.eE]{1,40})(?:\r\n|\s)"
-)
+_PFM_HEADER = re.compile(rb"(P[fF])" + (_PFM_GAP + rb"(\d{1,9})") * 2 + _PFM_GAP + rb"([-+0-9.eE]{1,40})(?:\r\n|\s)")
 
 _MOST_DECODED = 1 << 31
 # The densest codes: 12 bits of LZW stand for up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
 _DENSEST = 3000
 _BITS_TAG, _SAMPLES_TAG, _TILE_TAGS = 258, 277, (322, 323)
+
+_PILLOW = {
+    "png": ("PngImagePlugin", "PngImageFile"),
+    "jpeg": ("JpegImagePlugin", "JpegImageFile"),
+    "tiff": ("TiffImagePlugin", "TiffImageFile"),
+    "bmp": ("BmpImagePlugin", "BmpImageFile"),
+}
 
 
 class ImageSize(NamedTuple):
@@ -233,17 +239,11 @@ def open_with_pillow(data: bytes) -> ImageFile:
 
     Its classes are called directly: ``Image.open`` has a limit of its own for the number of pixels.
     """
-    from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, TiffImagePlugin
-
-    readers: dict[str, type[ImageFile]] = {
-        "png": PngImagePlugin.PngImageFile,
-        "jpeg": JpegImagePlugin.JpegImageFile,
-        "tiff": TiffImagePlugin.TiffImageFile,
-        "bmp": BmpImagePlugin.BmpImageFile,
-    }
     kind = image_kind(data)
+    module, name = _PILLOW[kind]
+    reader: type[ImageFile] = getattr(importlib.import_module(f"PIL.{module}"), name)  # each costs start-up time
     with decoding(kind):
-        return readers[kind](BytesIO(data))
+        return reader(BytesIO(data))
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ import yaml
 
 from depthcli.cli import main
 from depthcli.io.disparity import read_disparity, read_pfm
+from depthcli.io.pictures import read_status
 
 FAST = "opencv-bm"
 """The quickest preset; the tests here are about what is around the matching."""
@@ -45,7 +46,7 @@ def test_maps_and_reports_for_a_folder(made_scenes: Path, tmp_path: Path, capsys
     codes = cv2.imread(str(folder / "disp_left.png"), cv2.IMREAD_UNCHANGED)
     assert codes.dtype == np.uint16
     np.testing.assert_allclose(read_disparity(folder / "disp_left.png"), values.clip(1 / 256), atol=1 / 512)
-    assert cv2.imread(str(folder / "status.png"), cv2.IMREAD_UNCHANGED).shape == (64, 96)
+    assert read_status(folder / "status.png").shape == (64, 96)
     assert cv2.imread(str(folder / "preview.png"), cv2.IMREAD_UNCHANGED).shape == (64, 96, 3)
     rows = list(csv.DictReader(io.StringIO((tmp_path / "run" / "report.csv").read_text())))
     assert [row["scene"] for row in rows] == ["planes_0", "planes_1", "planes_2"]

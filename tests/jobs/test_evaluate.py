@@ -373,7 +373,7 @@ def test_the_protocol_is_said_and_never_guessed(tmp_path: Path, truth: Path):
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2012"}))
     assert [r.protocol for r in evaluate([run], truth, None).results] == ["kitti_2012", "middlebury_v2"]
     assert [r.protocol for r in evaluate([run], truth, None, protocol="ETH3D").results] == ["eth3d"] * 2
-    with pytest.raises(InputError, match=r"no protocol called 'kitty'; one of: eth3d, kitti_2012"):
+    with pytest.raises(InputError, match=r"no protocol called 'kitty'; one of: depth, eth3d, kitti_2012"):
         evaluate([run], truth, None, protocol="kitty")
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitty"}))
     report = evaluate([run], truth, None)
@@ -407,7 +407,7 @@ def test_one_map_at_a_glance(tmp_path: Path, truth: Path, capsys: pytest.Capture
     assert "8-bit disparities need a scale" in evaluate([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed[0].error
     with pytest.raises(InputError, match="a single map wants a single scene"):
         evaluate([tmp_path / "m.pfm"], truth, None)
-    values = dict.fromkeys(("output", "scenes", "layout", "protocol", "scale", "resolution", "threshold"))
+    values = dict.fromkeys(("output", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize"))
     values |= {"runs": [tmp_path / "m.pfm"], "truth": truth / "a" / "disp_left.png", "json": True, "quiet": False}
     assert COMMAND.run(values, Reporter(-1)) == 0
     assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
