@@ -66,7 +66,7 @@ def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
                 start = time.perf_counter()
                 disparity = winners(aggregate(volume, pair).costs)[0].astype(np.float32)
                 seconds = time.perf_counter() - start
-                rates = MiddleburyV2().rates(disparity, truth)
+                rates = MiddleburyV2().headlines(disparity, truth)
                 bad = {mask: round(rates[mask], 3) for mask in MASKS}
                 rows.append({"similarity": similarity, "aggregation": name, "window": window, "scene": scene.name,
                              **bad, "seconds": round(seconds, 4)})  # fmt: skip

@@ -15,13 +15,15 @@ import argparse
 import csv
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from depthcli.batch.presets import find_config, find_preset
 from depthcli.confidence import confidence_maps, measures
+from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.protocols import load
@@ -32,10 +34,10 @@ from depthcli.io.items.stereo import StereoItem
 from depthcli.io.walk import find_items
 from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.stereo.config import StereoConfig
 from depthcli.stereo.pipeline.local import Local
 from depthcli.synthetic.cross_modal import cross_modal_pair
 
-CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 V2 = "middlebury_v2"
 SETS = (V2, "middlebury_2001", "middlebury_2005", "middlebury_2006")
 QUICK = ("Teddy", "Cones", "Lampshade1", "Baby2")
@@ -45,8 +47,15 @@ SHORT = {"absolute_difference": "AD", "gradient": "GRAD", "rank": "RANK", "censu
 
 
 def preset(name: str, **fields: Any) -> dict[str, Any]:
-    config: dict[str, Any] = yaml.safe_load((CONFIGS / "fuse" / f"{name}.yaml").read_text("utf-8"))
-    return {**config, **fields}
+    """A preset of fuse with every field, some of them replaced."""
+    config = load_config(Fusion, find_config("fuse", name), (), partial(find_preset, "fuse"))
+    return {**config.model_dump(mode="json", by_alias=True), **fields}
+
+
+def stereo_preset(name: str) -> dict[str, Any]:
+    """A preset of stereo with every field, and without its pipeline's name."""
+    config = load_config(StereoConfig, find_config("stereo", name), (), partial(find_preset, "stereo"))
+    return {k: v for k, v in config.pipeline.model_dump(mode="json", by_alias=True).items() if k != "pipeline"}
 
 
 def equal_of(config: dict[str, Any]) -> dict[str, Any]:
@@ -70,7 +79,7 @@ class Bench:
         rates = []
         for scene in scenes:
             judge = load(protocol)()
-            by_region = judge.rates(match(change(scene.load()), scene.max_disparity or 255), judge.truth(scene))
+            by_region = judge.headlines(match(change(scene.load()), scene.max_disparity or 255), judge.truth(scene))
             rates.append(next(iter(by_region.values())))
         return rates
 
@@ -189,9 +198,7 @@ def later_stages(bench: Bench) -> list[Table]:
         tables.append(bench.table(f"After {name}", {"equal": equal_of(config), "fused": config}, "equal"))
     config = after_segments()
     tables.append(bench.table("After segments", {"equal": equal_of(config), "fused": config}, "equal"))
-    stereo = yaml.safe_load((CONFIGS / "stereo" / "accurate.yaml").read_text("utf-8"))
-    stereo.pop("pipeline")
-    local, fused = Local.model_validate(stereo), Fusion.model_validate(preset("accurate"))
+    local, fused = Local.model_validate(stereo_preset("accurate")), Fusion.model_validate(preset("accurate"))
     a = bench.bad(bench.scenes, lambda pair, top: local(pair, top).disparity.values)
     b = bench.bad(bench.scenes, lambda pair, top: fused(pair, top).disparity.values)
     against = compare(a, b)
@@ -203,11 +210,10 @@ def later_stages(bench: Bench) -> list[Table]:
 
 def after_segments() -> dict[str, Any]:
     """The measures of the segments preset, fused; its penalties hold for the sum of its parts, ours for the mean."""
-    fields = yaml.safe_load((CONFIGS / "stereo" / "segments.yaml").read_text("utf-8"))
-    fields.pop("pipeline")
+    fields = stereo_preset("segments")
     parts = fields.pop("cost")["parts"]
     fields["optimization"] |= {name: fields["optimization"][name] / len(parts) for name in ("p1", "p2")}
-    fields["cost_weight"] *= len(parts)
+    fields["energy"]["cost_weight"] *= len(parts)
     measures_ = [{"cost": part["cost"], "scale": part["lambda"]} for part in parts]
     return preset("accurate", measures=measures_, optimization="winner_takes_all", refinement=[], segments=fields,
                   consensus={"softness": 8, "vote_cost": 0.2})  # fmt: skip

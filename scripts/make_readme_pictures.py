@@ -52,7 +52,7 @@ def main() -> int:
     path = options.output / f"{options.preset}-{scene.name}.jpg"
     half = cv2.resize(strip, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
     cv2.imwrite(str(path), half[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
-    bad = MiddleburyV2().rates(estimate, truth)["nonocc"]
+    bad = MiddleburyV2().headlines(estimate, truth)["nonocc"]
     print(f"{path}: {path.stat().st_size / 1000:.0f} kB, {bad:.2f} % of the visible pixels are off by more than 1 px")
     return 0
 

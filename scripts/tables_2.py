@@ -62,7 +62,7 @@ def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
     for name in SCENES:
         scene = by_name[name]
         values = pipeline(scene.load(), scene.max_disparity).disparity.values
-        rates = MiddleburyV2().rates(values, MiddleburyV2().truth(scene))
+        rates = MiddleburyV2().headlines(values, MiddleburyV2().truth(scene))
         figures += [rates[mask] for mask in MASKS]
     return figures
 

@@ -14,34 +14,21 @@ import typer
 
 from depthcli.batch.presets import find_config, list_presets
 from depthcli.cli import app, main
-from depthcli.confidence import measures
 from depthcli.core.maps import Status
 from depthcli.core.method import Family
 from depthcli.io.disparity import read_pfm
-from depthcli.io.layouts import layouts
 from depthcli.stereo import cost
+from scripts import readme_tables
 from tests.stereo._pairs import shifted_pair
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "README.md").read_text("utf-8")
-FAMILIES = (
-    "stereo/cost", "stereo/aggregation", "stereo/optimization", "stereo/refinement", "stereo/pipeline",
-    "keypoints", "segmentation",
-)  # fmt: skip
 
 
 def blocks(language: str) -> list[str]:
     """Fenced blocks of a language, without comments' lines and with continued lines joined."""
     found = re.findall(rf"^```{language}\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
     return [block.replace("\\\n", " ") for block in found]
-
-
-def listed(heading: str) -> set[str]:
-    """Names in the first column of the table that follows ``heading``."""
-    assert TEXT.count(heading) == 1, heading
-    table = re.search(r"\n((?:\|[^\n]*\n)+)", TEXT[TEXT.index(heading) :])
-    assert table
-    return {match for line in table[1].splitlines()[2:] for match in re.findall(r"^\| `([^`]+)` \|", line)}
 
 
 def commands() -> list[str]:
@@ -52,33 +39,31 @@ def commands() -> list[str]:
     return calls + inline
 
 
-@pytest.mark.parametrize("folder", FAMILIES)
-def test_every_method_has_a_row_and_every_row_a_method(folder: str):
-    names = Family.of(f"depthcli.{folder.replace('/', '.')}").names()
-    assert listed(f"(`depthcli/{folder}/`)") == set(names)
+def test_the_tables_are_those_of_the_code():
+    """Methods, layouts, protocols, presets: ``scripts/readme_tables.py`` would change nothing."""
+    assert readme_tables.filled(TEXT) == TEXT
+    found = (ROOT / "depthcli").rglob("__init__.py")
+    folders = [file.parent for file in found if "method_of(" in file.read_text("utf-8")]
+    families = {folder.relative_to(ROOT / "depthcli").as_posix() for folder in folders}
+    assert families - set(re.findall(r"<!-- table: methods/([\w/]+) -->", TEXT)) == set()
 
 
-def test_every_confidence_measure_has_a_row():
-    assert listed("**Confidence measures**") == set(measures())
-
-
-def test_every_preset_has_a_row_and_every_name_in_the_text_is_one():
+def test_every_preset_named_in_the_text_is_one():
     names = {f"{command} {name}" for command, name, _ in list_presets()}
-    assert listed("All presets:") == names
-    assert set(re.findall(r"`((?:stereo|fuse) [a-z-]+)`", TEXT)) <= names
+    commands = "|".join(sorted({command for command, _, _ in list_presets()}))
+    assert set(re.findall(rf"`((?:{commands}) [a-z/-]+)`", TEXT)) <= names
     advice = TEXT[TEXT.index("## Which preset") : TEXT.index("All presets:")]
     short = {name for _, name, _ in list_presets()}
-    words = re.findall(r"`([a-z]+(?:-[a-z]+)*)`", advice)
+    words = re.findall(r"`((?:thesis/)?[a-z]+(?:-[a-z]+)*)`", advice)
     assert set(words) <= short
     assert words
 
 
-def test_layouts_status_bits_and_exit_codes():
-    assert listed("## Layouts") == {each.name for each in layouts()}
+def test_status_bits_and_exit_codes():
     bits = TEXT[TEXT.index("| bit of `status.png`") : TEXT.index("| exit code")]
     for flag in Status:
         assert re.search(rf"^\| {flag.value} \| {flag.name.lower().replace('_', '.*')}", bits, re.MULTILINE), flag
-    for code in (0, 1, 2, 3, 130):
+    for code in (0, 1, 2, 3, 130, 143):
         assert re.search(rf"^\| {code} \|", TEXT[TEXT.index("| exit code") :], re.MULTILINE)
 
 
@@ -97,7 +82,7 @@ def test_commands_parse(tmp_path: Path):
         parameters = command.make_context(words[0], rest, parent=context).params
         if "config" in parameters and not parameters["config"].startswith("$"):
             assert find_config(words[0], parameters["config"]).is_file(), line
-        if parameters.get("action") == "show" and parameters["name"] != "NAME":
+        if parameters.get("action") == "show" and parameters["preset"] != "NAME":
             assert main(words) == 0
 
 

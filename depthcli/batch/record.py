@@ -10,13 +10,15 @@ of itself and of each of them, and counts for nothing where one does not fit.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import hashlib
 import io
 import json
 import math
+import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -25,8 +27,10 @@ from pydantic import BaseModel
 
 from depthcli import __version__
 from depthcli.core.config_file import dump_config, to_yaml
-from depthcli.core.errors import ConfigError, OutputError
+from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.io.atomic import write_text
+from depthcli.io.files import MOST_BYTES, open_regular
+from depthcli.io.images import IMAGE_SUFFIXES
 
 RUN_FILE = "run.yaml"
 RECORD_FILE = "record.json"
@@ -34,6 +38,7 @@ REPORT_FILES = ("report.json", "report.csv")
 
 _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
 _MOST_BYTES = 1 << 28
+_MOST_HASHED = 1 << 36  # of volumes; a sparse file costs nothing but the time to read it
 
 
 def run_text(command: str, config: BaseModel | Mapping[str, Any]) -> str:
@@ -58,13 +63,40 @@ def digest(data: bytes) -> str:
 
 def file_digest(path: Path) -> str:
     """SHA-256 of a file's content; where it cannot be read, why not, so that it never matches a record."""
+    most = MOST_BYTES if path.suffix.lower() in IMAGE_SUFFIXES else _MOST_HASHED
+    sha, left = hashlib.sha256(), most
     try:
-        if not path.is_file():  # a pipe or device would be read without end
-            return "unreadable: not a regular file"
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except (OSError, ValueError) as error:
-        return f"unreadable: {getattr(error, 'strerror', None) or error}"
+        with open_regular(path) as file:
+            while block := file.read(1 << 20):
+                sha.update(block)
+                left -= len(block)
+                if left < 0:
+                    return f"unreadable: larger than {most >> 30} GiB"
+    except InputError as error:
+        return f"unreadable: {error}"
+    return sha.hexdigest()
+
+
+@contextlib.contextmanager
+def locked(output: Path, say: Callable[[str], None]) -> Iterator[None]:
+    """Keep a second run out of the folder; the system drops the lock when this process ends, however it ends."""
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        handle = os.open(output, os.O_RDONLY)
+    except OSError as error:
+        raise OutputError(f"{output}: cannot be used as a run folder ({error.strerror or error})") from error
+    try:
+        try:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(f"{output}: another depthcli is writing there now") from None
+        except (ImportError, OSError):
+            say(f"{output}: no locks on this file system; see to it that no other run writes there")
+        yield
+    finally:
+        os.close(handle)
 
 
 def open_run(folder: Path, text: str, overwrite: bool) -> str:

@@ -21,10 +21,10 @@ def cores() -> int:
 
 def parse_bytes(text: str) -> int:
     """``2GiB``, ``500M``, ``1e9`` as bytes; ConfigError for anything else."""
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?(?:[eE]\d{1,2})?)\s*([kmgt]i?|)b?\s*", text, re.IGNORECASE)
+    match = re.fullmatch(r"\s*(\d{1,18}(?:\.\d{0,9})?(?:[eE]\d{1,2})?)\s*([kmgt]i?|)b?\s*", text, re.IGNORECASE)
     size = int(float(match[1]) * _UNITS[match[2].lower()]) if match else 0
     if size < 1:
-        raise ConfigError(f"--max-memory: want a size such as 2GiB or 500M (got {text!r})")
+        raise ConfigError(f"--max-memory: want a size such as 2GiB or 500M (got {text[:40]!r})")
     return size
 
 

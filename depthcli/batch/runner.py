@@ -142,7 +142,7 @@ def run_items(
     """
     _check_names(work, config, items, output)
     text = record.run_text(work.name, config)
-    with _locked(output, reporter):
+    with record.locked(output, reporter.info):
         earlier = record.read_report(output)
         run = record.open_run(output, text, options.overwrite)
         _clean(output)
@@ -266,28 +266,6 @@ def _other_rows(
         if known is not None and known.get("run") == run:
             rows.append(_row(known, row))
     return rows
-
-
-@contextlib.contextmanager
-def _locked(output: Path, reporter: Reporter) -> Iterator[None]:
-    """Keep a second run out of the folder; the system drops the lock when this process ends, however it ends."""
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        handle = os.open(output, os.O_RDONLY)
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be used as a run folder ({error.strerror or error})") from error
-    try:
-        try:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigError(f"{output}: another depthcli is writing there now") from None
-        except (ImportError, OSError):
-            reporter.info(f"{output}: no locks on this file system; see to it that no other run writes there")
-        yield
-    finally:
-        os.close(handle)
 
 
 def _clean(output: Path) -> None:

@@ -7,6 +7,13 @@ view from a stereo volume, ``da`` and ``apkr`` look at the pixels around. Formul
 
 from __future__ import annotations
 
-from depthcli.confidence.measures import Curves, confidence_maps, curve_measures, measures
+from depthcli.confidence.measures import (
+    Curves,
+    MeasureName,
+    confidence_maps,
+    curve_measures,
+    measure_name,
+    measures,
+)
 
-__all__ = ["Curves", "confidence_maps", "curve_measures", "measures"]
+__all__ = ["Curves", "MeasureName", "confidence_maps", "curve_measures", "measure_name", "measures"]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator
 
 from depthcli.confidence._curves import CURVE_MEASURES, measure_curves, moments
 from depthcli.confidence._neighbors import agreement, average_peak_ratio, mutual_agreement
@@ -36,6 +37,18 @@ _VIEW_MEASURES = ("lrc", "lrd")
 _AGREEMENT_RADIUS = 12
 _PEAK_RADIUS = 2
 _JOINT_RADIUS = 6
+
+
+def measure_name(name: str, *others: str) -> str:
+    """The measure's own spelling of ``name``, in any case; ValueError where it is neither one nor in ``others``."""
+    plain = name.lower()
+    if plain not in (*others, *_DESCRIPTIONS):
+        raise ValueError(f"no confidence measure called {name!r}; one of: {', '.join((*others, *_DESCRIPTIONS))}")
+    return plain
+
+
+MeasureName = Annotated[str, AfterValidator(measure_name)]
+"""A measure as configs name it."""
 
 
 def measures() -> dict[str, str]:

@@ -273,7 +273,7 @@ def _resolve(model: type[BaseModel], data: Any, loc: Location, missing: bool) ->
         if isinstance(here, dict) and isinstance(part, str):
             if part in here or last:
                 out.append(part)
-            here = here.get(part)
+            here = here.get(part, here)  # names of union members and of a flattened field are not in the data
         elif isinstance(here, list) and isinstance(part, int) and part < len(here):
             out.append(part)
             here = here[part]
@@ -300,7 +300,7 @@ def _models(kind: Any, data: Any, location: Location) -> list[type[BaseModel]]:
     """The models that the value at ``location`` may be of, following the data where a family is met."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         flat = kind.model_fields.get(getattr(kind, "flattened", ""))
-        family = _family(flat.metadata) if flat else None
+        family = _family([*flat.metadata, *_inside(flat.annotation)]) if flat else None
         inner = _method(family, data) if family else []
         if not location:
             return [kind, *inner]
@@ -329,6 +329,13 @@ def _models(kind: Any, data: Any, location: Location) -> list[type[BaseModel]]:
         below = data.get(location[0]) if isinstance(data, dict) else None
         return _models(get_args(kind)[1], below, location[1:])
     return []
+
+
+def _inside(annotation: Any) -> list[Any]:
+    """What stands beside the types of an optional annotation."""
+    if get_origin(annotation) is Annotated:
+        return list(get_args(annotation)[1:])
+    return [item for option in get_args(annotation) for item in _inside(option)]
 
 
 def _family(metadata: Iterable[Any]) -> Family | None:

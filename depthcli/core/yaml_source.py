@@ -75,10 +75,12 @@ def read_config(path: Path) -> ConfigData:
         The file cannot be read or is not a YAML mapping. Problems inside it are collected, not raised.
     """
     try:
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise ConfigError(f"{path}: not a regular file")
         with path.open("rb") as file:
             raw = file.read(_MAX_BYTES + 1)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
     if len(raw) > _MAX_BYTES:
         raise ConfigError(f"{path}: larger than 1 MiB; is this a config file?")
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,43 +65,60 @@ class Sparsification:
 
 
 def sparsification(confidence: NDArray[Any], error: NDArray[Any]) -> Sparsification:
-    """Sparsification curve of one confidence measure.
+    """Sparsification curve of one confidence measure; see :func:`sparsifications`."""
+    return sparsifications({"": confidence}, {"": error})["", ""]
+
+
+def sparsifications(
+    confidences: Mapping[str, NDArray[Any]], errors: Mapping[str, NDArray[Any]]
+) -> dict[tuple[str, str], Sparsification]:
+    """Sparsification curves of confidence measures, each for every kind of error.
 
     Pixels of equal confidence have no order among themselves: a share that ends inside such a group gets the
     group's mean error for its part, so the curve does not depend on the order of the pixels.
 
     Parameters
     ----------
-    confidence : (N,) higher is surer, +inf the surest, NaN less sure than any number
-    error : (N,) bool, wrong or right; or float, absolute errors
+    confidences : (N,) higher is surer, +inf the surest, NaN less sure than any number
+    errors : (N,) bool, wrong or right; or float, absolute errors
 
     Raises
     ------
     ValueError
         The lengths differ, or there is no pixel.
     """
-    if confidence.shape != error.shape or confidence.ndim != 1 or confidence.size == 0:
-        raise ValueError(f"want two (N,) arrays, N > 0, got {confidence.shape} and {error.shape}")
-    amount = error.astype(np.float64)
-    errors, auc = _curve(confidence, amount)
-    best, optimal = _curve(-amount, amount)
-    return Sparsification(
-        percentages=PERCENTAGES,
-        errors=tuple(errors.tolist()),
-        best=tuple(best.tolist()),
-        mean=float(amount.mean()),
-        auc=auc,
-        optimal=optimal,
-        auc_5_100=float(np.trapezoid(errors, dx=0.05)),
-        optimal_5_100=float(np.trapezoid(best, dx=0.05)),
-        pixels=int(amount.size),
-    )
+    shapes = {array.shape for array in (*confidences.values(), *errors.values())}
+    if any(len(shape) != 1 or not shape[0] for shape in shapes) or len(shapes) > 1:
+        raise ValueError(f"want (N,) arrays of one length N > 0, got {sorted(shapes)}")
+    amounts = {name: error.astype(np.float64) for name, error in errors.items()}
+    best = {name: _curve(_groups(-amount), amount) for name, amount in amounts.items()}
+    found = {}
+    for confidence, values in confidences.items():
+        groups = _groups(values)
+        for name, amount in amounts.items():
+            (curve, auc), (lowest, optimal) = _curve(groups, amount), best[name]
+            found[confidence, name] = Sparsification(
+                percentages=PERCENTAGES,
+                errors=tuple(curve.tolist()),
+                best=tuple(lowest.tolist()),
+                mean=float(amount.mean()),
+                auc=auc,
+                optimal=optimal,
+                auc_5_100=float(np.trapezoid(curve, dx=0.05)),
+                optimal_5_100=float(np.trapezoid(lowest, dx=0.05)),
+                pixels=int(amount.size),
+            )
+    return found
 
 
-def _curve(confidence: NDArray[Any], error: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def _groups(confidence: NDArray[Any]) -> NDArray[np.intp]:
+    """Number of every pixel's group of equal confidence, the surest first."""
+    # numpy sorts NaN behind everything and takes all of them for one value.
+    return np.unique(-confidence.astype(np.float64), return_inverse=True)[1]
+
+
+def _curve(group: NDArray[np.intp], error: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Mean error at ``PERCENTAGES``, and the integral of the mean error of the surest share p over p in (0, 1]."""
-    # Negated so that the surest come first; numpy sorts NaN behind everything and takes all of them for one value.
-    _, group = np.unique(-confidence.astype(np.float64), return_inverse=True)
     n = error.size
     share = np.append(0, np.cumsum(np.bincount(group))) / n
     total = np.append(0.0, np.cumsum(np.bincount(group, weights=error))) / n

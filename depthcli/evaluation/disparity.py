@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -122,6 +122,10 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         if len(named) > 1:
             raise InputError(f"{inside}: both {named[0].name} and {named[1].name}; keep one method in a folder")
         yield from named
+
+    def looked_for(self, names: Sequence[str]) -> str:
+        """The kit's names too."""
+        return super().looked_for(names).replace("(looked for ", "(looked for SCENE/disp0METHOD.pfm, ")
 
     def read(self, path: Path, item: Item, truth: DisparityTruth) -> Disparity:
         """The map in pixels: a PFM as it is; 8-bit codes have the truth's scale where the settings have none."""

@@ -4,32 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from depthcli.confidence import confidence_maps, measures
+from depthcli.confidence import MeasureName, confidence_maps, measure_name
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap
 from depthcli.core.method import Odd
 from depthcli.core.result import Clock
 from depthcli.fusion.blend import UNIT, add_weighted, blend, squash
-from depthcli.fusion.given import Given
 from depthcli.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
 from depthcli.fusion.weights import comparable, measure_weights
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.stereo.aggregation import Aggregation
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.cost import PartCost
+from depthcli.stereo.finish import finish
 from depthcli.stereo.optimization import Optimization
 from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
-from depthcli.stereo.pipeline.segments import Segments
 from depthcli.stereo.refinement import RefinementStep
-from depthcli.stereo.volume import CostVolume, Evidence, StereoResult
+from depthcli.stereo.segments.steps import SegmentSteps
+from depthcli.stereo.volume import CostVolume, StereoResult
 
+_CONSENSUS = "consensus"
 _LARGEST = 4080  # of voted costs: the fixed point of aggregated costs, which scanline optimizers can sum
 
 
@@ -38,6 +39,8 @@ class Measure(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    flattened: ClassVar[str] = "cost"  # a measure may be written as its cost alone
+
     cost: PartCost | None = Field(None, description="a cost measure of the stereo command")
     volume: str | None = Field(
         None,
@@ -45,7 +48,10 @@ class Measure(BaseModel):
         "folder; {scene} stands for the scene's name",
     )
     scale: float | None = Field(
-        None, gt=0, description="cost that counts as 1 - 1/e, in units of the measure; default: the pair's median cost"
+        None,
+        gt=0,
+        le=1e9,
+        description="cost that counts as 1 - 1/e, in units of the measure; default: the pair's median cost",
     )
 
     @model_validator(mode="before")
@@ -73,15 +79,22 @@ class Consensus(BaseModel):
     window: Odd = Field(
         65, ge=1, le=255, description="side of the window, odd, pixels; votes across color fade to 1/e at half of it"
     )
-    softness: float = Field(15.0, gt=0, description="color change at which a vote fades to 1/e, grey levels")
-    tolerance: int = Field(1, ge=0, description="how far beside its own disparity a vote still counts, pixels")
+    softness: float = Field(15.0, gt=0, le=1e4, description="color change at which a vote fades to 1/e, grey levels")
+    tolerance: int = Field(
+        1, ge=0, le=16384, description="how far beside its own disparity a vote still counts, pixels"
+    )
     vote_cost: float = Field(
-        0.4, ge=0, description="cost of a disparity that no measure votes for, in units of one measure; 0: weights only"
+        0.4,
+        ge=0,
+        le=1e3,
+        description="cost of a disparity that no measure votes for, in units of one measure; 0: weights only",
     )
     rounds: int = Field(
         0, ge=0, le=8, description="further rounds: the optimized map votes, instead of the measures, for its costs"
     )
-    map_vote_cost: float = Field(0.2, gt=0, description="vote_cost of the further rounds, in units of one measure")
+    map_vote_cost: float = Field(
+        0.2, gt=0, le=1e3, description="vote_cost of the further rounds, in units of one measure"
+    )
 
 
 class Fusion(BaseModel):
@@ -95,8 +108,10 @@ class Fusion(BaseModel):
         description="consensus: by the votes for a measure's disparity; confidence: by its confidence alone; equal; "
         "select: only the most confident measure; vote: no costs, only votes",
     )
-    exponent: float = Field(2.0, gt=0, description="weights are proportional to votes or confidence to this power")
-    vote_confidence: str | None = Field(
+    exponent: float = Field(
+        2.0, gt=0, le=8, description="weights are proportional to votes or confidence to this power"
+    )
+    vote_confidence: MeasureName | None = Field(
         "lrc", description="measure that says how much a vote counts; null: all count alike"
     )
     vote_aggregation: Aggregation | None = Field(
@@ -115,39 +130,32 @@ class Fusion(BaseModel):
     outside: float | None = Field(
         None, ge=0, le=1, description="cost of a match outside the right image; default: the mean of the others"
     )
-    segments: dict[str, Any] | None = Field(
+    segments: SegmentSteps | None = Field(
         None,
-        description="parameters of stereo's segment pipeline, without its cost: it then works on the fused costs, "
-        "in the place of optimization and refinement; null: not used",
+        description="stereo's segment pipeline without its cost: it then works on the fused costs, in the place of "
+        "optimization, refinement and confidence; null: not used",
     )
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the disparity map, in order")
-    confidence: tuple[str, ...] = Field(
+    confidence: tuple[Annotated[str, AfterValidator(lambda name: measure_name(name, _CONSENSUS))], ...] = Field(
         (), description="confidence maps to write: measures of the final costs, or 'consensus', the share of votes"
     )
 
-    @field_validator("segments")
-    @classmethod
-    def _segments_fit(cls, fields: dict[str, Any] | None) -> dict[str, Any] | None:
-        if fields is not None:
-            if "cost" in fields:
-                raise ValueError("the cost is the fused one: leave it out")
-            Segments.model_validate({**fields, "cost": "census"})
-        return fields
-
-    @field_validator("vote_confidence")
-    @classmethod
-    def _known_measure(cls, name: str | None) -> str | None:
-        if name is not None and name not in measures():
-            raise ValueError(f"no confidence measure called {name!r}; one of: {', '.join(measures())}")
-        return name
-
-    @field_validator("confidence")
-    @classmethod
-    def _known_measures(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            if name != "consensus" and name not in measures():
-                raise ValueError(f"no confidence measure called {name!r}; one of: consensus, {', '.join(measures())}")
-        return names
+    @model_validator(mode="after")
+    def _nothing_in_vain(self) -> Fusion:
+        if self.segments is None:
+            return self
+        # Further rounds of the vote are those of the optimized map.
+        ignored = ("refinement", "confidence", *(("optimization",) if self.consensus.rounds == 0 else ()))
+        fields = type(self).model_fields
+        errors: list[InitErrorDetails] = [
+            {"type": PydanticCustomError("in_vain", "has no effect beside 'segments', which has its own; leave it out"),
+             "loc": (name,), "input": None}
+            for name in ignored
+            if getattr(self, name) != fields[name].get_default(call_default_factory=True)
+        ]  # fmt: skip
+        if errors:
+            raise ValidationError.from_exception_data("Fusion", errors)
+        return self
 
     def __call__(
         self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]] | None = None
@@ -166,23 +174,15 @@ class Fusion(BaseModel):
         clock = Clock()
         fused = self.fuse(pair, max_disparity, volumes or {}, clock)
         if self.segments is not None:
-            result = Segments.model_validate({**self.segments, "cost": Given(volume=fused.volume)})(pair, max_disparity)
-            result.seconds = clock.seconds | {name: t for name, t in result.seconds.items() if name != "cost"}
-            result.figures |= fused.figures
-            return result
-        volume = self.optimization(fused.volume, pair)
-        left, right = winners(volume.costs)
-        clock.stop("optimization")
-        evidence = Evidence(pair, volume, right)
-        disparity = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
-        for step in self.refinement:
-            disparity = step(disparity, evidence)
-        clock.stop("refinement")
-        confidence = confidence_maps(volume.costs, [name for name in self.confidence if name != "consensus"])
-        if "consensus" in self.confidence:
-            confidence["consensus"] = fused.ballot.shares(left.astype(np.int32)[None])[0]
-        clock.stop("confidence")
-        return StereoResult(disparity, seconds=clock.seconds, confidence=confidence, figures=fused.figures)
+            result = self.segments.from_volume(pair, fused.volume, max_disparity, clock)
+        else:
+            known = [name for name in self.confidence if name != _CONSENSUS]
+            result, found = finish(pair, fused.volume, self.optimization, self.refinement, known, clock)
+            if _CONSENSUS in self.confidence:
+                result.confidence[_CONSENSUS] = fused.ballot.shares(found.astype(np.int32)[None])[0]
+                clock.stop("confidence")
+        result.figures |= fused.figures
+        return result
 
     def fuse(
         self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: Clock | None = None

@@ -21,8 +21,8 @@ Palette = Mapping[int, tuple[str, tuple[int, int, int]]]
 """Bit -> (word, RGB color); 0 is a pixel without any. The first of several bits gives the color, others tint it."""
 
 # Colors that the common kinds of color blindness tell apart (Okabe and Ito, 2008). White as a tint makes pale.
-_LIGHT, _BLACK, _WHITE = (225, 225, 225), (0, 0, 0), (255, 255, 255)
-_BLUE, _SKY, _GREEN, _YELLOW = (0, 114, 178), (86, 180, 233), (0, 158, 115), (240, 228, 66)
+_LIGHT, _PALE, _BLACK, _WHITE = (225, 225, 225), (180, 214, 196), (0, 0, 0), (255, 255, 255)
+_BLUE, _SKY, _YELLOW = (0, 114, 178), (86, 180, 233), (240, 228, 66)
 _ORANGE, _VERMILION, _PURPLE = (230, 159, 0), (213, 94, 0), (204, 121, 167)
 
 STATUS_PALETTE: Palette = {
@@ -32,7 +32,7 @@ STATUS_PALETTE: Palette = {
     Status.OUT_OF_RANGE: ("out of range", _ORANGE),
     Status.NO_DATA: ("no data", _BLACK),
     Status.FILLED: ("filled", _WHITE),
-    Status.SMOOTHED: ("smoothed", _GREEN),
+    Status.SMOOTHED: ("smoothed", _PALE),
 }
 DEPTH_STATUS_PALETTE: Palette = {
     DepthStatus.KEPT: ("kept", _LIGHT),
@@ -41,9 +41,10 @@ DEPTH_STATUS_PALETTE: Palette = {
     DepthStatus.FALLBACK: ("filled from around", _YELLOW),
     DepthStatus.CARRIED: ("carried over", _PURPLE),
     DepthStatus.EMPTY: ("no value", _BLACK),
-    DepthStatus.SMOOTHED: ("smoothed", _GREEN),
+    DepthStatus.SMOOTHED: ("smoothed", _PALE),
 }
 
+_SMOOTHED = int(Status.SMOOTHED)  # the same bit in both
 _TINT = 0.4  # share of every further bit's color
 _ROW, _SWATCH, _MARGIN = 26, 34, 8  # of the legend, pixels
 
@@ -89,7 +90,9 @@ def read_status(path: Path | str) -> NDArray[np.uint8]:
 
 def status_color(value: int, palette: Palette) -> tuple[int, int, int]:
     """RGB color of a pixel with the bits ``value``; black where no bit is in the palette."""
-    colors = [np.array(color, float) for bit, (_, color) in palette.items() if value & bit]
+    # Nearly every pixel is smoothed: that shows only where nothing else is to be said.
+    shown = value if value == _SMOOTHED else value & ~_SMOOTHED
+    colors = [np.array(color, float) for bit, (_, color) in palette.items() if shown & bit]
     if value == 0:
         colors = [np.array(palette[0][1], float)]
     mixed = colors[0] if colors else np.zeros(3)

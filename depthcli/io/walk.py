@@ -69,21 +69,16 @@ def find_items(
 
 
 def item_with_file(file: Path) -> Item | None:
-    """The item that ``file`` belongs to by the layout of its folder, or of the folder above; None where none does."""
+    """The item that ``file`` belongs to by the layout of its folder or of the one above (KITTI); None for none."""
     path = file.absolute()
-    for place in (path.parent, path.parent.parent):
-        folder = Folder(place, place.name, "")
-        for item in (item for each in layouts() for item in each.items(folder)):
-            if path in vars(item).values():
-                return item
+    for place in path.parents[:2]:
+        try:
+            inside = [item for each in layouts() for item in each.items(Folder(place, place.name, ""))]
+        except InputError:
+            continue
+        if holding := [item for item in inside if path in vars(item).values()]:
+            return holding[0]
     return None
-
-
-def names_in_runs(items: Sequence[Item], root: str) -> list[list[str]]:
-    """The names that every item of the folder ``root`` may go by in a run; a short one only where it is one's alone."""
-    short = [item.name.rpartition("/")[2] for item in items]
-    alone = [[name] * (short.count(name) == 1) for name in short]
-    return [[item.name, f"{root}/{item.name}", *name] for item, name in zip(items, alone, strict=True)]
 
 
 def _wanted(kinds: tuple[type[Item], ...] | None, layout: str | None) -> tuple[Layout, ...]:

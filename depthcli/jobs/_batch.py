@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from depthcli.batch.reporter import Reporter
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
+    from depthcli.io.pictures import Palette
 
 _INPUT = Option("input", Path, "Folder of scenes.", "DIR", short="-i")
 OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True)
@@ -65,6 +66,7 @@ class BatchCommand(Command):
         from depthcli.batch.tables import run_table
 
         rows = run_items(self, config, items, values["output"], run_options(values), reporter)
+        self._write_legend(values["output"], rows)
         failed = [row for row in rows if row["status"] == "failed"]
         evaluation = self._evaluation(items, values, reporter) if values.get("evaluate") else None
         if values["json"]:
@@ -79,6 +81,21 @@ class BatchCommand(Command):
             return 1
         return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0
 
+    def palette(self) -> Palette | None:
+        """Colors of the status maps that it writes, or None."""
+        return None
+
+    def legend_values(self) -> tuple[int, ...] | None:
+        """Combinations of bits that the legend shows; None for each bit alone."""
+        return None
+
+    def _write_legend(self, output: Path, rows: list[dict[str, Any]]) -> None:
+        from depthcli.io.pictures import write_legend
+
+        palette = self.palette()
+        if palette is not None and any(row["status"] == "done" for row in rows):
+            write_legend(output / "legend.png", palette, self.legend_values())
+
     def _evaluation(self, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> Any:
         from depthcli.jobs.evaluate import evaluate
 
@@ -88,7 +105,7 @@ class BatchCommand(Command):
         output = values["output"]
         return evaluate(
             [output], values["input"], output / "evaluation", values["scenes"] or ["*"], values["layout"],
-            reporter=reporter,
+            reporter=reporter, kinds=tuple({type(item) for item in items}),
         )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
     from depthcli.core.frames import StereoPair
+    from depthcli.io.pictures import Palette
     from depthcli.stereo.volume import StereoResult
 
 _FEW = 0.5  # share of measured pixels below which a map says so
@@ -38,6 +39,19 @@ class PairCommand(ConfigCommand):
         from depthcli.batch.tables import SIZE, Column, percent
 
         return (SIZE, Column("density", percent("density")), Column("measured", percent("measured")))
+
+    def palette(self) -> Palette:
+        """Of a disparity map's status."""
+        from depthcli.io.pictures import STATUS_PALETTE
+
+        return STATUS_PALETTE
+
+    def legend_values(self) -> tuple[int, ...]:
+        """Each reason, alone and filled."""
+        from depthcli.core.maps import Status
+
+        reasons = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
+        return (0, int(Status.SMOOTHED), *reasons, *(bit | int(Status.FILLED) for bit in reasons))
 
     def settings(self, config: Any, item: StereoItem) -> dict[str, str]:
         """The search range, which may come from a file beside the images."""

@@ -7,7 +7,7 @@ is read and what it scores is up to the scene's protocol (``depthcli/evaluation/
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -34,10 +34,8 @@ class EvaluateCommand(Command):
     @property
     def arguments(self) -> tuple[Option, ...]:
         """The runs."""
-        return (
-            Option("runs", Path, "Run folders, folders of others' maps, or single maps.", "RUN...", many=True,
-                   required=True),
-        )  # fmt: skip
+        about = "Run folders, folders of others' maps, or single maps."
+        return (Option("runs", Path, about, "RUN...", many=True, required=True),)
 
     @property
     def options(self) -> tuple[Option, ...]:
@@ -60,7 +58,8 @@ class EvaluateCommand(Command):
         from depthcli.batch.record import to_json
         from depthcli.evaluation.protocols import Settings, parse_size
 
-        settings = Settings(values["scale"], values["resolution"], values["threshold"], parse_size(values["resize"]))
+        resolution, resize = (values["resolution"] or "").upper() or None, parse_size(values["resize"])
+        settings = Settings(values["scale"], resolution, values["threshold"], resize)
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
             values["protocol"], settings, reporter,
@@ -83,6 +82,7 @@ def evaluate(
     protocol: str | None = None,
     settings: Settings | None = None,
     reporter: Reporter | None = None,
+    kinds: Iterable[type[Item]] | None = None,
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
@@ -99,6 +99,7 @@ def evaluate(
     protocol : its name; None: what every scene names
     settings : what a user said about the evaluation
     reporter : told about progress, failures and suspicions
+    kinds : kinds of item to evaluate; None: all, or what ``protocol`` scores
 
     Raises
     ------
@@ -110,29 +111,32 @@ def evaluate(
     """
     from depthcli.batch.record import to_csv, to_json
     from depthcli.batch.reporter import Reporter
-    from depthcli.evaluation.protocols import Settings
+    from depthcli.evaluation.protocols import Settings, load
     from depthcli.evaluation.results import EvaluationReport, run_names
     from depthcli.io.atomic import write_text
-    from depthcli.io.walk import names_in_runs
 
-    reporter = reporter or Reporter(-1)
-    settings, truth = settings or Settings(), Path(truth)
+    reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), Path(truth)
     places = [Path(run) for run in runs]
     if not places:
         raise InputError("no run to evaluate")
-    for place in places:
-        if not (place.is_dir() or place.is_file()):
-            raise InputError(f"{place}: no such folder")
-    items = _items(truth, scenes, layout, protocol, settings, reporter)
+    if absent := [place for place in places if not (place.is_dir() or place.is_file())]:
+        raise InputError(f"{absent[0]}: no such folder")
+    judge = None if protocol is None else load(protocol)(settings)
+    items = _items(truth, kinds if judge is None else [judge.kind], layout, scenes, reporter)
+    if not items:
+        if judge is None:
+            reporter.info(f"{truth}: in no scene's folder; scored as {_PLAIN} (--protocol says otherwise)")
+        items = [(judge or load(_PLAIN)(settings)).single(truth)]
     if len(items) > 1 and any(place.is_file() for place in places):
         raise InputError(f"a single map wants a single scene, {truth} has {len(items)}: give a file, or --scenes")
     target = None if output is None else Path(output)
-    job = _Job(dict(zip(run_names(places), places, strict=True)), truth, target, protocol, settings)
+    job = _Job(dict(zip(run_names(places), places, strict=True)), truth, target, judge, settings)
     results: list[Result] = []
     with reporter:
         reporter.start(len(items), 0, "evaluate")
-        for item, keys in zip(items, names_in_runs(items, truth.resolve().name), strict=True):
-            results += (found := job.results(item, keys))
+        short = [item.name.rpartition("/")[2] for item in items]
+        for item, name in zip(items, short, strict=True):
+            results += (found := job.results(item, alone=short.count(name) == 1))
             reporter.step(any(result.error for result in found))
     report = EvaluationReport(tuple(job.runs), tuple(results), job.judges, truth)
     if target is not None:
@@ -146,22 +150,14 @@ def evaluate(
     return report
 
 
-def _items(
-    truth: Path, scenes: Sequence[str], layout: str | None, protocol: str | None, settings: Settings, reporter: Reporter
-) -> list[Item]:
-    """The scenes to evaluate: all with ground truth, and those that cannot be used."""
-    from depthcli.evaluation.protocols import load
+def _items(truth: Path, kinds: Any, layout: str | None, scenes: Sequence[str], reporter: Reporter) -> list[Item]:
+    """All scenes with ground truth, and those that cannot be used; of a file, the scene whose truth it is."""
     from depthcli.io.walk import find_items, item_with_file
 
-    judge = None if protocol is None else load(protocol)
     if truth.is_file():
-        item = item_with_file(truth)  # a scene's own file brings the scene's masks, scale and protocol
-        if item is not None:
-            return [item]
-        if judge is None:
-            reporter.info(f"{truth}: in no scene's folder; scored as {_PLAIN} (--protocol says otherwise)")
-        return [(judge or load(_PLAIN))(settings).single(truth)]
-    found = [item for item in find_items(truth, None, layout, scenes, reporter.info) if item.problem or item.has_truth]
+        holding = item_with_file(truth)
+        return [] if holding is None else [holding]
+    found = [item for item in find_items(truth, kinds, layout, scenes, reporter.info) if item.problem or item.has_truth]
     if not any(item.has_truth and not item.problem for item in found):
         if found:
             raise InputError(found[0].problem)
@@ -176,7 +172,7 @@ class _Job:
     runs: dict[str, Path]
     truth: Path
     output: Path | None
-    protocol: str | None
+    judge: Protocol[Any, Any] | None
     settings: Settings
     judges: dict[str, Protocol[Any, Any]] = field(default_factory=dict)
 
@@ -187,31 +183,34 @@ class _Job:
 
         return {run: read_report(place) for run, place in self.runs.items()}
 
-    def results(self, item: Item, keys: Sequence[str]) -> list[Result]:
-        """The results of one scene for every run."""
+    def results(self, item: Item, alone: bool) -> list[Result]:
+        """The results of one scene for every run; ``alone``: no other scene has its short name."""
         from depthcli.evaluation.protocols import load
         from depthcli.evaluation.results import Result
 
-        data_set, name = item.name.rpartition("/")[0] or self.truth.resolve().name, ""
+        folder, _, short = item.name.rpartition("/")
+        start = Result("", item.name, folder or self.truth.resolve().name, "")
+        names = [item.name, f"{self.truth.resolve().name}/{item.name}", *([short] if alone else [])]
         try:
             item.check()
-            if not (self.protocol or item.protocol):
+            if self.judge is None and not item.protocol:
                 raise InputError(f"{item.folder}: {item.name} names no protocol; say which with --protocol")
-            made = load(self.protocol or item.protocol)(self.settings)
-            name = made.name
-            judge = self.judges.setdefault(name, made)
+            judge = self.judge or load(item.protocol)(self.settings)
+            judge = self.judges.setdefault(judge.name, judge)
+            start = replace(start, protocol=judge.name)
             truth = judge.truth(item)
         except DepthcliError as error:
-            return [Result(run, item.name, data_set, name, error=str(error)) for run in self.runs]
-        return [self._result(Result(run, item.name, data_set, name), judge, item, truth, keys) for run in self.runs]
+            return [replace(start, run=run, error=str(error)) for run in self.runs]
+        return [self._result(replace(start, run=run), judge, item, truth, names) for run in self.runs]
 
-    def _result(self, start: Result, judge: Protocol[Any, Any], item: Item, truth: Any, keys: Sequence[str]) -> Result:
+    def _result(self, start: Result, judge: Protocol[Any, Any], item: Item, truth: Any, names: list[str]) -> Result:
         place, rows = self.runs[start.run], self.reports[start.run]
-        row: dict[str, Any] = next((rows[key] for key in keys if key in rows), {})
+        row: dict[str, Any] = next((rows[name] for name in names if name in rows), {})
         try:
-            path = place if place.is_file() else judge.find(place, keys)
+            path = place if place.is_file() else judge.find(place, names)
             if path is None:
-                raise InputError(f"{place}: no map of scene {item.name}{judge.why_missing(keys, row)}")
+                failed = f": the run failed there: {row.get('error')}" if row.get("error") else judge.looked_for(names)
+                raise InputError(f"{place}: no map of scene {item.name}{failed}")
             estimate = judge.read(path, item, truth)
         except DepthcliError as error:
             return replace(start, scores=tuple(judge.missing(truth)), error=str(error))

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
     from depthcli.core.frames import RgbdFrame
+    from depthcli.io.pictures import Palette
     from depthcli.kinect.result import RefinedDepth
 
 _PLAUSIBLE = (0.2, 20.0)  # meters: the median depth of a room
@@ -92,6 +93,12 @@ class RefineKinectCommand(ConfigCommand):
 
         shares = ("known", "kept", "filled", "corrected")
         return (SIZE, *(Column(name, percent(name)) for name in shares))
+
+    def palette(self) -> Palette:
+        """Of a depth map's status."""
+        from depthcli.io.pictures import DEPTH_STATUS_PALETTE
+
+        return DEPTH_STATUS_PALETTE
 
     def compute(self, config: Any, item: Item, folder: Path, memory: int) -> Outcome:
         """Refine a frame, or a sequence from its first frame on.

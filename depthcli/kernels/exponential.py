@@ -9,34 +9,20 @@ import numpy as np
 from depthcli.kernels.jit import intrinsic, jit, types
 
 
-def _float_bits(typingctx: Any, value: Any) -> Any:
-    """The bits of a float32 as int32."""
-    if value != types.float32:
-        return None
-    signature = types.int32(types.float32)
+def _bits_as(source: Any, target: Any) -> Any:
+    """Intrinsic that takes the bits of a ``source`` for a ``target``."""
 
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.bitcast(args[0], context.get_value_type(sig.return_type))
+    def cast(typingctx: Any, value: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            return builder.bitcast(args[0], context.get_value_type(signature.return_type))
 
-    return signature, codegen
+        return (target(source), codegen) if value == source else None
 
-
-float_bits: Any = intrinsic(_float_bits)
+    return intrinsic(cast)
 
 
-def _bits_float(typingctx: Any, value: Any) -> Any:
-    """The float32 with the given int32 bits."""
-    if value != types.int32:
-        return None
-    signature = types.float32(types.int32)
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.bitcast(args[0], context.get_value_type(sig.return_type))
-
-    return signature, codegen
-
-
-bits_float: Any = intrinsic(_bits_float)
+float_bits = _bits_as(types.float32, types.int32)
+bits_float = _bits_as(types.int32, types.float32)
 
 
 @jit

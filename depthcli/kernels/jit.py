@@ -6,6 +6,7 @@ numba reads its settings once, when it is imported. So every kernel takes what i
 from __future__ import annotations
 
 import contextlib
+import copy
 import importlib
 import logging
 import os
@@ -80,6 +81,8 @@ import numba.extending  # noqa: E402
 from numba import float32, int32, prange, types  # noqa: E402
 from numba.core import cgutils  # noqa: E402
 from numba.core.caching import FunctionCache, IndexDataCacheFile  # noqa: E402
+from numba.core.codegen import JITCPUCodegen  # noqa: E402
+from numba.core.compiler import CompileResult  # noqa: E402
 
 __all__ = [
     "CompileWatch", "cache_folder", "cgutils", "compile_seconds", "float32", "int32", "intrinsic", "jit",
@@ -125,12 +128,38 @@ def parallel_jit(function: _F) -> _F:
 
 def _cached(kernel: Any) -> Any:
     """The kernel, kept on disk once it is compiled (what ``cache=True`` does, with our cache)."""
+    kernel._compiler = _Compiler(kernel._compiler)
     if _FOLDER is not None:
         try:
-            kernel._cache = _Cache(kernel.py_func)
+            kernel._cache = _Cache(kernel)
         except (OSError, RuntimeError) as error:
             _say_once(f"compiled kernels cannot be kept ({error}): each process compiles its own")
     return kernel
+
+
+class _Compiler:
+    """Compiles, then loads what it compiled as from disk.
+
+    numba runs a loop of ``prange`` from the first of two copies that were optimized once and twice, but keeps the
+    second on disk: sums of floats differ in their last digits. Loaded into an engine of its own, code is the same.
+    """
+
+    def __init__(self, compiler: Any) -> None:
+        self._compiler = compiler
+        self.compiled: Any = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._compiler, name)
+
+    def compile(self, arguments: Any, return_type: Any) -> Any:
+        """What ``numba.core.dispatcher._FunctionCompiler.compile`` gives."""
+        self.compiled = self._compiler.compile(arguments, return_type)
+        target = self.compiled.target_context
+        own = copy.copy(target)
+        own._internal_codegen = JITCPUCodegen("depthcli")
+        loaded = CompileResult._rebuild(own, *self.compiled._reduce())
+        target.insert_user_function(loaded.entry_point, loaded.fndesc, [loaded.library])
+        return loaded
 
 
 @cache
@@ -168,8 +197,9 @@ def _check(path: str, head: bytes = b"") -> None:
 class _Cache(FunctionCache):
     """Compiled versions of one kernel on disk, where nothing that happens to the files may fail a computation."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
+    def __init__(self, kernel: Any) -> None:
+        super().__init__(kernel.py_func)
+        self._compiler = kernel._compiler
         implementation = self._impl
         self._cache_file = _CheckedFile(
             self._cache_path, implementation.filename_base, implementation.locator.get_source_stamp()
@@ -188,7 +218,7 @@ class _Cache(FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled, where there is room."""
         try:
-            super().save_overload(sig, data)
+            super().save_overload(sig, self._compiler.compiled)
         except Exception as error:
             reason = getattr(error, "strerror", None) or error
             _say_once(f"{_FOLDER}: compiled kernels cannot be kept there ({reason}); each process compiles its own")

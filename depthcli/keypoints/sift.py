@@ -14,7 +14,7 @@ class Sift(Detector):
     """OpenCV's SIFT with its own orientation; the alternative to ``surf``."""
 
     contrast_threshold: float = Field(0.04, gt=0, le=1, description="weaker extrema are dropped, OpenCV's unit")
-    edge_threshold: float = Field(10.0, ge=1, description="largest ratio of the principal curvatures")
+    edge_threshold: float = Field(10.0, ge=1, le=1e4, description="largest ratio of the principal curvatures")
 
     def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
         sift = cv2.SIFT.create(contrastThreshold=self.contrast_threshold, edgeThreshold=self.edge_threshold)

@@ -22,7 +22,7 @@ class Surf(Detector):
     """
 
     threshold: float = Field(
-        5e-6, gt=0, description="smallest determinant of the Hessian, image values in [0, 1]; lower finds more"
+        5e-6, gt=0, le=1, description="smallest determinant of the Hessian, image values in [0, 1]; lower finds more"
     )
     octaves: int = Field(2, ge=1, le=6, description="doublings of the scale searched")
 

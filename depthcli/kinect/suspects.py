@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import parallel_jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 
 NO_JUMP = 255
 _COLUMNS = 64  # a task of the vertical pass: whole cache lines, so that no two threads write to one
@@ -50,41 +49,55 @@ class JumpDistance:
         return result
 
 
-def jump_distance(disparity: NDArray[np.float32], jump: float, slope: float = 0.0) -> JumpDistance:
+def jump_distance(disparity: NDArray[np.float32], jump: float = 1.5, gap_tolerance: float = 2.5) -> JumpDistance:
     """Distance from the jumps of more than ``jump`` between consecutive known pixels of a row or column.
+
+    The shadow that a near surface throws on a far one is as wide as the jump between them. Where a gap in a row is
+    wider, something else lies in it, and either side may have grown over it: both sides count as near.
 
     Parameters
     ----------
     disparity : (H, W) float32, pixels, NaN = unknown; the near side is the larger
     jump : pixels
-    slope : pixels a pixel: over a gap of n pixels a jump is more than ``max(jump, slope (n + 1))``
+    gap_tolerance : a gap is too wide from this many pixels above the jump over it; ``np.inf``: never
     """
     disparity = np.ascontiguousarray(disparity)
     shape = disparity.shape
     row, length, column = (np.full(shape, NO_JUMP, np.uint8) for _ in range(3))
-    _rows(disparity, np.float32(jump), np.float32(slope), row, length)
-    _columns(disparity, np.float32(jump), np.float32(slope), column)
+    _rows(disparity, np.float32(jump), np.float32(gap_tolerance), row, length)
+    _columns(disparity, np.float32(jump), column)
     return JumpDistance(row, column, length)
 
 
+@jit
+def _run_start(d, x, last, jump, tolerance, start):  # type: ignore[no-untyped-def]
+    """Where the near side that ``x`` lies on begins; ``last`` is the known pixel before."""
+    if last < 0:
+        return start
+    apart = abs(d[x] - d[last])
+    if abs(x - last) - 1 > apart + tolerance:
+        return x
+    if apart > jump:
+        return x if d[x] > d[last] else -1
+    return start
+
+
 @parallel_jit
-def _rows(disparity, jump, slope, nearest, length):  # type: ignore[no-untyped-def]
+def _rows(disparity, jump, tolerance, nearest, length):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     for y in prange(height):
         d, out, run = disparity[y], nearest[y], length[y]
         start, last = -1, -1
         for x in range(width):
             if not np.isnan(d[x]):
-                if last >= 0 and abs(d[x] - d[last]) > max(jump, slope * np.float32(x - last)):
-                    start = x if d[x] > d[last] else -1
+                start = _run_start(d, x, last, jump, tolerance, start)
                 last = x
                 if start >= 0:
                     out[x] = min(x - start + 1, 255)
         start, last = -1, -1
         for x in range(width - 1, -1, -1):
             if not np.isnan(d[x]):
-                if last >= 0 and abs(d[x] - d[last]) > max(jump, slope * np.float32(last - x)):
-                    start = x if d[x] > d[last] else -1
+                start = _run_start(d, x, last, jump, tolerance, start)
                 last = x
                 if start >= 0:
                     from_left, from_right = np.int64(out[x]), start - x + 1
@@ -94,7 +107,7 @@ def _rows(disparity, jump, slope, nearest, length):  # type: ignore[no-untyped-d
 
 
 @parallel_jit
-def _columns(disparity, jump, slope, nearest):  # type: ignore[no-untyped-def]
+def _columns(disparity, jump, nearest):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     for task in prange((width + _COLUMNS - 1) // _COLUMNS):
         first = task * _COLUMNS
@@ -112,7 +125,7 @@ def _columns(disparity, jump, slope, nearest):  # type: ignore[no-untyped-def]
                     if not np.isnan(here):
                         if last[i] >= 0:
                             before = disparity[last[i], x]
-                            if abs(here - before) > max(jump, slope * np.float32(abs(y - last[i]))):
+                            if abs(here - before) > jump:
                                 start[i] = y if here > before else -1
                         last[i] = y
                         if start[i] >= 0:

@@ -21,13 +21,11 @@ class Labelling:
     labels : (N,) int32
     energy_before : energy of the initial labels
     energy : energy of ``labels``; never above ``energy_before``
-    sweeps : passes over all labels that were needed
     """
 
     labels: NDArray[np.int32]
     energy_before: float
     energy: float
-    sweeps: int
 
 
 def potts_energy(labels: ArrayLike, unary: ArrayLike, edges: ArrayLike, weights: ArrayLike) -> float:
@@ -81,9 +79,7 @@ def alpha_expansion(
     by_label = np.ascontiguousarray(costs.T)  # a column of a large matrix misses the cache at every node
     keep = costs[np.arange(nodes), labels]
     since_change = 0  # labels tried since the last move that helped: after all of them, nothing can
-    sweeps = 0
-    while sweeps < max_sweeps and since_change < label_count:
-        sweeps += 1
+    for _ in range(max_sweeps):
         for alpha in range(label_count):
             if since_change >= label_count:
                 break
@@ -96,7 +92,7 @@ def alpha_expansion(
             if moved_energy < energy - 1e-9 * max(1.0, abs(energy)):
                 labels, energy, since_change = moved, moved_energy, 0
                 keep = costs[np.arange(nodes), labels]
-    return Labelling(labels, before, energy, sweeps)
+    return Labelling(labels, before, energy)
 
 
 @dataclass(frozen=True)

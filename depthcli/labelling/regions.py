@@ -72,7 +72,7 @@ def _join_all(parent, first, second):  # type: ignore[no-untyped-def]
 
 
 def connected_components(color: NDArray[np.uint8], max_distance: float) -> NDArray[np.int32]:
-    """Label 4-connected pixels of an (H, W, C) image whose Euclidean colour distance is <= ``max_distance``.
+    """Label 4-connected pixels of an (H, W, C) image whose Euclidean color distance is <= ``max_distance``.
 
     Labels (H, W) int32 count from 0 in raster order of the regions' first pixels.
     """
@@ -93,9 +93,9 @@ class RegionGraph:
     Attributes
     ----------
     sizes : (N,) int64 pixels of every region
-    means : (N, C) float64 mean colour of every region
-    edges : (E, 2) int32 pairs i < j of 4-neighbouring regions, sorted
-    boundary : (E,) int64 number of 4-neighbour pixel pairs along the common boundary
+    means : (N, C) float64 mean color of every region
+    edges : (E, 2) int32 pairs i < j of 4-neighboring regions, sorted
+    boundary : (E,) int64 number of 4-neighbor pixel pairs along the common boundary
     """
 
     sizes: NDArray[np.int64]
@@ -123,7 +123,7 @@ def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
 
 
 def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min_size: int) -> NDArray[np.int32]:
-    """Join every region of fewer than ``min_size`` pixels to its neighbour of the nearest mean colour.
+    """Join every region of fewer than ``min_size`` pixels to its neighbor of the nearest mean color.
 
     Regions join in rounds until all are large enough (or only one is left). Labels as in
     :func:`connected_components`.

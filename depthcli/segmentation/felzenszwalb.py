@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.labelling.regions import connected_components_of_labels, merge_small_regions
 from depthcli.segmentation import Segmenter
-from depthcli.segmentation._regions import connected_components_of_labels, merge_small_regions
 
 
 class Felzenszwalb(Segmenter):
@@ -17,7 +17,9 @@ class Felzenszwalb(Segmenter):
 
     scale: float = Field(20.0, gt=0, le=1e6, description="larger values give larger regions, grey levels x pixels")
     sigma: float = Field(0.8, ge=0, le=10, description="of the Gaussian that smooths the image first, pixels")
-    min_size: int = Field(20, ge=1, description="smaller regions join the neighbour of the nearest colour, pixels")
+    min_size: int = Field(
+        20, ge=1, le=10**8, description="smaller regions join the neighbor of the nearest color, pixels"
+    )
 
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
         from skimage.segmentation import felzenszwalb

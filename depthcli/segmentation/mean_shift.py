@@ -12,7 +12,7 @@ from depthcli.segmentation import Segmenter
 
 
 class MeanShift(Segmenter):
-    """Moves every pixel to its mode in the joint space of position and colour; modes that touch are a region.
+    """Moves every pixel to its mode in the joint space of position and color; modes that touch are a region.
 
     Small radii over-segment, which stereo matching wants: a region must not cross a depth edge.
     """
@@ -20,11 +20,13 @@ class MeanShift(Segmenter):
     aliases = ("MS",)
 
     spatial_radius: float = Field(5.0, gt=0, le=50, description="hs, radius of the window, pixels")
-    color_radius: float = Field(6.0, gt=0, le=255, description="hr, radius of the window in colour, grey levels")
+    color_radius: float = Field(6.0, gt=0, le=255, description="hr, radius of the window in color, grey levels")
     join_distance: float = Field(
-        4.0, ge=0, le=442, description="neighbours whose filtered colours are nearer than this are one region"
+        4.0, ge=0, le=442, description="neighbors whose filtered colors are nearer than this are one region"
     )
-    min_size: int = Field(20, ge=1, description="smaller regions join the neighbour of the nearest colour, pixels")
+    min_size: int = Field(
+        20, ge=1, le=10**8, description="smaller regions join the neighbor of the nearest color, pixels"
+    )
 
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
         filtered = cv2.pyrMeanShiftFiltering(

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.labelling.regions import connected_components_of_labels, merge_small_regions
 from depthcli.segmentation import Segmenter
-from depthcli.segmentation._regions import connected_components_of_labels, merge_small_regions
 
 
 class Slic(Segmenter):
@@ -18,7 +18,9 @@ class Slic(Segmenter):
         10.0, gt=0, le=1000, description="weight of distance against color: small values follow edges, large are square"
     )
     iterations: int = Field(10, ge=1, le=100, description="of k-means")
-    min_size: int = Field(20, ge=1, description="smaller regions join the neighbour of the nearest colour, pixels")
+    min_size: int = Field(
+        20, ge=1, le=10**8, description="smaller regions join the neighbor of the nearest color, pixels"
+    )
 
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
         from skimage.segmentation import slic

@@ -1,4 +1,4 @@
-"""Pairs of a colour camera and an infrared-like one, made from ordinary pairs.
+"""Pairs of a color camera and an infrared-like one, made from ordinary pairs.
 
 The truth of the pair holds on: only the right picture's brightness changes, in a way that no global
 curve undoes.

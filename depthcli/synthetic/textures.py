@@ -104,7 +104,7 @@ def bricks(rng: np.random.Generator, height: int, width: int, feature: float) ->
 
 
 def cloth(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Woven stripes of random widths in a few colours."""
+    """Woven stripes of random widths in a few colors."""
     picture = np.empty((height, width, 3), np.float32)
     paints = [color(rng) for _ in range(4)]
     left = 0
@@ -122,7 +122,7 @@ def cloth(rng: np.random.Generator, height: int, width: int, feature: float) -> 
 
 
 def checker(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Tiles in two colours, every tile with its own tone."""
+    """Tiles in two colors, every tile with its own tone."""
     size = max(3, round(feature))
     rows, columns = height // size + 1, width // size + 1
     paints = np.stack([color(rng, (0.25, 0.5)), color(rng, (0.7, 0.95))])
@@ -134,7 +134,7 @@ def checker(rng: np.random.Generator, height: int, width: int, feature: float) -
 
 
 def poster(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Printed poster: coloured shapes and big letters on paper."""
+    """Printed poster: colored shapes and big letters on paper."""
     # OpenCV anti-aliases drawings in 8 bits only.
     picture = np.empty((height, width, 3), np.uint8)
     picture[:] = 255 * color(rng, (0.55, 0.95))

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from depthcli.batch.record import RECORD_FILE
 from depthcli.batch.reporter import Reporter
 from depthcli.batch.runner import Options, Outcome, run_items
+from depthcli.batch.tables import run_table
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
 from depthcli.core.result import Clock
 from depthcli.io.items import Item
@@ -381,3 +382,21 @@ def test_two_runs_do_not_share_a_folder(folder: Folder):
     finally:
         os.close(handle)
     folder.run()
+
+
+def test_of_many_items_the_table_shows_failures_and_totals():
+    rows = [
+        {
+            "scene": f"s{k}",
+            "status": "failed" if k == 7 else "done",
+            "error": "",
+            "seconds": {"a": 1.0},
+            "peak_memory": None,
+        }
+        for k in range(60)
+    ]
+    lines = run_table(rows, ()).splitlines()
+    assert [line.split()[0] for line in lines] == ["scene", "s7", "all"]
+    assert "59 done" in lines[-1]
+    assert "60.00" in lines[-1]
+    assert len(run_table(rows[:50], ()).splitlines()) == 51

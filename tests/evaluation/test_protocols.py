@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.disparity import DisparityProtocol, DisparityTruth, scale_warning
 from depthcli.evaluation.protocols import Settings
@@ -213,7 +213,7 @@ def test_v3_refuses_what_is_no_exact_half_or_quarter(shape):
     [
         ("Motorcycle", 741, None, 4), ("Motorcycle", 1482, None, 2), ("Motorcycle", 2964, None, 1),
         ("Jadeplant", 658, None, 4), ("Teddy", 450, None, 4), ("Teddy", 900, None, 2), ("ArtL", 347, None, 4),
-        ("set/Teddy", 1800, None, 1), ("MyDesk", 700, None, 1), ("MyDesk", 700, "h", 2), ("Motorcycle", 741, "F", 1),
+        ("set/Teddy", 1800, None, 1), ("MyDesk", 700, None, 1), ("MyDesk", 700, "H", 2), ("Motorcycle", 741, "F", 1),
     ],
 )  # fmt: skip
 def test_v3_thresholds_are_those_of_the_full_size(tmp_path, name, width, asked, factor):
@@ -227,8 +227,8 @@ def test_v3_thresholds_are_those_of_the_full_size(tmp_path, name, width, asked, 
         assert pick(scores, "totbad", 2.0).value == expected
     here = {1: "totbad 2", 2: "totbad 2 (1)", 4: "totbad 2 (0.5)"}
     assert pick(scores, "totbad", 2.0).measure.heading == here[factor]
-    with pytest.raises(InputError, match="want F, H or Q"):
-        make("middlebury_v3", resolution="X").truth(item)
+    with pytest.raises(ConfigError, match="want F, H or Q"):
+        Settings(resolution="X")
 
 
 def test_v3_means_weigh_the_hard_scenes_half():

@@ -225,13 +225,40 @@ def test_impossible_configs_are_refused(fields):
 
 def test_the_segment_pipeline_works_on_fused_costs():
     pair = shifted_pair()
-    result = fusion(aggregation=None, segments={"window_radius": 2, "min_plane_size": 20})(pair, 15)
+    make = fusion(aggregation=None, segments={"window_radius": 2, "planes": {"min_size": 20}})
+    result = make(pair, 15)
     assert np.nanmean(np.abs(result.disparity.values[:, 14:] - 7) < 0.6) > 0.9
-    assert "weights" in result.seconds
-    with pytest.raises(ValidationError, match="leave it out"):
-        fusion(segments={"cost": "census"})
-    with pytest.raises(ValidationError, match="windoww"):
-        fusion(segments={"windoww": 3})
+    assert list(result.seconds)[:4] == ["cost", "voters", "weights", "aggregation"]
+    assert "expansion" in result.seconds and "weight_0" in result.figures and "planes" in result.figures
+    dumped = make.model_dump(mode="json", by_alias=True)
+    assert dumped["segments"]["planes"]["min_size"] == 20 and dumped["segments"]["energy"]["data_term"] == "dedc"
+    assert Fusion.model_validate(dumped) == make
+
+
+@pytest.mark.parametrize(
+    ("fields", "place"),
+    [
+        ({"segments": {"cost": "census"}}, ("segments", "cost")),
+        ({"segments": {"windoww": 3}}, ("segments", "windoww")),
+        ({"segments": {"planes": {"mots": 3}}}, ("segments", "planes", "mots")),
+        ({"segments": {}, "refinement": ["subpixel"]}, ("refinement",)),
+        ({"segments": {}, "confidence": ["lrc"]}, ("confidence",)),
+        ({"segments": {}, "optimization": "scanline"}, ("optimization",)),
+    ],
+)
+def test_what_segments_has_of_its_own_or_not_at_all_is_refused(fields, place):
+    with pytest.raises(ValidationError) as caught:
+        fusion(**fields)
+    assert [error["loc"] for error in caught.value.errors()] == [place]
+
+
+def test_what_segments_leaves_as_it_is_may_be_said():
+    fusion(segments={}, refinement=[], confidence=[], optimization="winner_takes_all")
+    fusion(segments={}, optimization="scanline", consensus={"rounds": 1})
+
+
+def test_measures_of_confidence_in_any_case():
+    assert fusion(vote_confidence="LRC", confidence=["PKR", "Consensus"]).confidence == ("pkr", "consensus")
 
 
 def test_a_config_survives_its_own_dump():

@@ -60,7 +60,9 @@ def test_few_and_many_values_keep_their_numbers(tmp_path: Path):
 def test_single_bits_differ_clearly_and_combinations_at_all(palette, flag):
     one = [np.array(status_color(int(bit), palette), float) for bit in [0, *flag]]
     assert min(np.abs(a - b).sum() for a, b in itertools.combinations(one, 2)) > 60
-    assert len({status_color(value, palette) for value in OCCURRING}) >= len(OCCURRING) - 2
+    # That a value was smoothed as well is not shown beside anything else.
+    told_apart = {value if value == int(Status.SMOOTHED) else value & ~int(Status.SMOOTHED) for value in OCCURRING}
+    assert len({status_color(value, palette) for value in OCCURRING}) >= len(told_apart) - 2
 
 
 def test_words(tmp_path: Path):

@@ -129,6 +129,30 @@ def test_a_full_disk_only_means_that_nothing_is_kept(tmp_path: Path):
     assert use(tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "mine"))[0] == 2
 
 
+SUMS = """
+import hashlib, numpy as np
+from depthcli.stereo.segments import energy
+from depthcli.stereo.segments.planes import Members, Planes
+rng = np.random.default_rng(0)
+labels = np.arange(100, dtype=np.int32).reshape(10, 10).repeat(10, 0).repeat(10, 1)
+values = (rng.random((100, 100)) * 50).astype(np.float32)
+planes = Planes(rng.normal(size=(30, 3)) * [0.01, 0.01, 20], np.arange(30), np.zeros((30, 2)))
+sums = energy.discrepancy(values, Members.of(labels), planes, 10.0, 2.0)
+print(hashlib.sha256(sums.tobytes()).hexdigest(), energy._discrepancy.stats.cache_hits.total())
+"""
+
+
+def test_the_process_that_compiles_gives_the_same_bytes_as_those_that_find_the_kernel(tmp_path: Path):
+    """Sums of floats in a loop of ``prange``: numba by itself runs other code than it keeps."""
+    env = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    runs = [
+        subprocess.run([sys.executable, "-c", SUMS], env=env, capture_output=True, text=True, check=True).stdout.split()
+        for _ in range(2)
+    ]
+    assert [found for _, found in runs] == ["0", "1"]
+    assert runs[0][0] == runs[1][0]
+
+
 def test_numba_is_imported_in_one_place_only():
     files = {f for f in (ROOT / "depthcli").rglob("*.py") if re.search(r"^\s*(from|import) numba", f.read_text(), re.M)}
     assert files == {ROOT / "depthcli" / "kernels" / "jit.py"}

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from depthcli.keypoints import KeyPoints
-from depthcli.keypoints._matching import match_rectified
 from depthcli.keypoints.sift import Sift
 from depthcli.keypoints.surf import Surf
+from depthcli.stereo.keypoint_matching import match_rectified
 from tests.naive import segments as naive
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "middlebury_v2"

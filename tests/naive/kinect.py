@@ -3,34 +3,210 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 
 
-def jump_distance_of_line(line, jump, slope):
+def jump_distance_of_line(line, jump, gap_tolerance):
     """(distance to the nearest jump, length of the run) of every pixel of a line, capped at 255."""
     known = [i for i in range(len(line)) if not np.isnan(line[i])]
-    rises, falls = [], []  # first and last pixels of near sides
+    # Every event (a, b): consecutive known pixels; does a near side end at a, does one begin at b?
+    events = []
     for a, b in itertools.pairwise(known):
-        if abs(line[b] - line[a]) > max(jump, slope * (b - a)):
-            (rises if line[b] > line[a] else falls).append((a, b))
+        step = line[b] - line[a]
+        if b - a - 1 > abs(step) + gap_tolerance:
+            events.append((a, b, True, True))
+        elif abs(step) > jump:
+            events.append((a, b, step < 0, step > 0))
     nearest = np.full(len(line), 255)
     length = np.full(len(line), 255)
     for i in known:
-        # The last event a walker from the left met, and the first one from the right.
-        left = max((e for e in rises + falls if e[1] <= i), key=lambda e: e[1], default=None)
-        right = min((e for e in rises + falls if e[0] >= i), key=lambda e: e[0], default=None)
-        from_left = i - left[1] + 1 if left in rises else None
-        from_right = right[0] - i + 1 if right in falls else None
+        left = [e for e in events if e[1] <= i][-1:]
+        right = [e for e in events if e[0] >= i][:1]
+        from_left = i - left[0][1] + 1 if left and left[0][3] else None
+        from_right = right[0][0] - i + 1 if right and right[0][2] else None
         nearest[i] = min([255] + [v for v in (from_left, from_right) if v is not None])
         if from_left is not None and from_right is not None and from_left < 255:
             length[i] = min(255, from_left + from_right - 1)
     return nearest, length
 
 
-def jump_distance(disparity, jump, slope):
+def jump_distance(disparity, jump, gap_tolerance):
     """(row, column, length) as in depthcli.kinect.suspects.jump_distance."""
     height, width = disparity.shape
-    rows = [jump_distance_of_line(disparity[y], jump, slope) for y in range(height)]
-    columns = [jump_distance_of_line(disparity[:, x], jump, slope)[0] for x in range(width)]
+    rows = [jump_distance_of_line(disparity[y], jump, gap_tolerance) for y in range(height)]
+    columns = [jump_distance_of_line(disparity[:, x], jump, np.inf)[0] for x in range(width)]
     return np.array([r[0] for r in rows]), np.array(columns).T, np.array([r[1] for r in rows])
+
+
+def farthest_fit(disparity, jump, tolerance):
+    limit = np.full(disparity.shape, np.inf)
+    for y, row in enumerate(disparity):
+        known = np.flatnonzero(~np.isnan(row))
+        for a, b in itertools.pairwise(known):
+            gap = b - a - 1
+            near, far = max(row[a], row[b]), min(row[a], row[b])
+            if gap and near - far > jump:
+                on_far_side = gap <= near - far + tolerance
+                limit[y, a + 1 : b] = (max(near - gap, far) if on_far_side else near - gap) + tolerance
+    return limit
+
+
+def region_merging(image, levels, complexities, guidance, min_size):
+    """Labels of every layer; ``levels`` is depth in 0 .. 4095, -1 = unknown, or None."""
+    height, width = image.shape[:2]
+    pixels = height * width
+    color = image.reshape(-1, 3).astype(int)
+    depth = None if levels is None else levels.ravel().astype(int)
+    pairs = []
+    for p in range(pixels):
+        for q, inside in ((p + 1, p % width + 1 < width), (p + width, p + width < pixels)):
+            if inside:
+                key = np.abs(color[p] - color[q]).max()
+                if depth is not None and depth[p] >= 0 and depth[q] >= 0:
+                    key = max(key, 255 * abs(depth[p] - depth[q]) // 4095)
+                pairs.append((key, p, q))
+    pairs.sort(key=lambda pair: pair[0])  # stable: else in raster order, right before below
+    regions = np.arange(pixels)
+
+    def bound(size, q, span):
+        spread = min(size, 256) * math.log(1 + size) + math.log(6) + 2 * math.log(pixels)
+        return np.float32(span * span * spread / (2 * q * size))
+
+    def alike(a, b, q):
+        limit = bound(len(a), q, 256) + bound(len(b), q, 256)
+        if ((color[a].mean(axis=0) - color[b].mean(axis=0)) ** 2 > limit).any():
+            return False
+        if depth is None:
+            return True
+        known = [depth[r][depth[r] >= 0] for r in (a, b)]
+        if not all(k.size for k in known):
+            return True
+        limit = sum(bound(k.size, guidance, 4095) for k in known)
+        return (known[0].mean() - known[1].mean()) ** 2 <= limit
+
+    def members(p):
+        return np.flatnonzero(regions == regions[p])
+
+    layers = []
+    for q in complexities:
+        for _, a, b in pairs:
+            if regions[a] != regions[b] and alike(members(a), members(b), q):
+                regions[members(b)] = regions[a]
+        before = regions.copy()
+        for _, a, b in pairs:
+            if regions[a] != regions[b] and min(members(a).size, members(b).size) < min_size:
+                regions[members(b)] = regions[a]
+        _, first, labels = np.unique(regions, return_index=True, return_inverse=True)
+        layers.append(np.argsort(np.argsort(first))[labels].reshape(height, width))
+        regions = before
+    return layers
+
+
+def huber_plane(z, x, y, k, floor, iterations=200):
+    """(3,) coefficients of 1, x, y by iteratively reweighted least squares; the scale as it is after three turns."""
+    basis = np.stack([np.ones_like(x), x, y], axis=1)
+    beta = np.array([np.sort(z)[len(z) // 2], 0, 0])
+
+    def spread(r):
+        return max(1.4826 * np.sort(np.abs(r - np.sort(r)[len(r) // 2]))[len(r) // 2], floor)
+
+    for turn in range(iterations):
+        r = z - basis @ beta
+        if turn < 3:
+            scale = spread(r)
+        w = np.where(np.abs(r) <= k * scale, 1, k * scale / np.maximum(np.abs(r), 1e-300))
+        beta = np.linalg.lstsq(basis * np.sqrt(w)[:, None], z * np.sqrt(w), rcond=None)[0]
+    return beta, spread(z - basis @ beta)
+
+
+def detail(surface, known, labels, scale, reach):
+    """Surface plus smoothed residuals: along rows, then along columns, within runs of one label."""
+    residual = np.clip(known - surface, -3 * scale[labels], 3 * scale[labels])
+    weight = (~np.isnan(residual)).astype(float)
+    residual = np.where(weight > 0, residual, 0)
+    for _ in range(2):
+        sums = [np.zeros(surface.shape), np.zeros(surface.shape)]
+        for y, x in np.ndindex(*surface.shape):
+            for direction in (-1, 1):
+                u = x
+                while 0 <= u < surface.shape[1] and labels[y, u] == labels[y, x]:
+                    if u != x or direction == 1:
+                        near = math.exp(-abs(u - x) / reach)
+                        sums[0][y, x] += near * residual[y, u]
+                        sums[1][y, x] += near * weight[y, u]
+                    u += direction
+        residual, weight = sums[0].T, sums[1].T
+        surface, labels = surface.T, labels.T
+    return surface + residual / (weight + 0.5)
+
+
+def owners(labels, modelled, color, value_at, limit):
+    """The modelled segment that each one joins along the cheapest path (Bellman and Ford)."""
+    count = len(modelled)
+    mean = [color[labels == s].astype(float).mean(axis=0) for s in range(count)]
+    middle = [np.argwhere(labels == s).mean(axis=0) for s in range(count)]
+    most = []
+    for s in range(count):
+        here = limit[labels == s]
+        most.append(here[np.isfinite(here)].mean() if 3 * np.isfinite(here).sum() > here.size else np.inf)
+    touching = {}
+    for a, b in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
+        for s, t in zip(a[a != b], b[a != b], strict=True):
+            for pair in ((s, t), (t, s)):
+                touching[pair] = touching.get(pair, 0) + 1
+    # The queue takes (cost, segment, owner) in order; a segment is settled once.
+    owner = {s: s for s in range(count) if modelled[s]}
+    frontier = [(0.0, s, s) for s in owner]
+    settled = {}
+    while frontier:
+        frontier.sort()
+        cost, s, o = frontier.pop(0)
+        if s in settled:
+            continue
+        settled[s] = o
+        for (a, t), boundary in touching.items():
+            if a == s and t not in settled and not modelled[t]:
+                step = np.abs(mean[s] - mean[t]).sum() + 10 / math.sqrt(boundary)
+                step += 1000 * (value_at(o, *middle[t]) > most[t])
+                frontier.append((cost + step, t, o))
+    return np.array([settled.get(s, -1) for s in range(count)])
+
+
+def carried_labels(labels, own, still, color, trusted, limit, value_at, scale, jump, noise):
+    height, width = labels.shape
+    cost = np.full(labels.shape, np.inf)
+    for y, x in np.ndindex(height, width):
+        s = labels[y, x]
+        if s >= 0 and still[y, x]:
+            value = value_at(s, y, x)
+            off = abs(trusted[y, x] - value)
+            fits = np.isnan(off) or off <= jump + 3 * scale[s]
+            if fits and value <= limit[y, x] + jump:
+                cost[y, x] = 0
+    held = cost == 0
+    labels, own = np.where(held, labels, -1), own.copy()
+    for forward in (True, False):
+        order = list(np.ndindex(height, width))
+        before = [(0, -1), (-1, -1), (-1, 0), (-1, 1)]
+        if not forward:
+            order.reverse()
+            before = [(-dy, -dx) for dy, dx in before]
+        for y, x in order:
+            if held[y, x]:
+                continue
+            steps = [before[0], *sorted(before[1:], key=lambda step: step[1])]
+            for dy, dx in steps:
+                v, u = y + dy, x + dx
+                if not (0 <= v < height and 0 <= u < width) or labels[v, u] < 0:
+                    continue
+                value = value_at(labels[v, u], y, x)
+                total = cost[v, u] + np.abs(color[y, x].astype(int) - color[v, u]).sum()
+                if not np.isnan(trusted[y, x]):
+                    total += 5 / noise * abs(trusted[y, x] - value)
+                if value > limit[y, x]:
+                    total += 1000
+                if total < cost[y, x]:
+                    cost[y, x], labels[y, x], own[y, x] = total, labels[v, u], own[v, u]
+    return labels, own

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
-from depthcli.core.method import Family, Method
+from depthcli.core.method import Family
 from depthcli.stereo.volume import CostVolume
 
 # Parameters of methods that have no default for everything.
@@ -94,7 +94,3 @@ def assert_pure(run: Callable[[], Any], *inputs: NDArray[Any]) -> None:
         np.testing.assert_array_equal(result, results[0])
     for array, copy in zip(inputs, before, strict=True):
         np.testing.assert_array_equal(array, copy)
-
-
-def name_of(method: Method) -> str:
-    return method.method_name()

@@ -11,21 +11,15 @@ from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.keypoints._matching import Matches, consistent
 from depthcli.labelling.regions import region_graph
 from depthcli.stereo.config import StereoConfig
+from depthcli.stereo.keypoint_matching import Matches, consistent
 from depthcli.stereo.pipeline.segments import Segments
 from depthcli.stereo.segments import energy
-from depthcli.stereo.segments.first_estimate import (
-    discourage_outside,
-    search_ranges,
-    search_zones,
-    segment_window,
-    select,
-)
+from depthcli.stereo.segments.first_estimate import FirstEstimate, Selection, segment_window
 from depthcli.stereo.segments.planes import Members, PlaneFit, Planes, distinct, evaluate
-from depthcli.stereo.segments.report import by_segment
-from depthcli.stereo.segments.splitting import split_segments
+from depthcli.stereo.segments.ranges import Ranges, SearchRanges, search_ranges, search_zones
+from depthcli.stereo.segments.splitting import Split
 from depthcli.stereo.volume import CostVolume
 from depthcli.synthetic.stereo_scenes import make_scene
 from tests.naive import segments as naive
@@ -93,7 +87,7 @@ def test_a_segment_has_a_zone_in_every_cell():
     assert zones[0].tolist() == [0, 0, 0, 0, 1, 4, 4] and len(np.unique(zones)) == 6
     assert np.array_equal(search_zones(labels, 100), labels)
     ranges = np.arange(12, dtype=np.int32).reshape(6, 2)
-    assert by_segment(labels, zones, ranges).tolist() == [[0, 7], [8, 11]]
+    assert SearchRanges(zones, ranges).by_segment(labels).tolist() == [[0, 7], [8, 11]]
 
 
 @pytest.mark.parametrize(("dtype", "most"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, np.inf)])
@@ -102,7 +96,9 @@ def test_disparities_outside_the_range_cost_more(dtype, most, penalty):
     rng = np.random.default_rng(7)
     costs = rng.integers(0, 250, (9, 12, 6)).astype(dtype)
     ranges = np.array([[0, 5], [2, 3], [4, 5], [1, 1]], np.int32)
-    volume = discourage_outside(CostVolume(costs.copy(), 2.0), _labels(), ranges, penalty)
+    raw = costs.copy()
+    volume = Ranges(penalty=penalty).discourage(CostVolume(costs, 2.0), SearchRanges(_labels(), ranges))
+    assert np.array_equal(costs, raw)
     assert volume.costs.dtype == dtype
     assert np.array_equal(volume.costs, naive.discourage_outside(costs, _labels(), ranges, 2 * penalty, most))
 
@@ -111,8 +107,8 @@ def test_clear_costs_overrule_a_wrong_range():
     costs = np.full((4, 30, 8), 100, np.uint8)
     costs[:, :, 6] = 0
     ranges = np.array([[0, 3]], np.int32)
-    volume = discourage_outside(CostVolume(costs), np.zeros((4, 30), np.int32), ranges, 40.0)
-    assert np.all(select(volume, 1.0, subpixel=False).values[:, 7:] == 6)
+    volume = Ranges(penalty=40).discourage(CostVolume(costs), SearchRanges(np.zeros((4, 30), np.int32), ranges))
+    assert np.all(Selection()(volume).values[:, 7:] == 6)
 
 
 def test_more_key_points_than_pixels():
@@ -134,21 +130,21 @@ def test_selection_respects_ranges_and_checks_both_views():
     costs[:, 3:, 3] = 0  # the true disparity
     labels = np.zeros((5, 20), np.int32)
     labels[:, 10:] = 1
-    volume = discourage_outside(CostVolume(costs.copy()), labels, np.array([[0, 5], [4, 5]], np.int32), 300)
-    first = select(volume, 0.0, subpixel=False)
+    found = SearchRanges(labels, np.array([[0, 5], [4, 5]], np.int32))
+    first = Selection(tolerance=0)(Ranges(penalty=300).discourage(CostVolume(costs), found))
     assert np.all(first.values[:, 3:10] == 3) and first.trusted[:, 3:10].all()
     assert np.all(first.values[:, 10:] >= 4)
 
 
 def test_equal_costs_are_not_trusted():
-    first = select(CostVolume(np.full((4, 9, 5), 7, np.uint16)), 1.0, subpixel=True)
+    first = Selection(subpixel=True)(CostVolume(np.full((4, 9, 5), 7, np.uint16)))
     assert not first.trusted.any()
 
 
 def test_parabola_finds_the_fraction():
     d = np.arange(8)
     costs = np.broadcast_to(((d - 3.3) ** 2 * 100).astype(np.uint16), (2, 20, 8)).copy()
-    first = select(CostVolume(costs), 1.0, subpixel=True)
+    first = Selection(subpixel=True)(CostVolume(costs))
     assert np.allclose(first.values[:, 8:], 3.3, atol=0.02)
 
 
@@ -171,7 +167,7 @@ def test_degenerate_segments_get_a_flat_plane():
     values = np.array([[1, 2, 3, 4, 5]], np.float32)  # on a line: no plane is determined
     planes = FIT(values, Members.of(np.zeros((1, 5), np.int32)), np.array([0]))
     assert planes.coefficients.tolist() == [[0, 0, 3]]
-    assert FIT.flat(values, Members.of(np.zeros((1, 5), np.int32)), np.array([0])).support.tolist() == [1]
+    assert FIT.constant(values, Members.of(np.zeros((1, 5), np.int32)), np.array([0])).support.tolist() == [1]
 
 
 def test_near_duplicates_are_dropped_and_stood_for():
@@ -225,7 +221,8 @@ def test_only_segments_that_are_not_a_plane_are_cut():
     x = np.mgrid[:64, :128][1]
     values = np.where(x < 64, 5 + 0.1 * x, 10 + 8 * np.sin(x / 12)).astype(np.float32)
     labels = (x >= 64).astype(np.int32)
-    cut = split_segments(labels, values, np.ones((64, 128), bool), 0.5, 0.1, (16,), FIT)
+    first = FirstEstimate(values, np.ones((64, 128), bool), np.zeros((64, 128), np.uint16))
+    cut = Split(cells=(16,), tolerance=0.5)(labels, first, FIT)
     assert len(np.unique(cut[:, :64])) == 1
     assert len(np.unique(cut[:, 64:])) == 16
     assert not set(np.unique(cut[:, :64])) & set(np.unique(cut[:, 64:]))
@@ -309,7 +306,8 @@ def test_tiny_pairs_and_ranges_wider_than_the_image(name, shape):
 
 def test_no_segment_large_enough_gives_one_flat_plane():
     scene = make_scene("planes", seed=1, height=60, width=80, max_disparity=12)
-    result = _preset(min_plane_size=10_000, rounds=1, refinement=())(StereoPair(scene.left, scene.right), 12)
+    planes = _preset().planes.model_copy(update={"min_size": 10_000})
+    result = _preset(planes=planes, rounds=1, refinement=())(StereoPair(scene.left, scene.right), 12)
     assert result.figures["planes"] == 1
     assert len(np.unique(result.disparity.values)) == 1
 
@@ -324,7 +322,7 @@ def test_grey_and_16_bit_pairs():
 
 
 def test_keypoints_none_and_back():
-    for text in ("none", None):
+    for text in ("none", "NONE", None):
         assert Segments.model_validate({"cost": "census", "keypoints": text}).keypoints is None
     sift = Segments.model_validate({"cost": "census", "keypoints": "sift"})
     assert Segments.model_validate({k: v for k, v in sift.model_dump().items() if k != "pipeline"}) == sift

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.evaluation.curves import sparsification
+from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.results import Curve, Result
 from depthcli.evaluation.scores import Measure, Score
 from depthcli.io.disparity import read_plane
@@ -47,6 +47,10 @@ class Settings:
     resolution: str | None = None
     threshold: float | None = None
     resize: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if self.resolution not in (None, "F", "H", "Q"):
+            raise ConfigError(f"resolution: want F, H or Q (got {self.resolution!r})")
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:
@@ -143,7 +147,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """(H, W, 3) RGB picture of where the estimate is wrong, or None."""
         return None
 
-    def rates(self, estimate: Estimate, truth: Truth) -> dict[str, float]:
+    def headlines(self, estimate: Estimate, truth: Truth) -> dict[str, float]:
         """The headline by region."""
         return {s.mask: s.value for s in self.scores(estimate, truth) if s.measure == self.headline}
 
@@ -171,10 +175,8 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """The map of the scene that goes by any of ``names``; InputError where two compete."""
         return next((path for name in names for path in self.candidates(folder, name) if path.is_file()), None)
 
-    def why_missing(self, names: Sequence[str], row: Mapping[str, Any]) -> str:
-        """Why a run has no map of the scene that goes by ``names``, whose row of the run's report is ``row``."""
-        if row.get("error"):
-            return f": the run failed there: {row['error']}"
+    def looked_for(self, names: Sequence[str]) -> str:
+        """Where ``find`` looks, for the message that it found nothing."""
         looked = ", ".join(each.replace("{scene}", "SCENE") + ".*" for each in self.places)
         short = names[0].rpartition("/")[2]
         several = "" if short in names else f"; several scenes are called {short}, so that the name needs its folder"
@@ -210,16 +212,18 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     def curves(self, estimate: Estimate, truth: Truth, confidences: Mapping[str, NDArray[Any]]) -> list[Curve]:
         """Sparsification curves of every confidence map over the estimated pixels: of wrong ones and of the error."""
+        if not confidences:
+            return []
         regions, error, wrong = self.regions(truth), self.error(estimate, truth), self.wrong(estimate, truth)
         masks = [mask for mask in self.curve_masks if mask in regions] or list(regions)[:1]
-        answered = {mask: regions[mask] & ~np.isnan(error) for mask in masks}
-        return [
-            Curve(mask, name, of, sparsification(confidence[region], amount[region]))
-            for mask, region in answered.items()
-            if region.any()
-            for name, confidence in confidences.items()
-            for of, amount in (("bad", wrong), ("error", error))
-        ]
+        made = []
+        for mask in masks:
+            region = regions[mask] & ~np.isnan(error)
+            if region.any():
+                chosen = {name: confidence[region] for name, confidence in confidences.items()}
+                lines = sparsifications(chosen, {"bad": wrong[region], "error": error[region]})
+                made += [Curve(mask, name, of, line) for (name, of), line in lines.items()]
+        return made
 
     def figure_masks(self, masks: Sequence[str]) -> list[str]:
         """Regions that the one figure of a run is taken over, of those present."""

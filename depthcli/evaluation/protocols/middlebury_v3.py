@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.errors import InputError
 from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth, size
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Measure, Score, Tally, float_sum
 from depthcli.io.items import Item
@@ -59,9 +58,7 @@ class MiddleburyV3(DisparityProtocol):
         width = truth.disparity.shape[1]
         name, factor = item.name.rpartition("/")[2], 1
         if self.settings.resolution is not None:
-            if self.settings.resolution.upper() not in _FACTORS:
-                raise InputError(f"resolution: want F, H or Q (got {self.settings.resolution!r})")
-            factor = _FACTORS[self.settings.resolution.upper()]
+            factor = _FACTORS[self.settings.resolution]
         elif name in _SCENES:
             full = _FULL_WIDTHS.get(name, 2800)
             factor = min(_FACTORS.values(), key=lambda f: abs(math.log(full / f / width)))

@@ -147,9 +147,11 @@ class RgbdItem(Item):
         return RgbdTruth(depth, masks, self.fb)
 
     def _depth(self, path: Path) -> NDArray[np.float32]:
-        from depthcli.io.depth import read_depth
+        from depthcli.io.depth import MILLIMETERS, read_depth
 
-        return read_depth(path, None if path.suffix in _METERS else self.depth_scale, 3 if self.rotated else 0)
+        # The usual scale is not passed on: of 8-bit codes, which would hold no usable depth, it must be said.
+        scale = None if path.suffix in _METERS or self.depth_scale == MILLIMETERS else self.depth_scale
+        return read_depth(path, scale, 3 if self.rotated else 0)
 
     def _intrinsics(self) -> Intrinsics | None:
         from depthcli.core.frames import Intrinsics

@@ -42,8 +42,8 @@ class AdaptiveWeight(Aggregator):
     )
 
     window: Odd = Field(33, ge=1, le=99, description="side of the square window, pixels, odd")
-    gamma_color: float = Field(10.0, gt=0, description="color difference that costs a factor e of weight")
-    gamma_space: float = Field(36.0, gt=0, description="distance that costs a factor e of weight, pixels")
+    gamma_color: float = Field(10.0, gt=0, le=1e4, description="color difference that costs a factor e of weight")
+    gamma_space: float = Field(36.0, gt=0, le=1e4, description="distance that costs a factor e of weight, pixels")
     # With AD costs CIELab has 4.8 % bad pixels on the four scenes of 2001-2003, RGB at its best gamma_color (30) 5.0 %;
     # with AD+census both have 3.0 %.
     color_space: Literal["lab", "rgb"] = Field("lab", description="where colors are compared: CIELab or RGB 0..255")

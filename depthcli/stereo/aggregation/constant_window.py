@@ -21,7 +21,7 @@ class ConstantWindow(Aggregator):
 
     aliases = ("CW",)
 
-    window: Odd = Field(11, ge=1, description="side of the window, odd, pixels")
+    window: Odd = Field(11, ge=1, le=1023, description="side of the window, odd, pixels")
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         if volume.costs.dtype != np.uint8:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated
+from typing import Annotated, get_args
 
 from pydantic import AfterValidator, Field
 
@@ -21,7 +21,7 @@ class CostMeasure(Method):
 
 
 Cost = Annotated[CostMeasure, *method_of("depthcli.stereo.cost")]
-Side = Annotated[Odd, Field(ge=1, le=255)]
+Side = Annotated[int, Field(ge=1, le=255), *get_args(Odd)[1:]]
 """Side of a measure's window, pixels."""
 
 

@@ -22,14 +22,16 @@ class Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
 
     cost: PartCost = Field(description="the measure")
-    lambda_: float = Field(alias="lambda", gt=0, description="cost at which the part has risen to 1 - 1/e")
+    lambda_: float = Field(alias="lambda", gt=0, le=1e6, description="cost at which the part has risen to 1 - 1/e")
 
 
 class Combined(CostMeasure):
     """Sum over the parts of ``1 - exp(-C_m / lambda_m)``: every part lies in [0, 1), none can dominate."""
 
     parts: tuple[Part, ...] = Field(min_length=1, max_length=16, description="measures and their lambdas")
-    outside: float = Field(1.0, ge=0, description="cost of a match outside the right image, in units of one part")
+    outside: float = Field(
+        1.0, ge=0, le=16, description="cost of a match outside the right image, in units of one part"
+    )
 
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         unit = 255 // len(self.parts)

@@ -5,8 +5,11 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Annotated
 
+from pydantic import Field
+
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
+from depthcli.stereo.cost import Cost
 from depthcli.stereo.volume import StereoResult
 
 
@@ -20,6 +23,12 @@ class StereoPipeline(Method):
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate of the peak working memory for images of ``shape``, in bytes."""
         raise NotImplementedError
+
+
+class CostPipeline(StereoPipeline):
+    """A pipeline that begins with matching costs."""
+
+    cost: Cost = Field(description="matching cost of two pixels")
 
 
 Pipeline = Annotated[StereoPipeline, *method_of("depthcli.stereo.pipeline", key="pipeline")]

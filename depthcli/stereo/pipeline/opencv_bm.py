@@ -23,11 +23,11 @@ class OpencvBm(StereoPipeline):
 
     block: Odd = Field(15, ge=5, le=255, description="side of the matched block, pixels, odd")
     pre_filter_cap: int = Field(31, ge=1, le=63, description="truncation of the pre-filtered gradients, grey levels")
-    texture: int = Field(10, ge=0, description="blocks with less summed gradient are rejected")
+    texture: int = Field(10, ge=0, le=10**6, description="blocks with less summed gradient are rejected")
     uniqueness: int = Field(10, ge=0, le=100, description="margin of the best cost over the second best, %")
-    left_right: int = Field(1, ge=-1, description="largest left-right difference, pixels; -1: no check")
-    speckle_size: int = Field(100, ge=0, description="regions of fewer pixels are rejected; 0: none")
-    speckle_range: int = Field(2, ge=0, description="largest step inside a region, pixels")
+    left_right: int = Field(1, ge=-1, le=16384, description="largest left-right difference, pixels; -1: no check")
+    speckle_size: int = Field(100, ge=0, le=10**8, description="regions of fewer pixels are rejected; 0: none")
+    speckle_range: int = Field(2, ge=0, le=16384, description="largest step inside a region, pixels")
     wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; none: off")
     fill: bool = Field(True, description="fill what has no value with the background of its row")
 

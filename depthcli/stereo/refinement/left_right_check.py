@@ -24,7 +24,9 @@ class LeftRightCheck(Refinement):
 
     aliases = ("LRC",)
 
-    tolerance: float = Field(1.0, ge=0, description="largest accepted difference of the two disparities, pixels")
+    tolerance: float = Field(
+        1.0, ge=0, le=16384, description="largest accepted difference of the two disparities, pixels"
+    )
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         values, status = disparity.values.copy(), disparity.status.copy()

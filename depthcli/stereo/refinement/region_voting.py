@@ -21,7 +21,7 @@ class RegionVoting(Refinement):
     threshold: int = Field(20, ge=0, le=255, description="color difference that ends an arm, grey levels")
     inner_length: int = Field(17, ge=0, le=255, description="arm length from which inner_threshold holds, pixels")
     inner_threshold: int = Field(6, ge=0, le=255, description="stricter color difference, grey levels")
-    votes: int = Field(20, ge=1, description="a support needs more votes than this")
+    votes: int = Field(20, ge=1, le=10**6, description="a support needs more votes than this")
     majority: float = Field(0.4, ge=0, le=1, description="the winner needs a larger share of the votes than this")
     iterations: int = Field(5, ge=1, le=32, description="rounds; each uses what the last one filled")
 

@@ -16,7 +16,7 @@ _STEPS = 16  # OpenCV filters 16-bit numbers: sixteenths of a pixel, coarser abo
 class SpeckleFilter(Refinement):
     """Remove connected regions of similar disparity that are too small to be trusted (``cv2.filterSpeckles``)."""
 
-    size: int = Field(50, ge=1, description="regions of at most this many pixels are removed")
+    size: int = Field(50, ge=1, le=10**8, description="regions of at most this many pixels are removed")
     step: float = Field(1.0, ge=0, le=64, description="largest disparity step inside a region, pixels")
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:

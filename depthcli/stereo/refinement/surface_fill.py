@@ -24,7 +24,7 @@ class SurfaceFill(Refinement):
 
     rows: int = Field(20, ge=0, le=64, description="rows above and below that the plane is fitted to")
     reach: int = Field(20, ge=1, le=255, description="pixels of each row that the plane is fitted to")
-    support: int = Field(30, ge=3, description="with fewer pixels than this the last value is held")
+    support: int = Field(30, ge=3, le=32768, description="with fewer pixels than this the last value is held")
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         values = disparity.values.copy()

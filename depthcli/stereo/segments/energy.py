@@ -2,15 +2,66 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
 
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.labelling.regions import RegionGraph
+from depthcli.stereo.segments import Step
 from depthcli.stereo.segments.planes import Members, Planes
+from depthcli.stereo.segments.scene import Scene
 from depthcli.stereo.volume import CostVolume
+
+
+class Energy(Step):
+    """What a plane costs in a segment, and different planes in neighboring ones."""
+
+    data_term: Annotated[
+        Literal["dedc", "matching_cost"],
+        BeforeValidator(lambda name: name.lower() if isinstance(name, str) else name),
+    ] = Field("dedc", description="distance from the first disparities, or matching cost")
+    data_weight: float = Field(10.0, ge=0, le=1e6, description="lambda (eq. 2.9), weight of the dedc data term")
+    truncation: float | None = Field(
+        None,
+        gt=0,
+        le=16384,
+        description="largest distance from a first disparity that counts, pixels; null: no limit",
+    )
+    cost_weight: float = Field(10.0, ge=0, le=1e6, description="weight of the matching_cost data term")
+    visibility: float = Field(
+        0.0,
+        ge=0,
+        le=1e6,
+        description="cost of a pixel not trusted that a plane puts in front of what the right view sees",
+    )
+    smoothness: float = Field(
+        25.0, ge=0, le=1e6, description="w (eq. 2.12): cost of a pixel of boundary between two planes"
+    )
+    color_scale: float = Field(
+        150.0,
+        gt=0,
+        le=1e6,
+        description="sigma (eq. 2.12): difference of mean colors that makes boundaries cheap, grey levels",
+    )
+
+    def __call__(self, scene: Scene, volume: CostVolume, planes: Planes) -> NDArray[np.float64]:
+        """Cost of every plane in every segment, (n, L) float64."""
+        unary = out_of_range(scene.everything, scene.width, planes, scene.max_disparity)
+        if self.data_term == "dedc":
+            most = np.inf if self.truncation is None else self.truncation
+            unary += discrepancy(scene.first.values, scene.trusted, planes, self.data_weight, most)
+        else:
+            unary += matching_cost(volume, scene.trusted, planes, self.cost_weight)
+        if self.visibility:
+            unary += visibility(scene.first.right, scene.untrusted, planes, self.visibility)
+        return unary
+
+    def boundaries(self, graph: RegionGraph) -> NDArray[np.float64]:
+        """Cost of different planes on the two sides of every edge, (E,) float64."""
+        return smoothness(graph, self.smoothness, self.color_scale)
 
 
 def discrepancy(

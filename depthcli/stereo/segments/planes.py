@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.stereo.segments import Step
 
 
 @dataclass(frozen=True)
@@ -73,24 +75,21 @@ class Planes:
         )
 
 
-@dataclass(frozen=True)
-class PlaneFit:
-    """RANSAC planes through the disparities of segments, refined by least squares over their inliers.
+class PlaneFit(Step):
+    """RANSAC planes through the disparities of segments, refined by least squares over their inliers."""
 
-    Attributes
-    ----------
-    tolerance : largest distance of an inlier, pixels of disparity
-    trials : triples of pixels tried
-    max_slope : largest \\|a\\| and \\|b\\|
-    flatness : a sloping plane must bring the misfit below this part of the flat plane's (1: no demand)
-    seed : of the random triples; every segment has its own sequence, so the order of work does not matter
-    """
-
-    tolerance: float
-    trials: int
-    max_slope: float
-    flatness: float
-    seed: int
+    tolerance: float = Field(0.5, gt=0, le=16384, description="distance of a RANSAC inlier from the plane, pixels")
+    trials: int = Field(200, ge=1, le=100_000, description="RANSAC samples a segment")
+    max_slope: float = Field(1.0, ge=0, le=16, description="steepest plane, pixels of disparity a pixel")
+    flatness: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="a sloping plane must bring the misfit below this part of a flat one's; 1: no demand",
+    )
+    seed: int = Field(
+        0, ge=0, le=2**31 - 1, description="of the samples; every segment has its own, in any order of work"
+    )
 
     def __call__(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> Planes:
         """One plane for each of the segments ``chosen`` (K,), none of them empty.
@@ -111,9 +110,9 @@ class PlaneFit:
         )  # fmt: skip
         return Planes(coefficients, support, center)
 
-    def flat(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> Planes:
+    def constant(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> Planes:
         """The plane of constant disparity, the median, of each of the segments ``chosen``."""
-        return replace(self, trials=0, max_slope=0.0, flatness=0.0)(values, members, chosen)
+        return self.model_copy(update={"trials": 0, "max_slope": 0.0, "flatness": 0.0})(values, members, chosen)
 
 
 @jit

@@ -1,4 +1,4 @@
-"""What the segment-based pipeline tells beside the map: status, times, figures, tables, pictures."""
+"""What the segment-based pipeline tells beside the map: status, figures, tables, pictures."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.keypoints._matching import Matches
-from depthcli.labelling.graph_cut import potts_energy
-from depthcli.stereo.segments.assignment import Assignment, Scene
+from depthcli.stereo.keypoint_matching import Matches
+from depthcli.stereo.segments.assignment import Assignment
 from depthcli.stereo.segments.first_estimate import FirstEstimate
+from depthcli.stereo.segments.scene import Scene
 
 
 def nothing_known(shape: tuple[int, ...]) -> DisparityMap:
@@ -34,22 +34,6 @@ def finished(values: NDArray[np.float32], first: FirstEstimate) -> DisparityMap:
     reason = np.where(hidden & ~first.trusted, Status.OCCLUDED, Status.MISMATCH) | Status.FILLED
     agrees = first.trusted & (np.abs(values - first.values) <= 1)
     return DisparityMap(values, np.where(agrees, Status.SMOOTHED, reason).astype(np.uint8))
-
-
-def by_segment(labels: NDArray[np.int32], zones: NDArray[np.int32], ranges: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(n, 2) lowest and highest disparity of all zones that a segment of ``labels`` (H, W) overlaps."""
-    limits = np.empty((int(labels.max()) + 1, 2), np.int32)
-    limits[:] = np.iinfo(np.int32).max, -1
-    np.minimum.at(limits[:, 0], labels, ranges[zones, 0])
-    np.maximum.at(limits[:, 1], labels, ranges[zones, 1])
-    return limits
-
-
-def energy_of(
-    labels: NDArray[np.int32], unary: NDArray[np.float64], scene: Scene, weights: NDArray[np.float64]
-) -> float:
-    """Energy (eq. 2.8) of a label for every segment."""
-    return potts_energy(labels, unary, scene.graph.edges, weights)
 
 
 def figures(scene: Scene, assignment: Assignment | None, matches: Matches | None) -> dict[str, float]:

@@ -61,32 +61,34 @@ def match_rectified(
     max_distance : farther descriptors never match; two unit vectors are at most 2 apart
     max_scale_ratio : the larger scale of a match over the smaller, at most
     """
-    order = np.lexsort((right.x, right.y)).astype(np.int32)
-    low = np.searchsorted(right.y[order], left.y - max_row_difference, side="right").astype(np.int32)
-    high = np.searchsorted(right.y[order], left.y + max_row_difference, side="left").astype(np.int32)
-    nearest, distance = _nearest(
-        left.x, left.sign, left.scale, left.descriptors,
-        right.x[order], right.sign[order], right.scale[order], right.descriptors[order],
-        low, high, 0.0, max_disparity, ratio, max_scale_ratio,
-    )  # fmt: skip
-    back_order = np.lexsort((left.x, left.y)).astype(np.int32)
-    low = np.searchsorted(left.y[back_order], right.y - max_row_difference, side="right").astype(np.int32)
-    high = np.searchsorted(left.y[back_order], right.y + max_row_difference, side="left").astype(np.int32)
-    back, _ = _nearest(
-        right.x, right.sign, right.scale, right.descriptors,
-        left.x[back_order], left.sign[back_order], left.scale[back_order], left.descriptors[back_order],
-        low, high, -max_disparity, 0.0, ratio, max_scale_ratio,
-    )  # fmt: skip
-
-    found = np.flatnonzero((nearest >= 0) & (distance <= max_distance))
-    partner = order[nearest[found]]
-    returns = back[partner]
-    mutual = (returns >= 0) & (back_order[returns] == found) if len(found) else np.zeros(0, bool)
-    one, other = found[mutual].astype(np.int32), partner[mutual]
+    limits = (max_row_difference, ratio, max_scale_ratio)
+    nearest, distance = _search(left, right, 0.0, max_disparity, *limits)
+    back, _ = _search(right, left, -max_disparity, 0.0, *limits)
+    one = np.flatnonzero((nearest >= 0) & (distance <= max_distance)).astype(np.int32)
+    one = one[back[nearest[one]] == one]
+    other = nearest[one]
     raster = np.lexsort((left.x[one], left.y[one]))
     one, other = one[raster], other[raster]
     x = left.x[one]
     return Matches(one, other, x, left.y[one], x - right.x[other], distance[one])
+
+
+def _search(
+    points: KeyPoints, others: KeyPoints, low: float, high: float, rows: float, ratio: float, max_scale_ratio: float
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """For every one of ``points`` the index of the nearest of ``others``, -1: none; and its distance.
+
+    ``low`` and ``high`` limit x - x', ``rows`` the difference of y.
+    """
+    order = np.lexsort((others.x, others.y)).astype(np.int32)
+    first = np.searchsorted(others.y[order], points.y - rows, side="right").astype(np.int32)
+    last = np.searchsorted(others.y[order], points.y + rows, side="left").astype(np.int32)
+    nearest, distance = _nearest(
+        points.x, points.sign, points.scale, points.descriptors,
+        others.x[order], others.sign[order], others.scale[order], others.descriptors[order],
+        first, last, low, high, ratio, max_scale_ratio,
+    )  # fmt: skip
+    return np.append(order, np.int32(-1))[nearest], distance
 
 
 @jit

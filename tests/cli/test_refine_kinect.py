@@ -1,0 +1,123 @@
+"""``depthcli refine-kinect``: files, reports, sequences that are killed, bad frames beside good ones."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.core.maps import DepthStatus
+from depthcli.io.depth import read_codes, read_depth
+from depthcli.io.disparity import read_pfm
+from depthcli.io.images import write_png
+from depthcli.io.pictures import read_status
+
+
+@pytest.fixture(scope="module")
+def kinect(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Small simulated frames and two sequences; never write into it."""
+    folder = tmp_path_factory.mktemp("kinect")
+    assert run("sample", "--kinect", "-o", folder, "--width", "96", "--height", "72", "--frames", "4", "-q") == 0
+    return folder
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(a) for a in arguments])
+
+
+def rows(output: Path) -> dict[str, dict[str, object]]:
+    return {row["scene"]: row for row in json.loads((output / "report.json").read_text())["scenes"]}
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    found = [p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("report.")]
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in found}
+
+
+def test_a_frame_gives_depth_status_and_sigma(kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    output = tmp_path / "r"
+    assert run("refine-kinect", "nearest", "-i", kinect, "--scenes", "planes", "-o", output, "--evaluate") == 0
+    assert "Depth: mean absolute error, mm" in capsys.readouterr().out
+    made = output / "planes"
+    names = {"depth.pfm", "depth.png", "sigma.pfm", "status.png", "preview.png", "record.json"}
+    assert {p.name for p in made.iterdir()} == names
+    values, before = read_pfm(made / "depth.pfm"), read_pfm(kinect / "planes" / "depth.pfm")
+    measured = np.isfinite(before)
+    np.testing.assert_array_equal(values[measured], before[measured])
+    assert np.isfinite(values).all()
+    status = read_status(made / "status.png")
+    assert ((status & (DepthStatus.GAP_FILLED | DepthStatus.FALLBACK)) != 0)[~measured].all()
+    assert (status[measured] == 0).all()
+    np.testing.assert_allclose(read_depth(made / "depth.png"), values, atol=0.0006)
+    row = rows(output)["planes"]
+    assert row["known"] == pytest.approx(measured.mean(), abs=1e-5)
+    assert row["filled"] == pytest.approx(1 - measured.mean(), abs=1e-5)
+    assert (output / "legend.png").is_file()
+
+
+def test_a_sequence_is_one_item_and_resumes_with_the_same_bytes(kinect: Path, tmp_path: Path):
+    one = ("refine-kinect", "sequence", "-i", kinect, "--scenes", "moving/*", "-q")
+    assert run(*one, "-o", tmp_path / "a") == 0
+    assert run(*one, "-o", tmp_path / "b", "--threads", "1") == 0
+    whole = files(tmp_path / "a")
+    assert whole == files(tmp_path / "b")
+    assert {f"moving/0000{k}/depth.pfm" for k in range(4)} < set(whole)
+    assert rows(tmp_path / "a")["moving"]["frames"] == 4
+    # A killed run leaves a hidden folder; a lost file of one frame makes the sequence anew.
+    (tmp_path / "b" / ".partial-1" / "0").mkdir(parents=True)
+    (tmp_path / "b" / "moving" / "00002" / "depth.pfm").unlink()
+    assert run(*one, "-o", tmp_path / "b") == 0
+    assert files(tmp_path / "b") == whole
+
+
+def test_frames_of_a_sequence_are_items_for_methods_without_memory(kinect: Path, tmp_path: Path):
+    assert run("refine-kinect", "nearest", "-i", kinect / "static", "-o", tmp_path / "r", "-q") == 0
+    assert set(rows(tmp_path / "r")) == {f"0000{k}" for k in range(4)}
+
+
+def test_bad_frames_beside_good_ones(kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    color = np.zeros((20, 30, 3), np.uint8)
+    depth = np.full((20, 30), 1500, np.uint16)
+    for name, bad in {
+        "eight": depth.astype(np.uint8), "empty": depth * 0, "size": depth[:10], "good": depth, "far": depth * 40,
+    }.items():  # fmt: skip
+        write_png(tmp_path / "in" / name / "color.png", color)
+        write_png(tmp_path / "in" / name / "depth.png", bad)
+    (tmp_path / "in" / "cut").mkdir()
+    shutil.copy(tmp_path / "in" / "good" / "color.png", tmp_path / "in" / "cut" / "color.png")
+    whole = (tmp_path / "in" / "good" / "depth.png").read_bytes()
+    (tmp_path / "in" / "cut" / "depth.png").write_bytes(whole[:-20])
+    assert run("refine-kinect", "nearest", "-i", tmp_path / "in", "-o", tmp_path / "r") == 3
+    found = rows(tmp_path / "r")
+    assert {name for name, row in found.items() if row["status"] == "done"} == {"good", "far"}
+    for name, said in (("eight", "8-bit"), ("empty", "no pixel has a depth"), ("size", "30 x 10"), ("cut", "runcated")):
+        assert said in str(found[name]["error"])
+    err = capsys.readouterr().err
+    assert "Traceback" not in err
+    assert "far: warning: " in err
+    assert "the median depth is 60 m at 1000 codes a meter; --depth-scale 5000 would fit" in err
+    assert (
+        run("refine-kinect", "nearest", "-i", tmp_path / "in" / "far", "-o", tmp_path / "s", "--depth-scale", "5000")
+        == 0
+    )
+    assert "warning" not in capsys.readouterr().err
+    np.testing.assert_array_equal(read_codes(tmp_path / "s" / "far" / "depth.png"), depth * np.uint16(40))
+
+
+def test_single_frames_and_point_clouds(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write_png(tmp_path / "x" / "color.png", np.full((20, 30, 3), 90, np.uint8))
+    write_png(tmp_path / "x" / "depth.png", np.full((20, 30), 1000, np.uint16))
+    one = ("refine-kinect", "nearest", "--color", tmp_path / "x/color.png", "--depth", tmp_path / "x/depth.png")
+    assert run(*one, "-o", tmp_path / "r", "-q") == 0
+    assert list(rows(tmp_path / "r")) == ["x"]
+    assert run(*one, "-o", tmp_path / "p", "--ply") == 3
+    assert "a point cloud wants the camera's intrinsics" in capsys.readouterr().err
+    (tmp_path / "x" / "meta.json").write_text('{"fx": 50, "fy": 50, "cx": 15, "cy": 10}')
+    assert run("refine-kinect", "nearest", "-i", tmp_path / "x", "-o", tmp_path / "p", "--ply", "-q") == 0
+    header = (tmp_path / "p" / "x" / "points.ply").read_bytes()[:80]
+    assert header.startswith(b"ply\nformat binary_little_endian 1.0\nelement vertex 600\n")
+    assert run("refine-kinect", "nearest", "--color", tmp_path / "x/color.png", "-o", tmp_path / "q") == 2

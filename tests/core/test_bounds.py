@@ -1,0 +1,41 @@
+"""Every number that a config may hold has a largest and a smallest value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from depthcli.core.method import Family
+from depthcli.fusion.config import FuseConfig
+from depthcli.stereo.config import StereoConfig
+
+FAMILIES = (
+    "stereo.cost", "stereo.aggregation", "stereo.optimization", "stereo.refinement", "stereo.pipeline",
+    "keypoints", "segmentation",
+)  # fmt: skip
+METHODS = [
+    Family.of(f"depthcli.{name}").load(method) for name in FAMILIES for method in Family.of(f"depthcli.{name}").names()
+]
+MODELS: list[type[BaseModel]] = [*METHODS, FuseConfig, StereoConfig]
+
+
+def unbounded(schema: Any, path: str) -> Iterator[str]:
+    if isinstance(schema, list):
+        for item in schema:
+            yield from unbounded(item, path)
+    if not isinstance(schema, dict):
+        return
+    if schema.get("type") in ("integer", "number") and "enum" not in schema and "const" not in schema:
+        low, high = ({"minimum", "exclusiveMinimum"} & set(schema), {"maximum", "exclusiveMaximum"} & set(schema))
+        if not (low and high):
+            yield path
+    for key, value in schema.items():
+        yield from unbounded(value, path if key in ("anyOf", "properties", "$defs", "items") else f"{path}.{key}")
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
+def test_every_number_has_bounds(model: type[BaseModel]):
+    assert not list(unbounded(model.model_json_schema(mode="validation"), model.__name__))
