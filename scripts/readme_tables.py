@@ -20,7 +20,7 @@ from depthcli.confidence import measures
 from depthcli.core.method import Family
 from depthcli.evaluation import protocols
 from depthcli.io.layouts import layouts
-from depthcli.jobs import command_names, help_of, load_command
+from depthcli.jobs import command_names, help_of
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 MARKS = re.compile(r"(<!-- table: ([\w/-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -46,7 +46,7 @@ def filled(text: str) -> str:
 def table(name: str) -> str:
     """One table as Markdown; KeyError for an unknown name."""
     if name == "commands":
-        return _rows(("command", "what it does"), ((f"`{n}`", help_of(load_command(n))) for n in command_names()))
+        return _rows(("command", "what it does"), ((f"`{n}`", help_of(n)) for n in command_names()))
     if name == "layouts":
         return _rows(("layout", "files"), ((f"`{each.name}`", each.wants) for each in layouts()))
     if name == "protocols":

@@ -50,10 +50,13 @@ class _Commands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in command_names():
             return None
-        command = load_command(cmd_name)
         app = typer.Typer(**_SETTINGS)
-        app.command(cmd_name, help=help_of(command), short_help=help_of(command))(_function(command))
+        app.command(cmd_name, help=help_of(cmd_name))(_function(load_command(cmd_name)))
         return get_command(app)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, help_of(name)) for name in command_names()])
 
 
 app = typer.Typer(name="depthcli", cls=_Commands, no_args_is_help=True, **_SETTINGS)

@@ -76,7 +76,7 @@ def read_config(path: Path) -> ConfigData:
     """
     try:
         if path.exists() and not path.is_file():  # a pipe would be waited for
-            raise ConfigError(f"{path}: not a regular file")
+            raise ConfigError(f"{path}: cannot be read (not a regular file)")
         with path.open("rb") as file:
             raw = file.read(_MAX_BYTES + 1)
     except (OSError, ValueError) as error:

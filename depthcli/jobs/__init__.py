@@ -6,8 +6,9 @@ and ``COMMAND`` the object that does it. Nothing heavy is imported before a comm
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import pkgutil
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -27,7 +28,9 @@ def load_command(name: str) -> Command:
     return command
 
 
-def help_of(command: Command) -> str:
-    """The first paragraph of its module's docstring."""
-    doc = importlib.import_module(type(command).__module__).__doc__ or ""
+def help_of(name: str) -> str:
+    """The first paragraph of its module's docstring, read without importing it: ``--help`` asks all commands."""
+    spec = importlib.util.find_spec(f"{__name__}.{name.replace('-', '_')}")
+    source = "" if spec is None or spec.origin is None else Path(spec.origin).read_text("utf-8")
+    doc = source.split('"""')[1] if source.startswith('"""') else ""
     return " ".join(doc.strip().split("\n\n")[0].split())

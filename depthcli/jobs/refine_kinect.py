@@ -226,8 +226,8 @@ def _doubts(item: RgbdItem, frame: RgbdFrame) -> list[str]:
     if low <= middle <= high and (item.rotated or item.depth.suffix in (".pfm", ".npy")):
         return []
     codes = None if item.depth.suffix in (".pfm", ".npy") else read_codes(item.depth)
-    if codes is not None and not item.rotated and not (codes[codes > 0] & 7).any() and middle > 8:
-        return [f"{item.depth}: every code is a multiple of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
+    if codes is not None and not item.rotated and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
+        return [f"{item.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
     if low <= middle <= high:
         return []
     fitting = [s for s in _USUAL_SCALES if low <= middle * item.depth_scale / s <= high and s != item.depth_scale]

@@ -216,7 +216,7 @@ def test_threads_do_not_change_the_bytes(made_scenes: Path, tmp_path: Path):
     for threads in ("1", "2"):
         assert run("stereo", "fast", *one, "-o", tmp_path / threads, "--threads", threads) == 0
     files = [p.relative_to(tmp_path / "1") for p in (tmp_path / "1").rglob("*") if p.is_file()]
-    assert len(files) == 4 * 5 + 3
+    assert len(files) == 4 * 5 + 4
     for file in files:
         if file.name not in ("report.json", "report.csv"):
             assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes(), file
