@@ -1,7 +1,5 @@
 """Tables of ``transparent``: real scenes of ClearGrasp with emulated sparse stereo.
 
-    python scripts/transparent_experiments.py ../shared/data/transparent/real_d435 [PRESET ...]
-
 The sensor's depth is real, with glass in place; the truth is the depth of the same objects, painted. The sparse
 stereo is emulated from the truth: a share of the pixels, 8 mm of noise, outliers. Scenes are halved in size (nearest
 for depth). Settings were chosen on scene_080 alone.
@@ -12,7 +10,10 @@ figures say how far methods here differ from each other, not from theirs.
 
 from __future__ import annotations
 
-import sys
+import argparse
+import multiprocessing
+import resource
+import time
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import SparseFrame
 from depthcli.io.items.rgbd import RgbdItem
 from depthcli.io.walk import find_items
+from depthcli.labelling.dense_crf import GaussianKernel, TruncatedLinear, mean_field
 from depthcli.synthetic.sparse_depth import sparse_samples
 from depthcli.transparent.config import TransparentConfig
 
@@ -72,11 +74,11 @@ def measures(found: Map, scene: Scene) -> dict[str, float]:
     }
 
 
-def main(arguments: list[str]) -> None:
+def accuracy(folder: Path, presets: list[str]) -> None:
     """Print a line a preset and kind of samples: the mean over the scenes, then MAE by scene."""
-    items = [item for item in find_items(Path(arguments[0]), (RgbdItem,)) if isinstance(item, RgbdItem)]
+    items = [item for item in find_items(folder, (RgbdItem,)) if isinstance(item, RgbdItem)]
     scenes = {item.name: halved(item) for item in items}
-    for preset in arguments[1:] or PRESETS:
+    for preset in presets:
         config = load_config(TransparentConfig, find_config("transparent", preset), [])
         for case, settings in CASES.items():
             rows = []
@@ -92,5 +94,72 @@ def main(arguments: list[str]) -> None:
             print(f"{preset:16} {case:17} {line}  by scene {each}", flush=True)
 
 
+def speed(width: int, height: int, labels: int) -> None:
+    """Print seconds of the mean field solver, in turn with pydensecrf where that is installed, and its memory."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    color = cv2.GaussianBlur(rng.integers(0, 256, (height, width, 3)).astype(np.uint8), (0, 0), 4)
+    color = np.clip(3.0 * (color.astype(np.float32) - 127) + 127, 0, 255).astype(np.uint8)
+    center = (0.3 + 0.2 * np.sin(x / 100) + 0.2 * y / height) * labels
+    label = np.arange(labels, dtype=np.float32)
+    unary = np.minimum(np.abs(label - center.reshape(-1, 1)), 6).astype(np.float32)
+    unary += rng.random(unary.shape, np.float32)
+    place = np.stack([x, y], axis=-1).reshape(-1, 2)
+    wide = np.concatenate([place / 20, color.reshape(-1, 3).astype(np.float32) / 20], axis=1)
+    kernels = [GaussianKernel(wide, 1.0), GaussianKernel(place / 3, 0.3)]
+    mean_field(unary, kernels, TruncatedLinear(8), 5)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    ours, theirs = [], []
+    for _ in range(5):
+        ours.append(_seconds(lambda: mean_field(unary, kernels, TruncatedLinear(8), 5)))
+        theirs.append(_peer(color, unary, label))
+    best = [min(times, key=lambda pair: pair[0]) for times in (ours, theirs)]
+    text = "  ".join(f"{name} {wall:.3f} s ({cpu:.3f} s CPU)" for name, (wall, cpu) in zip(
+        ("ours", "pydensecrf"), best, strict=True))  # fmt: skip
+    print(f"{width} x {height} x {labels}, 5 iterations: {text}  peak memory of the process {memory:.0f} MiB", flush=True)
+
+
+def _seconds(run: Any) -> tuple[float, float]:
+    wall, cpu = time.perf_counter(), time.process_time()
+    run()
+    return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def _peer(color: NDArray[np.uint8], unary: Map, label: Map) -> tuple[float, float]:
+    try:
+        import pydensecrf.densecrf as dcrf  # type: ignore[import-not-found]
+    except ImportError:
+        return float("nan"), float("nan")
+    height, width = color.shape[:2]
+    energies = np.ascontiguousarray(unary.T)
+
+    def run() -> None:
+        crf = dcrf.DenseCRF2D(width, height, unary.shape[1])
+        crf.setUnaryEnergy(energies)
+        crf.addPairwiseGaussian(sxy=3, compat=0.3)
+        crf.addPairwiseBilateral(sxy=20, srgb=20, rgbim=color, compat=1.0)  # Potts: its fastest
+        crf.inference(5)
+
+    return _seconds(run)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", help="frames with masks named 'transparent'")
+    parser.add_argument("--preset", action="append", help="only this one; repeatable")
+    parser.add_argument("--speed", action="store_true", help="time of the CRF solver instead")
+    options = parser.parse_args()
+    if options.speed:
+        spawn = multiprocessing.get_context("spawn")  # a process a size: peak memory never falls again
+        for size in ((320, 240, 64), (640, 480, 32), (640, 480, 64), (1280, 720, 64)):
+            process = spawn.Process(target=speed, args=size)
+            process.start()
+            process.join()
+    elif options.folder is None:
+        parser.error("want a folder, or --speed")
+    else:
+        accuracy(options.folder, options.preset or list(PRESETS))
+
+
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()
