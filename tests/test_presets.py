@@ -30,7 +30,7 @@ SMALL = {
     "stereo": ["--width", "96", "--height", "64", "--max-disparity", "12", "-n", "1"],
     "fuse": ["--width", "96", "--height", "64", "--max-disparity", "12", "-n", "1"],
     "refine-kinect": ["--width", "128", "--height", "96"],
-    "transparent": [],
+    "transparent": ["--width", "128", "--height", "96", "--share", "0.1"],
     "register-confidence": [],
 }
 

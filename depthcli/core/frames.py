@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import cast
 
@@ -139,3 +139,23 @@ class RgbdFrame:
     def disparity(self) -> NDArray[np.float32]:
         """(H, W) float32, ``fb / depth``: affine in (x, y) on planes; pixels, NaN = unknown."""
         return (np.float32(self.fb) / self.depth).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class SparseFrame(RgbdFrame):
+    """A frame with a second, sparse depth from elsewhere: where the sensor is blind, or sees through.
+
+    Attributes
+    ----------
+    sparse : (H, W) float32, meters, NaN = none; registered to ``color``
+    sparse_confidence : (H, W) float32, higher is surer, or None where all count alike
+    """
+
+    sparse: NDArray[np.float32] = field(kw_only=True)
+    sparse_confidence: NDArray[np.float32] | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for values in (self.sparse, self.sparse_confidence):
+            if values is not None and (values.shape != self.shape or values.dtype != np.float32):
+                raise ValueError(f"want float32 sparse maps {self.shape}, got {values.shape} {values.dtype}")

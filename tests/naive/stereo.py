@@ -81,6 +81,19 @@ def gradient(left, right, disparities, truncation, outside):
     )
 
 
+def zncc(left, right, disparities, window, noise, outside):
+    ry, rx = window[1] // 2, window[0] // 2
+
+    def cost(y, x, d):
+        a, b = (_patch(i.astype(float), y, z, ry, rx) for i, z in ((left, x), (right, x - d)))
+        a, b = a - a.mean(), b - b.mean()
+        floor = noise**2
+        correlation = ((a * b).mean() + floor) / np.sqrt(((a * a).mean() + floor) * ((b * b).mean() + floor))
+        return np.clip(1 - correlation, 0, 1)
+
+    return volume(left.shape, disparities, cost, outside)
+
+
 def combined(parts, outside):
     """Eq. 3.6: ``parts`` is a list of (costs, lambda)."""
     total = sum(1 - np.exp(-costs / scale) for costs, scale in parts)

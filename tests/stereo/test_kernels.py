@@ -18,6 +18,7 @@ from depthcli.stereo.cost.census import Census
 from depthcli.stereo.cost.combined import Combined
 from depthcli.stereo.cost.gradient import Gradient
 from depthcli.stereo.cost.rank import Rank
+from depthcli.stereo.cost.zncc import Zncc
 from depthcli.stereo.optimization.scanline import Scanline
 from depthcli.stereo.refinement.background_fill import BackgroundFill
 from depthcli.stereo.refinement.discontinuity_adjustment import DiscontinuityAdjustment
@@ -70,6 +71,21 @@ def test_rank(height, width, disparities, dtype):
     for window in ((9, 9), (3, 1)):
         expected = naive.rank(pair.left, pair.right, disparities, window, 16)
         np.testing.assert_array_equal(Rank(window=window)(pair, disparities).costs, expected)
+
+
+@sizes
+@pytest.mark.parametrize(("window", "noise"), [((9, 9), 2.0), ((1, 3), 0.5), ((5, 1), 20.0)])
+def test_zncc(height, width, disparities, window, noise):
+    pair, cost = random_pair(height, width, False), Zncc(window=window, noise=noise)
+    volume = cost(pair, disparities)
+    expected = naive.zncc(pair.left, pair.right, disparities, window, noise, cost.outside)
+    np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=0.51 / volume.scale + 1e-4)
+
+
+def test_zncc_of_more_rows_than_a_task_takes():
+    pair = random_pair(37, 30, False)
+    expected = naive.zncc(pair.left, pair.right, 6, (5, 7), 2.0, 0.8)
+    np.testing.assert_allclose(Zncc(window=(5, 7))(pair, 6).costs / 250, expected, atol=2.1e-3)
 
 
 @sizes

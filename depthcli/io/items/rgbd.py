@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.core.frames import Intrinsics, RgbdFrame
+    from depthcli.core.frames import Intrinsics, RgbdFrame, SparseFrame
     from depthcli.core.geometry import KinectCalibration
 
 KINECT_BASELINE = 0.075
@@ -56,6 +56,8 @@ class RgbdItem(Item):
     masks : name -> file; a pixel counts where the value is 255
     intrinsics : fx, fy, cx, cy of the color camera, or None
     fb : focal length x baseline, pixel meters; None where the layout does not say it
+    hidden : mask of pixels that the sensor is made not to see (255), where its depth is the true one; or None
+    sparse, sparse_confidence : a second depth map in the same codes, known at some pixels, and how sure it is; or None
     sequence, number : the sequence that the frame belongs to, or empty, and its place there
     """
 
@@ -75,6 +77,9 @@ class RgbdItem(Item):
     masks: dict[str, Path] = field(default_factory=dict)
     intrinsics: tuple[float, float, float, float] | None = None
     fb: float | None = None
+    hidden: Path | None = None
+    sparse: Path | None = None
+    sparse_confidence: Path | None = None
     sequence: str = ""
     number: int = 0
 
@@ -90,6 +95,8 @@ class RgbdItem(Item):
     def input_files(self) -> dict[str, Path]:
         """``color``, ``depth`` and what is known of the cameras."""
         files = {"color": self.color, "depth": self.depth}
+        if self.hidden is not None:
+            files["hidden"] = self.hidden
         return files if self.calibration is None else {**files, "calibration": self.calibration}
 
     @property
@@ -116,7 +123,7 @@ class RgbdItem(Item):
         if self.raw:
             color, depth, intrinsics = self._registered(color)
         else:
-            depth = self._depth(self.depth)
+            depth = self._seen(self._depth(self.depth))
         if depth.shape != color.shape[:2]:
             raise InputError(
                 f"{self.depth}: {depth.shape[1]} x {depth.shape[0]}, but {self.color.name} is {color.shape[1]} x "
@@ -126,6 +133,39 @@ class RgbdItem(Item):
             raise InputError(f"{self.depth}: no pixel has a depth")
         fb = self.fb or (intrinsics.fx if intrinsics else 580.0) * KINECT_BASELINE
         return RgbdFrame(color, depth, fb, intrinsics)
+
+    def load_sparse(self) -> SparseFrame:
+        """The frame with its second, sparse depth.
+
+        Raises
+        ------
+        InputError
+            As for :meth:`load`; no sparse depth, one of another size, or without a single pixel.
+        """
+        import numpy as np
+
+        from depthcli.core.frames import SparseFrame
+        from depthcli.io.disparity import read_plane
+
+        frame = self.load()
+        if self.sparse is None:
+            raise InputError(f"{self.folder}: {self.name} has no sparse depth (sparse.*)")
+        sparse, confidence = self._depth(self.sparse), None
+        if self.sparse_confidence is not None:
+            plane = read_plane(self.sparse_confidence)
+            top = np.iinfo(plane.dtype).max if plane.dtype.kind in "iu" else 1
+            confidence = (plane / top).astype(np.float32)
+        for file, values in ((self.sparse, sparse), (self.sparse_confidence, confidence)):
+            if values is not None and values.shape != frame.shape:
+                raise InputError(
+                    f"{file}: {values.shape[1]} x {values.shape[0]}, but {self.color.name} is {frame.shape[1]} x "
+                    f"{frame.shape[0]}"
+                )
+        if not np.isfinite(sparse).any():
+            raise InputError(f"{self.sparse}: no pixel has a depth")
+        return SparseFrame(
+            frame.color, frame.depth, frame.fb, frame.intrinsics, sparse=sparse, sparse_confidence=confidence
+        )
 
     def truth(self) -> RgbdTruth:
         """True depth and masks; InputError where there is none or sizes differ."""
@@ -152,6 +192,20 @@ class RgbdItem(Item):
         # The usual scale is not passed on: of 8-bit codes, which would hold no usable depth, it must be said.
         scale = None if path.suffix in _METERS or self.depth_scale == MILLIMETERS else self.depth_scale
         return read_depth(path, scale, 3 if self.rotated else 0)
+
+    def _seen(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Without what the sensor is made not to see."""
+        import numpy as np
+
+        from depthcli.io.images import read_grey
+
+        if self.hidden is None:
+            return depth
+        mask = read_grey(self.hidden)
+        if mask.shape != depth.shape:
+            raise InputError(f"{self.hidden}: {mask.shape[1]} x {mask.shape[0]}, but {self.depth.name} is "
+                             f"{depth.shape[1]} x {depth.shape[0]}")  # fmt: skip
+        return np.where(mask == 255, np.float32(np.nan), depth)
 
     def _intrinsics(self) -> Intrinsics | None:
         from depthcli.core.frames import Intrinsics

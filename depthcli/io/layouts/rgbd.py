@@ -19,7 +19,8 @@ class Rgbd(Layout):
 
     kind = RgbdItem
     wants = (
-        "`color.*`, `depth.*`; where known `depth_true.*`, `mask_<name>.*` (255 = evaluate), `meta.json` "
+        "`color.*`, `depth.*`; where known `depth_true.*`, `mask_<name>.*` (255 = evaluate), `sparse.*` (a second "
+        "depth map, known at some pixels) with `sparse_confidence.*`, `meta.json` "
         "(`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, cy; `fb`)"
     )
 
@@ -33,7 +34,8 @@ class Rgbd(Layout):
         missing = "color" if color is None else "depth" if depth is None else ""
         problem = f"{folder.path}: only half of a frame, no {missing}.*" if missing else ""
         color, depth = color or folder.path / "color.png", depth or folder.path / "depth.png"
-        return [frame(folder, folder.name, color, depth, problem, self.name)]
+        sparse = {role: folder.one(role, DEPTH_SUFFIXES) for role in ("sparse", "sparse_confidence")}
+        return [frame(folder, folder.name, color, depth, problem, self.name, **sparse)]
 
 
 def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, layout: str, **more: Any) -> RgbdItem:

@@ -1,0 +1,71 @@
+"""``depthcli transparent`` on generated frames: files, evaluation, what cannot be used."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.io.depth import read_depth
+from depthcli.io.disparity import read_pfm
+from depthcli.io.images import read_image
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("glass")
+    small = ["--width", "128", "--height", "96", "--share", "0.1"]
+    assert main(["sample", "--transparent", *small, "-o", str(folder), "-q"]) == 0
+    return folder
+
+
+def test_files_report_and_evaluation(made, tmp_path, capsys):
+    run = tmp_path / "run"
+    assert main(["transparent", "sparse", "-i", str(made), "-o", str(run), "--evaluate", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    folder = run / "glass_0"
+    names = {"depth.pfm", "depth.png", "sigma.pfm", "status.png", "preview.png", "suspect.png"}
+    assert names <= {path.name for path in folder.iterdir()}
+    depth = read_pfm(folder / "depth.pfm")
+    np.testing.assert_allclose(read_depth(folder / "depth.png"), depth, atol=0.0006)
+    assert np.isfinite(read_pfm(folder / "sigma.pfm")).all()
+    row = document["scenes"][0]
+    replaced = np.mean(read_image(folder / "suspect.png") > 0)
+    assert row["replaced"] == pytest.approx(replaced, abs=1e-6)
+    assert row["kept"] + row["filled"] + row["replaced"] == pytest.approx(1, abs=1e-5)
+    assert {"samples", "fit", "suspects"} <= set(row["seconds"])
+    assert "transparent" in json.dumps(document["evaluation"])
+
+
+def test_what_cannot_be_used_is_a_row_and_the_others_are_written(made, tmp_path, capsys):
+    import shutil
+
+    folder = tmp_path / "in"
+    shutil.copytree(made, folder)
+    (folder / "glass_0" / "sparse.pfm").unlink()
+    assert main(["transparent", "sparse", "-i", str(folder), "-o", str(tmp_path / "run"), "--json"]) == 3
+    rows = json.loads(capsys.readouterr().out)["scenes"]
+    assert [row["status"] for row in rows] == ["failed", "done"]
+    assert "sparse" in rows[0]["error"]
+    assert "\n" not in rows[0]["error"]
+
+
+def test_memory_is_respected(made, tmp_path, capsys):
+    command = ["transparent", "crf", "-i", str(made), "-o", str(tmp_path / "run"), "--max-memory", "20MiB", "--json"]
+    assert main(command) == 3
+    assert "needs about" in json.loads(capsys.readouterr().out)["scenes"][0]["error"]
+
+
+def test_other_sparse_depth_is_another_input(made, tmp_path, capsys):
+    import shutil
+
+    folder = tmp_path / "in"
+    shutil.copytree(made, folder)
+    run = ["transparent", "nearest", "-i", str(folder), "-o", str(tmp_path / "run"), "-q"]
+    assert main(run) == 0
+    before = (tmp_path / "run" / "glass_0" / "depth.pfm").read_bytes()
+    shutil.copy(made / "glass_1" / "sparse.pfm", folder / "glass_0" / "sparse.pfm")
+    assert main([*run, "--overwrite"]) == 0
+    assert (tmp_path / "run" / "glass_0" / "depth.pfm").read_bytes() != before
