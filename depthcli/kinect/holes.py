@@ -17,6 +17,7 @@ from depthcli.kinect.votes import Voters, color_law
 _RATIO = 0.3  # own likelihood of the color over that of what lies behind, below which a pixel is in doubt
 _OWN_REACH = 9  # pixels: what is nearer may lie in the same opening
 _REACH = 36
+_SIGMA_SPACE = 20.0  # pixels
 
 
 def hidden_openings(
@@ -26,7 +27,6 @@ def hidden_openings(
     trusted: NDArray[np.bool_],
     jump: float,
     sigma_color: float,
-    sigma_space: float,
 ) -> NDArray[np.bool_]:
     """(H, W) bool, those of the ``trusted`` pixels that may show through an opening in what was measured.
 
@@ -37,9 +37,9 @@ def hidden_openings(
     voters : every third pixel
     trusted : (H, W) bool, which pixels to ask
     jump : a surface that is farther by more is another one, pixels
-    sigma_color, sigma_space : as in :func:`depthcli.kinect.votes.cast_votes`
+    sigma_color : as in :func:`depthcli.kinect.votes.cast_votes`
     """
-    space = np.exp(-np.arange(_REACH + 1) / sigma_space).astype(np.float32)
+    space = np.exp(-np.arange(_REACH + 1) / _SIGMA_SPACE).astype(np.float32)
     shape = trusted.shape
     doubt = np.zeros(((shape[0] + 1) // 2, (shape[1] + 1) // 2), np.uint8)
     _ask(

@@ -180,3 +180,18 @@ def _rims(disparity, value, slope_x, jump, low, high, rim, bonus):  # type: igno
                 for u in range(last + 1, min(x + BAND, width)):
                     bonus[y, u] = share
             last = x
+
+
+def shadow_rims(disparity: NDArray[np.float32], jump: float) -> NDArray[np.float32]:
+    """(H, W) float32: in gaps that look like shadows the value on their left, else NaN.
+
+    Parameters
+    ----------
+    disparity : (H, W) float32, pixels, NaN = unknown
+    jump : least step, pixels
+    """
+    rim = np.full(disparity.shape, np.nan, np.float32)
+    bonus = np.zeros(disparity.shape, np.float32)
+    level = np.zeros(disparity.shape, np.float32)
+    _rims(disparity, disparity, level, np.float32(jump), np.float32(0), np.float32(0), rim, bonus)
+    return rim

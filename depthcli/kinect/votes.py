@@ -13,6 +13,7 @@ from depthcli.kinect.local_planes import LocalPlanes
 LEVELS = ((1, 6), (3, 36), (9, 108))  # every pixel within 6, every third within 36, every ninth within 108
 _FADE = 20.0  # pixels over which a slope is followed
 _BIN = 5 / 3  # width of a bin of the histogram, multiples of the noise
+_SCALES = 2.0 * 1.1 ** np.arange(32)  # pixels: of the laws of distance that there are tables for
 _LEAST_SHARE = 0.01  # smaller modes are no candidates
 _LEAST_LIKENESS = 0.002  # of colors; where they differ more this counts for them
 
@@ -73,7 +74,7 @@ def cast_votes(
     noise: float,
     candidates: int,
     sigma_color: float,
-    sigma_space: float,
+    sigma_space: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The strongest modes of the votes for the disparity of some pixels.
 
@@ -88,7 +89,8 @@ def cast_votes(
     evidence : what else is known
     noise : of the disparity, pixels
     candidates : K, largest number of modes
-    sigma_color, sigma_space : L1 in 8-bit Lab, pixels
+    sigma_color : L1 in 8-bit Lab
+    sigma_space : (H, W) float32, pixels
 
     Returns
     -------
@@ -104,10 +106,11 @@ def cast_votes(
     low = float(voting[0].min()) - 8 * unit
     bins = int((float(voting[0].max()) - low) / unit) + 10
     reach = max(r for _, r in LEVELS)
-    space = np.exp(-np.arange(reach + 1) / sigma_space).astype(np.float32)
+    space = np.exp(-np.arange(reach + 1) / _SCALES[:, None]).astype(np.float32)
+    scale = np.searchsorted(_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
     near, middle, far = voters
     _vote(
-        pixels, lab, near.planes, near.lab, near.weight, middle.planes, middle.lab, middle.weight,
+        pixels, scale, lab, near.planes, near.lab, near.weight, middle.planes, middle.lab, middle.weight,
         far.planes, far.lab, far.weight, evidence.limit, evidence.beyond, evidence.rim, evidence.bonus,
         color_law(sigma_color), space, np.float32(low), np.float32(unit), bins, values, shares,
     )  # fmt: skip
@@ -148,7 +151,7 @@ def _gather(  # type: ignore[no-untyped-def]
 
 @parallel_jit
 def _vote(  # type: ignore[no-untyped-def]
-    pixels, lab, planes0, colors0, weight0, planes1, colors1, weight1, planes2, colors2, weight2, limit, beyond,
+    pixels, scale, lab, planes0, colors0, weight0, planes1, colors1, weight1, planes2, colors2, weight2, limit, beyond,
     rim, bonus, likeness, space, low, unit, bins, values, shares,
 ):  # fmt: skip
     for block in prange((len(pixels) + 255) // 256):
@@ -160,17 +163,17 @@ def _vote(  # type: ignore[no-untyped-def]
             y, x = pixels[n]
             light, a, b = np.int32(lab[y, x, 0]), np.int32(lab[y, x, 1]), np.int32(lab[y, x, 2])
             extent[0], extent[1] = bins, -1
-            most, factor = limit[y, x], beyond[y, x]
+            most, factor, law = limit[y, x], beyond[y, x], space[scale[n]]
             _gather(
-                y, x, light, a, b, planes0, colors0, weight0, 1, -1, 6, most, factor, likeness, space, low, per_unit,
+                y, x, light, a, b, planes0, colors0, weight0, 1, -1, 6, most, factor, likeness, law, low, per_unit,
                 bins, mass, moment, extent,
             )  # fmt: skip
             _gather(
-                y, x, light, a, b, planes1, colors1, weight1, 3, 6, 36, most, factor, likeness, space, low, per_unit,
+                y, x, light, a, b, planes1, colors1, weight1, 3, 6, 36, most, factor, likeness, law, low, per_unit,
                 bins, mass, moment, extent,
             )  # fmt: skip
             _gather(
-                y, x, light, a, b, planes2, colors2, weight2, 9, 36, 108, most, factor, likeness, space, low, per_unit,
+                y, x, light, a, b, planes2, colors2, weight2, 9, 36, 108, most, factor, likeness, law, low, per_unit,
                 bins, mass, moment, extent,
             )  # fmt: skip
             total = np.float32(0)

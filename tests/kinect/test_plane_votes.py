@@ -66,8 +66,9 @@ def test_votes_are_those_of_the_twin():
     rim[::2] = 23.3
     bonus = np.full(shape, 0.3, np.float32)
     voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
+    sigma = np.full(shape, 2 * 1.1**24, np.float32)  # one of those that there are tables for
     pixels = np.argwhere(rng.random(shape) < 0.01).astype(np.int32)
-    values, shares = cast_votes(pixels, lab, voters, Evidence(limit, beyond, rim, bonus), 0.3, 4, 40.0, 20.0)
+    values, shares = cast_votes(pixels, lab, voters, Evidence(limit, beyond, rim, bonus), 0.3, 4, 40.0, sigma)
     voting = planes.value[(trust > 0) & ~np.isnan(planes.value)]
     unit = 0.3 * 5 / 3
     low = float(voting.min()) - 8 * unit
@@ -75,7 +76,7 @@ def test_votes_are_those_of_the_twin():
     agree = 0
     for n, pixel in enumerate(pixels):
         parts = (planes.value, planes.slope_x, planes.slope_y)
-        mass, moment = naive.histogram(pixel, lab, parts, trust, limit, beyond, low, unit, bins, 40.0, 20.0)
+        mass, moment = naive.histogram(pixel, lab, parts, trust, limit, beyond, low, unit, bins, 40.0, 2 * 1.1**24)
         if not np.isnan(rim[tuple(pixel)]):
             k = int((rim[tuple(pixel)] - low) / unit)
             extra = 0.3 * mass.sum()
@@ -94,7 +95,14 @@ def test_votes_of_nobody():
     lab = np.zeros((*shape, 3), np.uint8)
     voters = [Voters.of(lab, planes, nothing, stride) for stride, _ in LEVELS]
     values, shares = cast_votes(
-        np.array([[0, 0]], np.int32), lab, voters, Evidence(nothing, nothing, nothing, nothing), 0.3, 3, 9.0, 9.0
+        np.array([[0, 0]], np.int32),
+        lab,
+        voters,
+        Evidence(nothing, nothing, nothing, nothing),
+        0.3,
+        3,
+        9.0,
+        nothing + 9,
     )
     assert np.isnan(values).all() and (shares == 0).all()
 
@@ -166,7 +174,7 @@ def test_an_opening_closed_by_the_sensor_is_doubted_for_its_color():
     planes = local_planes(sample.disparity, trust, 0.3)
     lab = lab_of(color)
     near = np.isfinite(sample.disparity) & (np.arange(160) > 58)
-    doubted = hidden_openings(lab, planes, Voters.of(lab, planes, trust, 3), near, 1.5, 11.0, 20.0)
+    doubted = hidden_openings(lab, planes, Voters.of(lab, planes, trust, 3), near, 1.5, 11.0)
     assert doubted[opening].all()
     assert doubted[near & ~cv2.dilate(opening.astype(np.uint8), np.ones((5, 5))).astype(bool)].mean() < 0.01
     refined = PlaneVotes()(sample.frame())

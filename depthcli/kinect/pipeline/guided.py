@@ -1,4 +1,4 @@
-"""Guided filter of a nearest fill, as a peer."""
+"""The guided filter on a filled map, as a peer."""
 
 from __future__ import annotations
 
@@ -8,27 +8,29 @@ from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
+from depthcli.kinect.fill import nearest_fill
 from depthcli.kinect.noise import noise_level
 from depthcli.kinect.outcome import measured_disparity, outcome
 from depthcli.kinect.pipeline import KinectPipeline
-from depthcli.kinect.pipeline.nearest import nearest_fill
 from depthcli.kinect.result import RefinedDepth
 
 
 class Guided(KinectPipeline):
-    """``cv2.ximgproc.guidedFilter`` of the nearest known values, guided by the color image (He et al., PAMI 2013)."""
+    """Gaps are filled with the nearest value, then all is smoothed along the color (He, Sun and Tang, PAMI 2013)."""
 
-    radius: int = Field(8, ge=1, le=256, description="radius of the window, pixels")
-    epsilon: float = Field(100.0, gt=0, le=1e6, description="regularization, squared grey levels")
+    radius: int = Field(8, ge=1, le=100, description="of the filter's windows, pixels")
+    epsilon: float = Field(40.0, gt=0, description="variance of the color that counts as none, square grey levels")
 
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
         clock = Clock()
         measured = measured_disparity(frame)
-        values = cv2.ximgproc.guidedFilter(frame.color, nearest_fill(measured), self.radius, self.epsilon)
-        clock.stop("filter")
+        filled = nearest_fill(measured)
+        clock.stop("fill")
+        values = np.asarray(cv2.ximgproc.guidedFilter(frame.color, filled, self.radius, self.epsilon), np.float32)
+        clock.stop("smoothing")
         noise = noise_level(measured)
-        sigma = np.where(np.isnan(measured), np.float32(np.nan), np.float32(noise)).astype(np.float32)
-        return outcome(frame, values.astype(np.float32), sigma, noise, clock)
+        sigma = np.where(np.isnan(measured), np.nan, noise).astype(np.float32)
+        return outcome(frame, values, sigma, noise, clock)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        return 200 * shape[0] * shape[1]
+        return 250 * shape[0] * shape[1]

@@ -1,4 +1,4 @@
-"""OpenCV's image inpainting on depth, as a peer."""
+"""OpenCV's inpainting of the gaps, as a peer."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from depthcli.kinect.outcome import measured_disparity, outcome
 from depthcli.kinect.pipeline import KinectPipeline
 from depthcli.kinect.result import RefinedDepth
 
-_CODES = {"telea": cv2.INPAINT_TELEA, "navier_stokes": cv2.INPAINT_NS}
-_MOST = 65535
+_ALGORITHMS = {"telea": cv2.INPAINT_TELEA, "navier-stokes": cv2.INPAINT_NS}
 
 
 class Inpaint(KinectPipeline):
-    """``cv2.inpaint`` of the gaps (Telea 2004, or after Bertalmio et al. 2001); it does not look at the color."""
+    """``cv2.inpaint`` on the disparity: gaps are filled from their rims, without the color image.
 
-    algorithm: Literal["telea", "navier_stokes"] = Field("telea", description="which of OpenCV's two algorithms")
-    radius: float = Field(3.0, gt=0, le=64, description="neighborhood of each filled pixel, pixels")
+    The 32-bit version overshoots: values are kept within those measured.
+    """
+
+    algorithm: Literal["telea", "navier-stokes"] = Field("telea", description="fast marching, or fluid dynamics")
+    radius: float = Field(3.0, gt=0, le=50, description="neighborhood that a pixel is filled from, pixels")
 
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
         clock = Clock()
         measured = measured_disparity(frame)
-        gap = np.isnan(measured)
-        # OpenCV inpaints 16-bit codes; the whole range of disparities is spread over them.
-        low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
-        scale = (_MOST - 1) / max(high - low, 1e-6)
-        codes = np.rint((np.where(gap, low, measured) - low) * scale).astype(np.uint16)
-        filled = cv2.inpaint(codes, gap.astype(np.uint8), self.radius, _CODES[self.algorithm])
-        values = np.where(gap, filled / scale + low, measured).astype(np.float32)
+        gaps = np.isnan(measured)
+        values = np.where(gaps, np.float32(0), measured)
+        if gaps.any():
+            values = cv2.inpaint(values, gaps.astype(np.uint8), self.radius, _ALGORITHMS[self.algorithm])
+            values = np.where(gaps, np.clip(values, np.nanmin(measured), np.nanmax(measured)), measured)
         clock.stop("inpainting")
         noise = noise_level(measured)
-        sigma = np.where(gap, np.float32(np.nan), np.float32(noise)).astype(np.float32)
-        return outcome(frame, values, sigma, noise, clock)
+        sigma = np.where(gaps, np.nan, noise).astype(np.float32)
+        return outcome(frame, values.astype(np.float32), sigma, noise, clock)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        return 80 * shape[0] * shape[1]
+        return 60 * shape[0] * shape[1]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
 from depthcli.kinect.choice import CLOSE, choose
+from depthcli.kinect.fill import nearest_fill
 from depthcli.kinect.holes import hidden_openings
 from depthcli.kinect.local_planes import REACH, local_planes
 from depthcli.kinect.noise import noise_level
@@ -41,7 +41,9 @@ class PlaneVotes(KinectPipeline):
     shadows: bool = Field(True, description="use that shadows are as wide as the step they lie at")
     candidates: int = Field(5, ge=1, le=8, description="most candidates a pixel")
     sigma_color: float = Field(11.0, gt=0, le=500, description="L1 difference in 8-bit Lab over which votes fade")
-    sigma_space: float = Field(20.0, gt=0, le=500, description="distance over which votes fade, pixels")
+    sigma_shadow: float = Field(20.0, gt=0, le=30, description="the same in shadows and where they are behind")
+    sigma_space: float = Field(3.0, gt=0, le=30, description="distance over which votes fade, pixels")
+    growth: float = Field(0.3, ge=0, le=5, description="more of it a pixel of distance from what can be trusted")
     smoothness: float = Field(0.1, ge=0, description="cost of neighbors that differ by as much as the noise")
     truncation: float = Field(13.0, gt=0, description="largest difference that costs, multiples of the noise")
     iterations: int = Field(8, ge=1, le=100, description="of the message passing")
@@ -64,12 +66,14 @@ class PlaneVotes(KinectPipeline):
         planes = local_planes(measured, trust, noise)
         limit, beyond = shadow_limits(lab, measured, planes, jump, 3 * noise, belief)
         clock.stop("planes")
+        distance = cv2.distanceTransform((trust == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+        local = self.sigma_space + self.growth * distance
+        hidden = np.where(known, belief, np.clip(np.log(beyond) / np.log(0.06), 0, 1))
+        sigma_space = (local ** (1 - hidden) * self.sigma_shadow**hidden).astype(np.float32)
         for step in range(self.passes):
             voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
             if step == 0 and self.openings is not None:
-                opened = hidden_openings(
-                    lab, planes, voters[1], known & ~suspect, jump, self.sigma_color, self.sigma_space
-                )
+                opened = hidden_openings(lab, planes, voters[1], known & ~suspect, jump, self.sigma_color)
                 right = np.where(opened, np.minimum(right, np.float32(self.openings)), right)
                 suspect |= opened
                 clock.stop("openings")
@@ -77,9 +81,7 @@ class PlaneVotes(KinectPipeline):
             rim, bonus = left_rims(measured, planes, jump, belief)
             bonus = np.where(known, bonus * (1 - right), bonus).astype(np.float32)
             evidence = Evidence(limit, beyond, rim, bonus)
-            votes = cast_votes(
-                pixels, lab, voters, evidence, noise, self.candidates, self.sigma_color, self.sigma_space
-            )
+            votes = cast_votes(pixels, lab, voters, evidence, noise, self.candidates, self.sigma_color, sigma_space)
             clock.stop("votes")
             chosen = choose(
                 pixels, *votes, lab, measured, right, suspect, planes,
@@ -93,24 +95,10 @@ class PlaneVotes(KinectPipeline):
             planes = local_planes(refined, trust, noise)
             clock.stop("planes")
         fallback = np.isnan(planes.value)
-        values = _nearest(planes.value)
+        values = nearest_fill(planes.value)
         sigma = np.maximum(planes.scale, np.float32(noise / (2 * REACH + 1)))
         return outcome(frame, values, sigma.astype(np.float32), noise, clock, fallback)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Candidates, messages and weights of every pixel, should all be suspects."""
         return (60 * self.candidates + 200) * shape[0] * shape[1]
-
-
-def _nearest(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Unknown values take that of the nearest known one."""
-    unknown = np.isnan(values)
-    if not unknown.any():
-        return values
-    _, label = cv2.distanceTransformWithLabels(
-        unknown.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    table = np.full(int(label.max()) + 1, np.nan, np.float32)
-    table[label[~unknown]] = values[~unknown]
-    filled: NDArray[np.float32] = table[label]
-    return filled
