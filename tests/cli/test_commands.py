@@ -236,6 +236,8 @@ def test_ctrl_c_leaves_a_run_to_go_on_with(made_scenes: Path, tmp_path: Path, jo
     process_ = subprocess.Popen(
         [sys.executable, "-m", "depthcli", *map(str, command)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        # Tests that run in the background of a shell inherit an ignored SIGINT.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     deadline = time.monotonic() + 60
     while not list((tmp_path / "run").glob("*/record.json")) and time.monotonic() < deadline:
