@@ -116,7 +116,7 @@ def speed(width: int, height: int, labels: int) -> None:
     best = [min(times, key=lambda pair: pair[0]) for times in (ours, theirs)]
     text = "  ".join(f"{name} {wall:.3f} s ({cpu:.3f} s CPU)" for name, (wall, cpu) in zip(
         ("ours", "pydensecrf"), best, strict=True))  # fmt: skip
-    print(f"{width} x {height} x {labels}, 5 iterations: {text}  peak memory {memory:.0f} MiB", flush=True)
+    print(f"{width} x {height} x {labels}, 5 iterations: {text}  peak of the process {memory:.0f} MiB", flush=True)
 
 
 def _seconds(run: Any) -> tuple[float, float]:

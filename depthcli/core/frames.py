@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.rig import Rig
+
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
@@ -139,6 +141,33 @@ class RgbdFrame:
     def disparity(self) -> NDArray[np.float32]:
         """(H, W) float32, ``fb / depth``: affine in (x, y) on planes; pixels, NaN = unknown."""
         return (np.float32(self.fb) / self.depth).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class RgbIrFrame:
+    """A color image, an infrared one, and the depth that a sensor measured for the color image's pixels.
+
+    Attributes
+    ----------
+    color : (H, W, 3) uint8 RGB
+    infrared : (h, w) uint8; without a rig of the color image's size
+    depth : (H, W) float32, meters, NaN = unknown; registered to ``color``
+    rig : the two cameras, or None where the images are rectified, the infrared one the right view
+    fb : focal length x baseline of a rectified pair, pixel meters
+    """
+
+    color: NDArray[np.uint8]
+    infrared: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    rig: Rig | None = None
+    fb: float = 1.0
+
+    def __post_init__(self) -> None:
+        RgbdFrame(self.color, self.depth)
+        if self.infrared.ndim != 2 or self.infrared.dtype != np.uint8:
+            raise ValueError(f"want (h, w) uint8 infrared, got {self.infrared.shape} {self.infrared.dtype}")
+        if self.rig is None and self.infrared.shape != self.depth.shape:
+            raise ValueError(f"a rectified pair has one size, got {self.depth.shape} and {self.infrared.shape}")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Depth of transparent objects: a sensor that sees through them, and sparse depth from elsewhere."""
+"""Depth of transparent objects: a sensor that sees through them, and stereo with infrared or other sparse depth."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
+    from depthcli.core.frames import SparseFrame
+    from depthcli.core.result import Result
 
 
 class TransparentCommand(ConfigCommand):
@@ -31,12 +33,15 @@ class TransparentCommand(ConfigCommand):
 
     def files(self, config: Any, item: RgbdItem) -> dict[str, Path]:
         """The frame's files and the sparse depth's."""
+        if config.stereo is not None:
+            return super().files(config, item)
         sparse = {"sparse": item.sparse, "sparse_confidence": item.sparse_confidence}
         return super().files(config, item) | {role: file for role, file in sparse.items() if file is not None}
 
     def settings(self, config: Any, item: RgbdItem) -> dict[str, str]:
         """What the layout says about the files."""
-        return {"depth_scale": str(config.depth_scale or item.depth_scale)}
+        said = {"depth_scale": str(config.depth_scale or item.depth_scale)}
+        return said | {"max_disparity": str(getattr(item, "max_disparity", None))}
 
     def columns(self) -> tuple[Column, ...]:
         """Size, and the shares of pixels that were kept, filled and replaced."""
@@ -62,11 +67,15 @@ class TransparentCommand(ConfigCommand):
         clock = Clock()
         if config.depth_scale is not None:
             item = replace(item, depth_scale=config.depth_scale)
-        frame = item.load_sparse()
-        _check_memory(config, frame.shape, memory)
+        frame, stereo = self._sparse(config, item, memory)
         clock.stop("load")
         result = config.pipeline(frame)
+        result.seconds = stereo.seconds | result.seconds
+        result.figures |= stereo.figures
+        result.pictures |= stereo.pictures
+        result.confidence |= stereo.confidence
         clock.stop("other")
+        clock.seconds["load"] = max(clock.seconds["load"] - sum(stereo.seconds.values()), 0.0)
         clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
         status = result.depth.status
         facts = {
@@ -85,11 +94,38 @@ class TransparentCommand(ConfigCommand):
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
         return Outcome(facts, seconds)
 
+    def _sparse(self, config: Any, item: RgbdItem, memory: int) -> tuple[SparseFrame, Result]:
+        """The frame with sparse depth, and what stereo has to say where it comes from there."""
+        import numpy as np
 
-def _check_memory(config: Any, shape: tuple[int, int], memory: int) -> None:
+        from depthcli.core.result import Clock, Result
+        from depthcli.io.items.rgb_ir import RgbIrItem
+
+        if config.stereo is None:
+            frame = item.load_sparse()
+            _check_memory(config, frame.shape, memory)
+            return frame, Result()
+        if not isinstance(item, RgbIrItem):
+            raise InputError(f"{item.folder}: {item.name} has no infrared image (ir.*), which this config wants")
+        pair = item.load_pair()
+        stereo = config.stereo
+        if stereo.max_disparity is None and item.max_disparity is not None:
+            stereo = stereo.model_copy(update={"max_disparity": item.max_disparity})
+        height, width = pair.depth.shape
+        _check_memory(config, (height, width), memory, stereo.peak_bytes((height, width)))
+        clock = Clock()
+        frame, figures = stereo(pair, clock)
+        with np.errstate(invalid="ignore"):
+            codes = np.nan_to_num(np.rint(frame.sparse * item.depth_scale), nan=0.0)
+        pictures = {"stereo": np.where(codes <= 65535, codes, 0).astype(np.uint16)}
+        confidence = {} if frame.sparse_confidence is None else {"stereo": frame.sparse_confidence}
+        return frame, Result(seconds=clock.seconds, confidence=confidence, pictures=pictures, figures=figures)
+
+
+def _check_memory(config: Any, shape: tuple[int, int], memory: int, least: int = 0) -> None:
     from depthcli.batch.resources import show_bytes
 
-    need = config.pipeline.peak_bytes(shape)
+    need = max(config.pipeline.peak_bytes(shape), least)
     if need > memory:
         raise InputError(
             f"needs about {show_bytes(need)} of memory ({shape[1]} x {shape[0]} pixels), "

@@ -13,6 +13,8 @@ from depthcli.samples.stereo import StereoSample, write_scene
 if TYPE_CHECKING:
     from depthcli.io.images import Image
 
+SPECKLES = Option("speckles", float, "Share of the right image's pixels with a projected dot.", "SHARE", default=0.0,
+                  least=0, most=1)  # fmt: skip
 FROM = Option("from_", Path, "Make them from the scenes of this folder instead.", "DIR")
 
 
@@ -22,8 +24,7 @@ class CrossModalSample(StereoSample):
     about = "Right image as an infrared camera's."
     options: ClassVar[tuple[Option, ...]] = (
         *StereoSample.options,
-        Option("speckles", float, "Share of the right image's pixels with a projected dot.", "SHARE", default=0.0,
-               least=0, most=1),
+        SPECKLES,
         FROM,
     )  # fmt: skip
 

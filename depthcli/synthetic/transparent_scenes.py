@@ -6,12 +6,14 @@ picture is seen. The sensor measures what lies behind the object, or nothing.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.frames import Image, color8
 from depthcli.synthetic.camera import light_maps, render, trace
 from depthcli.synthetic.cross_modal import infrared_like
 from depthcli.synthetic.stage import Stage
@@ -104,6 +106,98 @@ def sensor_through(
         seen = np.where(mask & (spots <= np.quantile(spots[mask], blind)), np.nan, seen)
     seen = seen + noise * rng.standard_normal((height, width))
     return np.where(seen > 0, seen, np.nan).astype(np.float32)
+
+
+def glass_of_pair(
+    left: Image, right: Image, disparity: NDArray[np.float32], seed: int = 0, speckles: float = 0.0
+) -> TransparentScene:
+    """A pair with known disparity as color and infrared, one of its surfaces glass to the sensor, not to the cameras.
+
+    Parameters
+    ----------
+    left, right : (H, W) grey or (H, W, 3) RGB, uint8 or uint16
+    disparity : (H, W) float32, of the left view, pixels, NaN = unknown
+    seed : of everything random
+    speckles : share of the infrared image's pixels with a projected dot, in [0, 1]
+    """
+    mask, behind = glass_of_object(disparity, seed)
+    sensor = sensor_through(disparity, behind, mask, seed)
+    return TransparentScene(color8(left), infrared_like(right, seed, speckles), disparity, sensor, mask)
+
+
+def glass_of_object(
+    disparity: NDArray[np.float32], seed: int = 0
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Choose a surface of a scene that shall be glass, and what would be seen behind it.
+
+    The surface is the connected one (steps of at most a pixel) of 1 to 15 % of the image that both views see and that
+    stands in front of most of its surroundings; where there is none, an ellipse in the middle. Behind it lies a
+    plane through the farther third of what surrounds it.
+
+    Parameters
+    ----------
+    disparity : (H, W) float32, true, pixels, NaN = unknown
+    seed : of the ellipse
+
+    Returns
+    -------
+    mask, behind : (H, W) bool; (H, W) float32, pixels
+    """
+    best, most = np.zeros(disparity.shape, np.bool_), 0.4
+    for mask in _surfaces(disparity):
+        ring = _ring(mask, disparity)
+        front = float(np.mean(disparity[ring] < np.median(disparity[mask]) - 2)) if ring.any() else 0.0
+        if front > most:
+            best, most = mask, front
+    if not best.any():
+        rng = np.random.default_rng([seed, 0xE1])
+        height, width = disparity.shape
+        y, x = np.mgrid[:height, :width]
+        at = rng.uniform(0.4, 0.6, 2) * (height, width)
+        best = (((x - at[1]) / (0.12 * width)) ** 2 + ((y - at[0]) / (0.16 * height)) ** 2 < 1) & np.isfinite(disparity)
+    return best, _behind(disparity, best)
+
+
+def _surfaces(disparity: NDArray[np.float32]) -> Iterator[NDArray[np.bool_]]:
+    known = np.isfinite(disparity)
+    # A grid of twice the size: pixels at even places, and between two of them a bridge where they are alike.
+    grid = np.zeros((2 * disparity.shape[0] - 1, 2 * disparity.shape[1] - 1), np.uint8)
+    grid[::2, ::2] = known
+    grid[::2, 1::2] = np.abs(np.diff(disparity, axis=1)) <= 1
+    grid[1::2, ::2] = np.abs(np.diff(disparity, axis=0)) <= 1
+    count, labels, facts, _ = cv2.connectedComponentsWithStats(grid, connectivity=4)
+    labels = labels[::2, ::2]
+    square = np.ones((5, 5), np.uint8)
+    columns = np.arange(disparity.shape[1])
+    for label in range(1, count):
+        if facts[label, cv2.CC_STAT_AREA] < 0.02 * disparity.size:
+            continue
+        plane = (labels == label).astype(np.uint8)
+        mask = cv2.morphologyEx(cv2.morphologyEx(plane, cv2.MORPH_OPEN, square), cv2.MORPH_CLOSE, square) > 0
+        mask &= known
+        if 0.01 <= mask.mean() <= 0.15 and np.mean((columns >= disparity)[mask]) > 0.9:
+            yield mask
+
+
+def _ring(mask: NDArray[np.bool_], disparity: NDArray[np.float32]) -> NDArray[np.bool_]:
+    wide = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
+    return np.asarray(wide & ~mask & np.isfinite(disparity), np.bool_)
+
+
+def _behind(disparity: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    y, x = np.nonzero(_ring(mask, disparity))
+    values = disparity[y, x].astype(np.float64)
+    nearest = float(np.median(disparity[mask]))
+    depth = min(float(np.quantile(values, 1 / 3)), 0.8 * nearest) if values.size else 0.6 * nearest
+    far = np.abs(values - depth) < 3
+    plane = np.array([0.0, 0.0, depth])
+    if np.count_nonzero(far) > 50:
+        system = np.stack([x[far], y[far], np.ones(np.count_nonzero(far))], axis=1)
+        found = np.linalg.lstsq(system, values[far], rcond=None)[0]
+        plane = found if np.abs(found[:2]).max() < 0.15 else plane
+    rows, columns = np.mgrid[: disparity.shape[0], : disparity.shape[1]]
+    behind = plane[0] * columns + plane[1] * rows + plane[2]
+    return np.asarray(np.clip(behind, 0.5, max(depth + 3, 0.5)), np.float32)
 
 
 def _see_through(

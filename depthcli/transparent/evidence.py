@@ -29,6 +29,7 @@ class Evidence:
     samples : those that agree with their neighbors or with the sensor
     noise : their standard deviation
     fit, sigma, confidence : (H, W) float32, what the samples say of every pixel
+    contradiction : (H, W) float32 in [0, 1], how far the samples of the fit contradict the sensor at their own pixels
     suspect : (H, W) bool, the sensor knows the pixel and is not believed
     """
 
@@ -38,6 +39,7 @@ class Evidence:
     fit: NDArray[np.float32]
     sigma: NDArray[np.float32]
     confidence: NDArray[np.float32]
+    contradiction: NDArray[np.float32]
     suspect: NDArray[np.bool_]
 
 
@@ -50,15 +52,20 @@ def gather(frame: SparseFrame, fit: RobustFit, suspicion: Suspicion, clock: Cloc
     measured = sensor[samples.rows, samples.columns]
     agrees = np.abs(samples.values - own.values) <= _OF_FIT * noise
     agrees |= np.abs(samples.values - measured) <= _OF_SENSOR * noise
-    samples = samples.chosen(agrees)
+    samples, measured = samples.chosen(agrees), measured[agrees]
+    # Glass lets the sensor see farther, never nearer. Where it is blind a sample is half a contradiction.
+    nearer = suspicion.beyond((samples.values - measured) / noise) / _OF_SENSOR
+    marks = np.clip(np.nan_to_num(nearer, nan=0.5), 0, 1)
     clock.stop("samples")
     rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: frame.shape[0], : frame.shape[1]])
-    found = fit(samples, frame.color, noise, (rows, columns))
-    values, sigma, confidence = (part.reshape(frame.shape) for part in (found.values, found.sigma, found.confidence))
+    found = fit(samples, frame.color, noise, (rows, columns), marks=marks.astype(np.float32))
+    values, sigma, confidence, contradiction = (
+        part.reshape(frame.shape) for part in (found.values, found.sigma, found.confidence, found.mark)
+    )
     clock.stop("fit")
-    suspect = suspicion(sensor, values, sigma, confidence, samples, noise, frame.color)
+    suspect = suspicion(sensor, values, sigma, confidence, contradiction, samples, noise, frame.color)
     clock.stop("suspects")
-    return Evidence(sensor, samples, noise, values, sigma, confidence, suspect)
+    return Evidence(sensor, samples, noise, values, sigma, confidence, contradiction, suspect)
 
 
 def inverse(depth: NDArray[np.float32]) -> NDArray[np.float32]:

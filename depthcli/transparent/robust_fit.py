@@ -47,11 +47,13 @@ class Fit:
     values : (P,) float32, inverse depth; NaN where there is no sample
     sigma : (P,) float32, their standard deviation: of the plane at the pixel, and of the surface from the plane
     confidence : (P,) float32 in [0, 1], weighted share of the neighboring samples that lie on the plane
+    mark : (P,) float32, weighted mean of those samples' marks; 0 where none were given
     """
 
     values: NDArray[np.float32]
     sigma: NDArray[np.float32]
     confidence: NDArray[np.float32]
+    mark: NDArray[np.float32]
 
 
 class RobustFit(BaseModel):
@@ -73,6 +75,7 @@ class RobustFit(BaseModel):
         noise: float,
         at: tuple[NDArray[np.int32], NDArray[np.int32]],
         leave_own: bool = False,
+        marks: NDArray[np.float32] | None = None,
     ) -> Fit:
         """Fit at pixels.
 
@@ -83,6 +86,7 @@ class RobustFit(BaseModel):
         noise : standard deviation of good samples, in the unit of their values
         at : (P,) int32 rows and columns
         leave_own : a sample on the pixel itself does not count
+        marks : (M,) float32, anything that is known of the samples
 
         Returns
         -------
@@ -92,19 +96,20 @@ class RobustFit(BaseModel):
         found = nearest_samples(samples.rows, samples.columns, shape, at, self.neighbors, leave_own)
         values = np.full(at[0].size, np.nan, np.float32)
         sigma = np.full(at[0].size, np.nan, np.float32)
-        confidence = np.zeros(at[0].size, np.float32)
+        confidence, mark = np.zeros(at[0].size, np.float32), np.zeros(at[0].size, np.float32)
+        marks = np.zeros(samples.values.size, np.float32) if marks is None else marks
         _fit(
             found, samples.rows, samples.columns, samples.values, image, at[0], at[1], np.float32(max(noise, 1e-9)),
             np.float32(1.0 / (2.0 * self.color_scale**2)), np.float32(self.slope / shape[1]), self.steps,
-            values, sigma, confidence,
+            marks, values, sigma, confidence, mark,
         )  # fmt: skip
-        return Fit(values, sigma, confidence)
+        return Fit(values, sigma, confidence, mark)
 
 
 @parallel_jit
 def _fit(
     found: Any, rows: Any, columns: Any, values: Any, image: Any, at_rows: Any, at_columns: Any, noise: Any,
-    color_rate: Any, slope: Any, steps: int, result: Any, sigma: Any, confidence: Any,
+    color_rate: Any, slope: Any, steps: int, marks: Any, result: Any, sigma: Any, confidence: Any, mark: Any,
 ) -> None:  # fmt: skip
     most = found.shape[1]
     for p in prange(at_rows.size):
@@ -115,6 +120,7 @@ def _fit(
             continue
         y, x = at_rows[p], at_columns[p]
         dx, dy = np.empty(count, np.float32), np.empty(count, np.float32)
+        m = np.empty(count, np.float32)
         v, w = np.empty(count, np.float32), np.empty(count, np.float32)
         last = found[p, count - 1]
         reach = np.float32(max((rows[last] - y) ** 2 + (columns[last] - x) ** 2, 1))
@@ -123,6 +129,7 @@ def _fit(
             s = found[p, k]
             dx[k], dy[k] = np.float32(columns[s] - x), np.float32(rows[s] - y)
             v[k] = values[s]
+            m[k] = marks[s]
             color = np.float32(0.0)
             for c in range(3):
                 step = np.float32(image[rows[s], columns[s], c]) - np.float32(image[y, x, c])
@@ -131,7 +138,7 @@ def _fit(
             w[k] = np.exp(-np.float32(2.0) * far / reach - color * color_rate) + np.float32(1e-12)
             total += w[k]
         start, steep = _start(dx, dy, v, w, noise, slope)
-        result[p], sigma[p], confidence[p] = _plane(dx, dy, v, w, total, noise, steep, start, steps)
+        result[p], sigma[p], confidence[p], mark[p] = _plane(dx, dy, v, w, m, total, noise, steep, start, steps)
 
 
 @jit
@@ -153,8 +160,10 @@ def _start(dx: Any, dy: Any, v: Any, w: Any, noise: Any, slope: Any) -> Any:
 
 
 @jit
-def _plane(dx: Any, dy: Any, v: Any, w: Any, total: Any, noise: Any, steep: Any, start: Any, steps: int) -> Any:
-    """Value at the pixel, its standard deviation and the weighted share of inliers."""
+def _plane(
+    dx: Any, dy: Any, v: Any, w: Any, m: Any, total: Any, noise: Any, steep: Any, start: Any, steps: int
+) -> Any:  # fmt: skip
+    """Value at the pixel, its standard deviation, the weighted share of inliers and their mean mark."""
     a, b, c = start, np.float32(0.0), np.float32(0.0)
     variance = np.float32(1.0)
     # Slopes have a Gaussian prior: what the usual slope is to one sample's noise.
@@ -191,10 +200,11 @@ def _plane(dx: Any, dy: Any, v: Any, w: Any, total: Any, noise: Any, steep: Any,
         a += r0 - b * m01 - c * m02
         variance = (1 + (p22 * m01 * m01 - 2 * p12 * m01 * m02 + p11 * m02 * m02) / determinant) / m00
     inside = np.float32(1e-12)
-    away = np.float32(0.0)
+    away = marked = np.float32(0.0)
     for k in range(v.size):
         if abs(v[k] - a - b * dx[k] - c * dy[k]) <= np.float32(3.0) * noise:
             inside += w[k]
             away += w[k] * np.sqrt(dx[k] * dx[k] + dy[k] * dy[k])
+            marked += w[k] * m[k]
     off = steep * away / inside
-    return a, np.sqrt(noise * noise * variance + off * off), inside / total
+    return a, np.sqrt(noise * noise * variance + off * off), inside / total, marked / inside

@@ -49,6 +49,12 @@ class Suspicion(BaseModel):
 
     doubt: float = Field(0.5, ge=0, description="score that evidence has to exceed, in half squared deviations")
     model_error: float = Field(0.5, ge=0, description="share of the fit's own standard deviation that counts")
+    systematic: float = Field(
+        0.0, ge=0, description="error that neighboring samples may share, in standard deviations: no evidence below it"
+    )
+    contradiction: float = Field(
+        0.2, gt=0, le=0.5, description="mean contradiction of the fit's samples that is no evidence yet; twice it: full"
+    )
     reach: float = Field(
         0.011, gt=0, description="distance from a sample at which its evidence fades to exp(-1/2), over the width"
     )
@@ -58,6 +64,7 @@ class Suspicion(BaseModel):
     region_evidence: float = Field(
         2.0, ge=0, description="least evidence of a region's samples together, in standard deviations of their mean"
     )
+    least_area: float = Field(0.0, ge=0, le=1, description="smaller regions are dropped, share of the image")
     sample_evidence: float = Field(0.5, ge=0, description="least mean evidence of its samples, in standard deviations")
 
     def __call__(
@@ -66,6 +73,7 @@ class Suspicion(BaseModel):
         fit: NDArray[np.float32],
         sigma: NDArray[np.float32],
         confidence: NDArray[np.float32],
+        contradiction: NDArray[np.float32],
         samples: Samples,
         noise: float,
         image: NDArray[np.uint8],
@@ -76,6 +84,7 @@ class Suspicion(BaseModel):
         ----------
         sensor : (H, W) inverse depth, NaN = unknown
         fit, sigma, confidence : (H, W) what the samples say, as :class:`Fit` has it
+        contradiction : (H, W) in [0, 1], how far those samples contradict the sensor at their own pixels
         samples : those that the fit was made from
         noise : their standard deviation
         image : (H, W, 3) uint8
@@ -86,18 +95,27 @@ class Suspicion(BaseModel):
         """
         if samples.values.size == 0:
             return np.zeros(sensor.shape, np.bool_)
-        region = grid_cut(self._score(sensor, fit, sigma, confidence, samples, noise), self._weights(image))
+        score = self._score(sensor, fit, sigma, confidence, contradiction, samples, noise)
+        region = grid_cut(score, self._weights(image))
         return self._contradicted(region, sensor, samples, noise) & np.isfinite(sensor)
 
+    def beyond(self, deviations: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+        """What is left of differences, in standard deviations, without the error that samples may share."""
+        left: NDArray[np.floating[Any]] = np.sign(deviations) * np.maximum(np.abs(deviations) - self.systematic, 0)
+        return left
+
     def _score(
-        self, sensor: Any, fit: Any, sigma: Any, confidence: Any, samples: Samples, noise: float
+        self, sensor: Any, fit: Any, sigma: Any, confidence: Any, contradiction: Any, samples: Samples, noise: float
     ) -> NDArray[np.float64]:
         blank = np.ones(sensor.shape, np.uint8)
         blank[samples.rows, samples.columns] = 0
         away = cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         fading = np.exp(-(away**2.0) / (2 * (self.reach * sensor.shape[1]) ** 2))
-        off = (sensor - fit) / np.sqrt(noise**2 + (self.model_error * sigma) ** 2.0)
+        off = self.beyond((sensor - fit) / np.sqrt(noise**2 + (self.model_error * sigma) ** 2.0))
         score = np.clip(confidence * off * off / 2 - self.doubt, -2, 4) * fading
+        # A surface that the sensor sees, too, says nothing of the surface beside it, however far the fit is drawn out.
+        gain = np.clip((contradiction - self.contradiction) / self.contradiction, 0, 1)
+        score = np.where(score > 0, score * gain, score)
         # Glass lets the sensor see farther, never nearer.
         score = np.where(off > 0, np.minimum(score, -self.doubt), score)
         known: NDArray[np.float64] = np.where(np.isfinite(off), score, 0.0)
@@ -115,14 +133,15 @@ class Suspicion(BaseModel):
         return tuple(weights)
 
     def _contradicted(self, region: Any, sensor: Any, samples: Samples, noise: float) -> NDArray[np.bool_]:
-        count, labels = cv2.connectedComponents(region.astype(np.uint8), connectivity=8)
-        nearer = (samples.values - sensor[samples.rows, samples.columns]) / noise
+        count, labels, facts, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+        nearer = self.beyond((samples.values - sensor[samples.rows, samples.columns]) / noise)
         known = np.isfinite(nearer)
         at = labels[samples.rows, samples.columns][known]
         total = np.bincount(at, np.clip(nearer[known], -_CLIPPED, _CLIPPED), count)
         number = np.bincount(at, minlength=count)
         keep = (number > 0) & (total >= self.region_evidence * np.sqrt(number))
         keep &= total >= self.sample_evidence * number
+        keep &= facts[:, cv2.CC_STAT_AREA] >= self.least_area * region.size
         keep[0] = False
         kept: NDArray[np.bool_] = keep[labels]
         return kept

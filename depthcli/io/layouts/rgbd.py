@@ -25,6 +25,12 @@ class Rgbd(Layout):
     )
 
     def items(self, folder: Folder) -> list[Item]:
+        if folder.one("ir", IMAGE_SUFFIXES):  # of rgb-ir
+            return []
+        return list(self.frames(folder))
+
+    def frames(self, folder: Folder) -> list[RgbdItem]:
+        """The frame in ``folder``, if it has one, whatever else lies there."""
         color = folder.one("color", IMAGE_SUFFIXES)
         depth = folder.one("depth", DEPTH_SUFFIXES) or folder.one("depth_raw", DEPTH_SUFFIXES)
         if folder.asked == "sun-rgbd" or (color is None and depth is None):

@@ -49,7 +49,7 @@ class Crf(TransparentPipeline):
         if self.suspicion is None:
             sensor, samples = inverse(frame.depth), Samples.of(inverse(frame.sparse))
             blank = np.full(frame.shape, np.nan, np.float32)
-            evidence = Evidence(sensor, samples, 0.0, blank, blank, blank, np.zeros(frame.shape, np.bool_))
+            evidence = Evidence(sensor, samples, 0.0, blank, blank, blank, blank, np.zeros(frame.shape, np.bool_))
             region = np.ones(frame.shape, np.bool_)
         else:
             evidence = gather(frame, self.fit, self.suspicion, clock)
