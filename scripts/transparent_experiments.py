@@ -205,7 +205,7 @@ def _peer(color: NDArray[np.uint8], unary: Map, label: Map) -> tuple[float, floa
 
 
 def agreement() -> None:
-    """Print how far our marginals are from pydensecrf's, for one energy of Potts's model (there a point hears itself)."""
+    """Print how far our marginals are from pydensecrf's, for one Potts energy; there a point hears itself."""
     import pydensecrf.densecrf as dcrf  # type: ignore[import-not-found]
 
     rng = np.random.default_rng(1)
