@@ -14,7 +14,7 @@ _FLOOR = 0.08  # share of votes below which candidates differ little
 _SUREST = 0.97  # no measurement is right or wrong with more probability than this
 _EDGE_COLOR = 12.0  # contrast (L1 in 8-bit Lab) over which smoothness fades
 _LEAST_WEIGHT = 0.02
-_HOPELESS = 7.0  # candidates that cost more than the cheapest by this are left out
+_HOPELESS = 4.0  # candidates that cost more than the cheapest by this are left out
 
 
 def choose(

@@ -34,7 +34,7 @@ def hidden_openings(
     ----------
     lab : (H, W, 3) uint8
     planes : of the measured disparity
-    voters : every third pixel
+    voters : every fourth pixel
     trusted : (H, W) bool, which pixels to ask
     jump : a surface that is farther by more is another one, pixels
     sigma_color : as in :func:`depthcli.kinect.votes.cast_votes`
@@ -65,13 +65,13 @@ def _ask(lab, value, slope_x, slope_y, trusted, planes, colors, weight, likeness
             light, a, b = np.int32(lab[y, x, 0]), np.int32(lab[y, x, 1]), np.int32(lab[y, x, 2])
             s_own, n_own = np.float32(0), np.float32(1e-9)
             s_far, n_far = np.float32(0), np.float32(1e-9)
-            top, bottom = max((y - _REACH + 2) // 3, 0), min((y + _REACH) // 3 + 1, weight.shape[0])
-            left, right = max((x - _REACH + 2) // 3, 0), min((x + _REACH) // 3 + 1, weight.shape[1])
+            top, bottom = max((y - _REACH + 3) // 4, 0), min((y + _REACH) // 4 + 1, weight.shape[0])
+            left, right = max((x - _REACH + 3) // 4, 0), min((x + _REACH) // 4 + 1, weight.shape[1])
             for v in range(top, bottom):
-                dy = 3 * v - y
+                dy = 4 * v - y
                 row = space[abs(dy)]
                 for u in range(left, right):
-                    dx = 3 * u - x
+                    dx = 4 * u - x
                     if weight[v, u] <= 0 or (abs(dx) <= _OWN_REACH and abs(dy) <= _OWN_REACH):
                         continue
                     d = planes[0, v, u]

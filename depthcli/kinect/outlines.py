@@ -22,6 +22,7 @@ _PRIOR_FLOOR = 0.1  # which always has this share
 _HIDDEN = 0.5  # belief that a gap without a visible step hides something behind its rims
 _OTHER_GAP = 0.6  # belief in an edge whose gap does not look like a shadow
 _SHADOW_SLACK = 4.0  # pixels by which a shadow may be wider than the step
+_MIXED = 0.75  # share of an outline's pixels that still belong to the near surface
 _THIN = 0.6  # each raised run has a pixel that is right with at least this probability
 
 
@@ -48,7 +49,11 @@ def truth_probability(lab: NDArray[np.uint8], disparity: NDArray[np.float32], ju
 def _along_rows(
     lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float, hidden: float
 ) -> NDArray[np.float32]:
-    laws = np.cumsum(outline_offsets(lab, disparity, jump), axis=1).astype(np.float32)
+    laws = outline_offsets(lab, disparity, jump)
+    # The pixel that the outline runs through mixes both colors and shows half of the contrast on its inner side: it
+    # still belongs to the near surface.
+    laws = np.cumsum(laws, axis=1) + _MIXED * np.column_stack([laws[:, 1:], np.zeros(2)])
+    laws = laws.astype(np.float32)
     result = np.empty_like(disparity)
     _probability(disparity, np.float32(jump), laws, np.float32(hidden), result)
     return result

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kinect.local_planes import LocalPlanes
 
-LEVELS = ((1, 6), (3, 36), (9, 108))  # every pixel within 6, every third within 36, every ninth within 108
+LEVELS = ((1, 5), (4, 36), (12, 108))  # every pixel within 5, every fourth within 36, every twelfth within 108
 _FADE = 20.0  # pixels over which a slope is followed
 _BIN = 5 / 3  # width of a bin of the histogram, multiples of the noise
 _SCALES = 2.0 * 1.1 ** np.arange(32)  # pixels: of the laws of distance that there are tables for
@@ -120,31 +120,36 @@ def cast_votes(
 @jit
 def _gather(  # type: ignore[no-untyped-def]
     y, x, light, a, b, planes, colors, weight, stride, inner, reach, limit, beyond, likeness, space, low, unit, bins,
-    mass, moment, extent,
+    votes, extent,
 ):  # fmt: skip
     """Add the votes of one level to the histogram; those within ``inner`` pixels belong to the level before."""
     height, width = weight.shape
     top, bottom = max((y - reach + stride - 1) // stride, 0), min((y + reach) // stride + 1, height)
     left, right = max((x - reach + stride - 1) // stride, 0), min((x + reach) // stride + 1, width)
+    per_square = np.float32(1 / (_FADE * _FADE))
     for v in range(top, bottom):
         dy = y - v * stride
-        row = space[abs(dy)]
+        row, down, square = space[abs(dy)], np.float32(dy), np.float32(dy * dy)
         value, slope_x, slope_y = planes[0, v], planes[1, v], planes[2, v]
         l_row, a_row, b_row, w_row = colors[0, v], colors[1, v], colors[2, v], weight[v]
+        inside = abs(dy) <= inner
         for u in range(left, right):
             dx = x - u * stride
-            if w_row[u] <= 0 or (abs(dx) <= inner and abs(dy) <= inner):
+            if w_row[u] <= 0 or (inside and abs(dx) <= inner):
                 continue
             c = abs(np.int32(l_row[u]) - light) + abs(np.int32(a_row[u]) - a) + abs(np.int32(b_row[u]) - b)
+            if c >= likeness.size:
+                continue
+            across = np.float32(dx)
             w = w_row[u] * likeness[c] * row * space[abs(dx)]
-            fade = np.float32(1) / (np.float32(1) + np.float32(dx * dx + dy * dy) * np.float32(1 / (_FADE * _FADE)))
-            d = value[u] + fade * (slope_x[u] * np.float32(dx) + slope_y[u] * np.float32(dy))
+            fade = np.float32(1) / (np.float32(1) + (across * across + square) * per_square)
+            d = value[u] + fade * (slope_x[u] * across + slope_y[u] * down)
             if d > limit:
                 w *= beyond
-            k = int((d - low) * unit)
+            k = np.int32((d - low) * unit)
             if 1 <= k < bins - 1:
-                mass[k] += w
-                moment[k] += w * d
+                votes[k, 0] += w
+                votes[k, 1] += w * d
                 extent[0] = min(extent[0], k)
                 extent[1] = max(extent[1], k)
 
@@ -155,8 +160,7 @@ def _vote(  # type: ignore[no-untyped-def]
     rim, bonus, likeness, space, low, unit, bins, values, shares,
 ):  # fmt: skip
     for block in prange((len(pixels) + 255) // 256):
-        mass = np.zeros(bins, np.float32)
-        moment = np.zeros(bins, np.float32)
+        votes = np.zeros((bins, 2), np.float32)  # mass, and mass x value
         extent = np.empty(2, np.int64)
         per_unit = np.float32(1) / unit
         for n in range(block * 256, min(block * 256 + 256, len(pixels))):
@@ -165,54 +169,54 @@ def _vote(  # type: ignore[no-untyped-def]
             extent[0], extent[1] = bins, -1
             most, factor, law = limit[y, x], beyond[y, x], space[scale[n]]
             _gather(
-                y, x, light, a, b, planes0, colors0, weight0, 1, -1, 6, most, factor, likeness, law, low, per_unit,
-                bins, mass, moment, extent,
+                y, x, light, a, b, planes0, colors0, weight0, 1, -1, 5, most, factor, likeness, law, low, per_unit,
+                bins, votes, extent,
             )  # fmt: skip
             _gather(
-                y, x, light, a, b, planes1, colors1, weight1, 3, 6, 36, most, factor, likeness, law, low, per_unit,
-                bins, mass, moment, extent,
+                y, x, light, a, b, planes1, colors1, weight1, 4, 5, 36, most, factor, likeness, law, low, per_unit,
+                bins, votes, extent,
             )  # fmt: skip
             _gather(
-                y, x, light, a, b, planes2, colors2, weight2, 9, 36, 108, most, factor, likeness, law, low, per_unit,
-                bins, mass, moment, extent,
+                y, x, light, a, b, planes2, colors2, weight2, 12, 36, 108, most, factor, likeness, law, low, per_unit,
+                bins, votes, extent,
             )  # fmt: skip
             total = np.float32(0)
             for k in range(extent[0], extent[1] + 1):
-                total += mass[k]
+                total += votes[k, 0]
             if not np.isnan(rim[y, x]):
                 k = int((rim[y, x] - low) * per_unit)
                 if 1 <= k < bins - 1:
                     w = max(bonus[y, x] * total, np.float32(1e-9))
-                    mass[k] += w
-                    moment[k] += w * rim[y, x]
+                    votes[k, 0] += w
+                    votes[k, 1] += w * rim[y, x]
                     total += w
                     extent[0] = min(extent[0], k)
                     extent[1] = max(extent[1], k)
-            _modes(mass, moment, extent, total, values[n], shares[n])
+            _modes(votes, extent, total, values[n], shares[n])
             for k in range(extent[0], extent[1] + 1):
-                mass[k] = np.float32(0)
-                moment[k] = np.float32(0)
+                votes[k, 0] = np.float32(0)
+                votes[k, 1] = np.float32(0)
 
 
 @jit
-def _modes(mass, moment, extent, total, values, shares):  # type: ignore[no-untyped-def]
+def _modes(votes, extent, total, values, shares):  # type: ignore[no-untyped-def]
     """Take the modes out of a histogram, the strongest first."""
     for i in range(values.size):
         best, top = np.float32(0), -1
         for k in range(extent[0], extent[1] + 1):
-            m = mass[k] + np.float32(0.5) * (mass[k - 1] + mass[k + 1])
+            m = votes[k, 0] + np.float32(0.5) * (votes[k - 1, 0] + votes[k + 1, 0])
             if m > best:
                 best, top = m, k
         if top < 0 or best < np.float32(_LEAST_SHARE) * total:
             break
         around, center = np.float32(0), np.float32(0)
         for k in range(top - 1, top + 2):
-            around += mass[k]
-            center += moment[k]
+            around += votes[k, 0]
+            center += votes[k, 1]
         values[i] = center / around
-        for k in range(max(top - 2, 0), min(top + 3, mass.size)):
+        for k in range(max(top - 2, 0), min(top + 3, len(votes))):
             if abs(k - top) == 2:
-                around += mass[k]
-            mass[k] = np.float32(0)
-            moment[k] = np.float32(0)
+                around += votes[k, 0]
+            votes[k, 0] = np.float32(0)
+            votes[k, 1] = np.float32(0)
         shares[i] = around / total

@@ -53,6 +53,20 @@ def test_local_planes_are_those_of_the_twin(shape):
         np.testing.assert_allclose(mine, naive.local_plane(disparity, trust, 0.3, y, x), atol=6e-3)
 
 
+def test_planes_that_nothing_touches_are_taken_over():
+    rng = np.random.default_rng(8)
+    disparity = random_map(rng, (40, 150))
+    trust = np.ones((40, 150), np.float32)
+    first = local_planes(disparity, trust, 0.3)
+    changed = np.zeros((40, 150), bool)
+    changed[20:23, 70:75] = True
+    other = np.where(changed, np.float32(25), disparity)
+    again, anew = local_planes(other, trust, 0.3, first, changed), local_planes(other, trust, 0.3)
+    for name in ("value", "slope_x", "slope_y", "scale"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(anew, name))
+    np.testing.assert_array_equal(first.value, local_planes(disparity, trust, 0.3).value)
+
+
 def test_votes_are_those_of_the_twin():
     rng = np.random.default_rng(5)
     shape = (43, 90)
@@ -174,7 +188,7 @@ def test_an_opening_closed_by_the_sensor_is_doubted_for_its_color():
     planes = local_planes(sample.disparity, trust, 0.3)
     lab = lab_of(color)
     near = np.isfinite(sample.disparity) & (np.arange(160) > 58)
-    doubted = hidden_openings(lab, planes, Voters.of(lab, planes, trust, 3), near, 1.5, 11.0)
+    doubted = hidden_openings(lab, planes, Voters.of(lab, planes, trust, 4), near, 1.5, 11.0)
     assert doubted[opening].all()
     assert doubted[near & ~cv2.dilate(opening.astype(np.uint8), np.ones((5, 5))).astype(bool)].mean() < 0.01
     refined = PlaneVotes()(sample.frame())

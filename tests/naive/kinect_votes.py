@@ -34,14 +34,14 @@ def local_plane(disparity, trust, noise, y, x):
 
 
 def histogram(pixel, lab, planes, trust, limit, beyond, low, unit, bins, sigma_color, sigma_space):
-    """Mass and moment (bins,) of the votes for one pixel: every pixel, every third, every ninth, by distance."""
+    """Mass and moment (bins,) of the votes for one pixel: every pixel, every fourth, every twelfth, by distance."""
     y, x = pixel
     mass, moment = np.zeros(bins), np.zeros(bins)
     value, slope_x, slope_y = planes
     for v in range(value.shape[0]):
         for u in range(value.shape[1]):
             far = max(abs(u - x), abs(v - y))
-            stride = 1 if far <= 6 else 3 if far <= 36 else 9
+            stride = 1 if far <= 5 else 4 if far <= 36 else 12
             if far > 108 or v % stride or u % stride or not trust[v, u] > 0 or np.isnan(value[v, u]):
                 continue
             contrast = np.abs(lab[v, u].astype(int) - lab[y, x]).sum()

@@ -33,20 +33,20 @@ class PlaneVotes(KinectPipeline):
     """
 
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
-    sure: float = Field(0.9, gt=0, lt=1, description="what is right with less probability than this is a suspect")
+    sure: float = Field(0.8, gt=0, lt=1, description="what is right with less probability than this is a suspect")
     least_trust: float = Field(0.4, ge=0, lt=1, description="measurements less probable than this do not vote")
     openings: float | None = Field(
         0.6, gt=0, lt=1, description="probability of a measurement whose color speaks for what lies behind; null: 1"
     )
     shadows: bool = Field(True, description="use that shadows are as wide as the step they lie at")
-    candidates: int = Field(5, ge=1, le=8, description="most candidates a pixel")
+    candidates: int = Field(4, ge=1, le=8, description="most candidates a pixel")
     sigma_color: float = Field(11.0, gt=0, le=500, description="L1 difference in 8-bit Lab over which votes fade")
     sigma_shadow: float = Field(20.0, gt=0, le=30, description="the same in shadows and where they are behind")
     sigma_space: float = Field(3.0, gt=0, le=30, description="distance over which votes fade, pixels")
     growth: float = Field(0.3, ge=0, le=5, description="more of it a pixel of distance from what can be trusted")
     smoothness: float = Field(0.1, ge=0, description="cost of neighbors that differ by as much as the noise")
     truncation: float = Field(13.0, gt=0, description="largest difference that costs, multiples of the noise")
-    iterations: int = Field(8, ge=1, le=100, description="of the message passing")
+    iterations: int = Field(5, ge=1, le=100, description="of the message passing")
     passes: int = Field(2, ge=1, le=5, description="how often all is done, each time on the map refined so far")
 
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
@@ -77,22 +77,30 @@ class PlaneVotes(KinectPipeline):
                 right = np.where(opened, np.minimum(right, np.float32(self.openings)), right)
                 suspect |= opened
                 clock.stop("openings")
-            pixels = np.argwhere(suspect).astype(np.int32)
+            # All but the last pass look at every second pixel of every second row.
+            grid = 1 if step == self.passes - 1 else 2
+            every = np.s_[::grid, ::grid]
+            pixels = np.argwhere(suspect[every]).astype(np.int32)
             rim, bonus = left_rims(measured, planes, jump, belief)
             bonus = np.where(known, bonus * (1 - right), bonus).astype(np.float32)
             evidence = Evidence(limit, beyond, rim, bonus)
-            votes = cast_votes(pixels, lab, voters, evidence, noise, self.candidates, self.sigma_color, sigma_space)
+            votes = cast_votes(
+                grid * pixels, lab, voters, evidence, noise, self.candidates, self.sigma_color, sigma_space
+            )
             clock.stop("votes")
-            chosen = choose(
-                pixels, *votes, lab, measured, right, suspect, planes,
+            chosen = np.full_like(measured, np.nan)
+            chosen[every] = choose(
+                pixels, *votes, lab[every], measured[every], right[every], suspect[every], planes.every(grid),
                 noise, self.smoothness, self.truncation, self.iterations,
             )  # fmt: skip
             # Where the choice agrees with the measurement, the measurement says more.
             agreed = known & ~(np.abs(chosen - measured) >= np.float32(CLOSE * noise))
-            refined = np.where(agreed, measured, chosen)
+            old, old_trust = refined, trust
+            refined = np.where(agreed & (~suspect | ~np.isnan(chosen)), measured, chosen)
             trust = (~np.isnan(refined)).astype(np.float32)
+            changed = (trust != old_trust) | ((refined != old) & (trust > 0))
             clock.stop("choice")
-            planes = local_planes(refined, trust, noise)
+            planes = local_planes(refined, trust, noise, planes, changed)
             clock.stop("planes")
         fallback = np.isnan(planes.value)
         values = nearest_fill(planes.value)
