@@ -17,6 +17,8 @@ from depthcli.kinect.votes import Voters, color_law
 _RATIO = 0.3  # own likelihood of the color over that of what lies behind, below which a pixel is in doubt
 _OWN_REACH = 9  # pixels: what is nearer may lie in the same opening
 _REACH = 36
+_GRID = 3  # one pixel of a square this wide is asked ...
+_SPREAD = 5  # ... for all of a square this wide
 _SIGMA_SPACE = 20.0  # pixels
 
 
@@ -41,24 +43,24 @@ def hidden_openings(
     """
     space = np.exp(-np.arange(_REACH + 1) / _SIGMA_SPACE).astype(np.float32)
     shape = trusted.shape
-    doubt = np.zeros(((shape[0] + 1) // 2, (shape[1] + 1) // 2), np.uint8)
+    doubt = np.zeros((-(-shape[0] // _GRID), -(-shape[1] // _GRID)), np.uint8)
     _ask(
         lab, planes.value, planes.slope_x, planes.slope_y, trusted, voters.planes, voters.lab, voters.weight,
         color_law(sigma_color), space, np.float32(jump), doubt,
     )  # fmt: skip
     spread = np.zeros(shape, np.uint8)
-    spread[::2, ::2] = doubt
-    opened: NDArray[np.bool_] = (cv2.dilate(spread, np.ones((3, 3), np.uint8)) > 0) & trusted
+    spread[::_GRID, ::_GRID] = doubt
+    opened: NDArray[np.bool_] = (cv2.dilate(spread, np.ones((_SPREAD, _SPREAD), np.uint8)) > 0) & trusted
     return opened
 
 
 @parallel_jit
 def _ask(lab, value, slope_x, slope_y, trusted, planes, colors, weight, likeness, space, jump, doubt):  # type: ignore[no-untyped-def]
-    """Every second pixel of every second row."""
+    """Every ``_GRID``-th pixel of such rows."""
     for j in prange(doubt.shape[0]):
-        y = 2 * j
+        y = _GRID * j
         for i in range(doubt.shape[1]):
-            x = 2 * i
+            x = _GRID * i
             if not trusted[y, x]:
                 continue
             own = value[y, x]

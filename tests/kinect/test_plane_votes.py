@@ -190,7 +190,7 @@ def test_an_opening_closed_by_the_sensor_is_doubted_for_its_color():
     near = np.isfinite(sample.disparity) & (np.arange(160) > 58)
     doubted = hidden_openings(lab, planes, Voters.of(lab, planes, trust, 4), near, 1.5, 11.0)
     assert doubted[opening].all()
-    assert doubted[near & ~cv2.dilate(opening.astype(np.uint8), np.ones((5, 5))).astype(bool)].mean() < 0.01
+    assert doubted[near & ~cv2.dilate(opening.astype(np.uint8), np.ones((9, 9))).astype(bool)].mean() < 0.01
     refined = PlaneVotes()(sample.frame())
     assert np.median(43.5 / refined.depth.values[opening]) == pytest.approx(22, abs=0.5)
 
