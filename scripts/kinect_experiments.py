@@ -1,18 +1,20 @@
 """Chapter 4: what refinements of a Kinect's depth maps are worth, in tables.
 
-    scripts/kinect_experiments.py DATA [--only simulated ablations real view speed] [--fattening 4] [--presets ...]
+    scripts/kinect_experiments.py DATA [--only simulated ablations ...] [--fattening 4] [--presets ...] [--frames 300]
 
 DATA holds the Middlebury sets and the folders ``rgbd_*``. ``simulated``: Kinect-like measurements of every
 scene with a true disparity (``depthcli sample --kinect``), mean absolute error in pixels of disparity in gaps, at
 mismatched edges and on measured pixels; ``ablations``: the parts of dsrm, in the same figures; ``real``: 10 % of the
 known pixels of real frames taken out in blocks of 20 to 40 pixels, mean absolute error there, mm; ``view``: the left
 image warped into the right view by the refined depth, PSNR where both see; ``speed``: seconds at 640 x 480, paired with
-``cv2.inpaint`` (Telea) in the same process.
+``cv2.inpaint`` (Telea) in the same process; ``sequence``: generated sequences, along them and frame by frame;
+``soak``: seconds and memory along one sequence of ``--frames``.
 """
 
 from __future__ import annotations
 
 import argparse
+import resource
 import statistics
 import sys
 import time
@@ -34,9 +36,10 @@ from depthcli.io.items.rgbd import RgbdItem
 from depthcli.io.items.stereo import StereoItem
 from depthcli.io.walk import find_items
 from depthcli.kinect.config import RefineKinectConfig
-from depthcli.synthetic.kinect_scenes import KinectSample, simulate_kinect
+from depthcli.synthetic.kinect_scenes import SEQUENCE_KINDS, KinectSample, make_kinect_sequence, simulate_kinect
 
 SETS = ("middlebury_v2", "middlebury_2005", "middlebury_2006")
+PATTERNS = 5
 REGIONS = ("gap", "occluded", "specular", "mismatch", "measured")
 ABLATIONS: dict[str, list[str]] = {
     "dsrm": [],
@@ -91,7 +94,7 @@ def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, tit
 
 
 def real(data: Path, methods: dict[str, Refine | None]) -> None:
-    """A row a frame: MAE in blocks that were taken out, mm."""
+    """A row a frame: MAE in blocks that were taken out, mm, mean of several random patterns of blocks."""
     items = [
         item
         for folder in sorted(data.glob("rgbd_*"))
@@ -103,16 +106,24 @@ def real(data: Path, methods: dict[str, Refine | None]) -> None:
         if item.folder.parent.name == "rgbd_tum":
             item = RgbdItem(**{**vars(item), "depth_scale": 5000.0})
         frame = item.load()
-        holes = _blocks(np.isfinite(frame.depth), number_)
-        depth = np.where(holes, np.float32(np.nan), frame.depth)
-        asked = RgbdFrame(frame.color, depth, frame.fb, frame.intrinsics)
-        cells = []
-        for run in methods.values():
-            values = asked.depth if run is None else run(asked).depth.values
-            error = 1000 * np.abs(values[holes] - frame.depth[holes])
-            cells.append(number(_mean(error[np.isfinite(error)].tolist()), 1))
+        errors: dict[str, list[float]] = {name: [] for name in methods}
+        for pattern in range(PATTERNS):
+            holes = _blocks(np.isfinite(frame.depth), PATTERNS * number_ + pattern)
+            depth = np.where(holes, np.float32(np.nan), frame.depth)
+            asked = RgbdFrame(frame.color, depth, frame.fb, frame.intrinsics)
+            for name, run in methods.items():
+                values = asked.depth if run is None else run(asked).depth.values
+                error = 1000 * np.abs(values[holes] - frame.depth[holes])
+                errors[name].append(_mean(error[np.isfinite(error)].tolist()))
+        cells = [number(_mean(errors[name]), 1) for name in methods]
         rows.append((f"{item.folder.parent.name}/{item.name}", *cells))
-    print(Table("Blocks of 20 to 40 px taken out of real frames: MAE, mm", ("frame", *methods), tuple(rows)).markdown())
+    print(
+        Table(
+            f"Blocks of 20 to 40 px taken out of real frames: MAE, mm, mean of {PATTERNS} patterns",
+            ("frame", *methods),
+            tuple(rows),
+        ).markdown()
+    )
 
 
 def _blocks(known: NDArray[np.bool_], seed: int) -> NDArray[np.bool_]:
@@ -188,6 +199,46 @@ def speed(methods: dict[str, Refine | None]) -> None:
     print(Table("640 x 480, one process, warm", header, tuple(rows)).markdown())
 
 
+def sequence(seeds: int) -> None:
+    """A row a kind of sequence: MAE along it and frame by frame, all and where an object has just left."""
+    pipeline = preset("sequence")
+    rows = []
+    for kind in SEQUENCE_KINDS:
+        found: dict[str, list[float]] = {name: [] for name in ("along", "single", "along left", "single left")}
+        for seed in range(seeds):
+            samples = make_kinect_sequence(kind, 10, seed, 320, 240, 40)
+            state = None
+            for k, made in enumerate(samples):
+                results = {"single": pipeline(made.frame())}  # type: ignore[operator]
+                results["along"], state = pipeline.step(made.frame(), state)  # type: ignore[attr-defined]
+                left = samples[k - 1].truth - made.truth > 3
+                for name, result in results.items() if k else ():
+                    error = np.abs(disparity_of_depth(result.depth.values, RgbdFrame.fb) - made.truth)
+                    found[name].append(float(np.nanmean(error)))
+                    if left.any():
+                        found[f"{name} left"].append(float(np.nanmean(error[left])))
+        rows.append((kind, *(number(_mean(values), 3) for values in found.values())))
+    header = ("kind", "sequence", "frame by frame", "sequence, just left", "frame by frame, just left")
+    print(Table(f"Sequences of 10 frames, {seeds} seeds: MAE, px", header, tuple(rows)).markdown())
+
+
+def soak(frames: int) -> None:
+    """Seconds a frame and memory along one sequence of 640 x 480."""
+    pipeline = preset("sequence")
+    shown = [made.frame() for made in make_kinect_sequence("moving", 40, 0, 640, 480, 40)]
+    state, rows, times = None, [], []
+    for number_ in range(frames):
+        start = time.perf_counter()
+        _, state = pipeline.step(shown[min(number_ % 80, 79 - number_ % 80)], state)  # type: ignore[attr-defined]
+        times.append(time.perf_counter() - start)
+        if number_ + 1 in (frames // 10, frames // 2, frames):
+            memory = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+            mean, middle = statistics.fmean(times), statistics.median(times)
+            rows.append((str(number_ + 1), number(1000 * mean, 1), number(1000 * middle, 1), number(memory, 1)))
+    header = ("frames", "mean, ms", "median, ms", "resident, MiB")
+    print(Table("A sequence of 640 x 480", header, tuple(rows)).markdown())
+
+
 def _mean(values: list[float]) -> float:
     there = [value for value in values if value == value]
     return statistics.fmean(there) if there else float("nan")
@@ -196,9 +247,10 @@ def _mean(values: list[float]) -> float:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parts = ("simulated", "ablations", "real", "view", "speed")
+    parts = ("simulated", "ablations", "real", "view", "speed", "sequence", "soak")
     parser.add_argument("--only", nargs="+", choices=parts, default=parts)
     parser.add_argument("--fattening", type=int, default=4)
+    parser.add_argument("--frames", type=int, default=300, help="of the soak")
     usual = [name for _, name, _ in list_presets("refine-kinect") if name != "sequence"]
     parser.add_argument("--presets", nargs="+", default=usual)
     options = parser.parse_args()
@@ -214,6 +266,10 @@ def main() -> int:
         view(options.data, {name: run for name, run in methods.items() if run is not None}, options.fattening)
     if "speed" in options.only:
         speed(methods)
+    if "sequence" in options.only:
+        sequence(seeds=5)
+    if "soak" in options.only:
+        soak(options.frames)
     return 0
 
 

@@ -42,12 +42,14 @@ def main() -> int:
         left, truth = scene.load().left, MiddleburyV2().truth(scene)
         estimate = read_disparity(run / scene.name / "disp_left.pfm")
     assert scene.max_disparity is not None
-    strip = np.hstack([
-        left,
-        colored(truth.disparity, scene.max_disparity),
-        colored(estimate, scene.max_disparity),
-        MiddleburyV2().picture(estimate, truth),
-    ])
+    strip = np.hstack(
+        [
+            left,
+            colored(truth.disparity, scene.max_disparity),
+            colored(estimate, scene.max_disparity),
+            MiddleburyV2().picture(estimate, truth),
+        ]
+    )
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / f"{options.preset}-{scene.name}.jpg"
     half = cv2.resize(strip, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
