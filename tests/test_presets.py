@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,6 +16,7 @@ from depthcli.core.config_file import dump_config, load_config, parse_config
 from depthcli.io.disparity import read_pfm
 from depthcli.jobs import load_command
 from depthcli.jobs._batch import ConfigCommand
+from depthcli.kernels.jit import set_threads
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]
 
@@ -92,3 +94,22 @@ def test_it_runs_on_a_toy_scene(made: Callable[[str], Path], tmp_path: Path, com
         assert known.mean() > 0.5
         assert values[known].min() >= 0
         assert values[known].max() <= 13
+
+
+@pytest.mark.parametrize(("command", "name"), PRESETS)
+def test_same_bytes_at_any_number_of_threads(made, tmp_path: Path, monkeypatch, command: str, name: str):
+    found = []
+    for kernels, opencv in ((2, 1), (1, 8)):
+
+        def use(_: int, kernels: int = kernels, opencv: int = opencv) -> None:
+            set_threads(kernels)
+            cv2.setNumThreads(opencv)
+
+        monkeypatch.setattr("depthcli.batch.workers.use_threads", use)
+        output = tmp_path / str(opencv)
+        assert main([command, name, "-i", str(made(command)), "-o", str(output), "-q"]) == 0
+        files = [path for path in output.rglob("*") if path.is_file() and not path.name.startswith("report.")]
+        found.append({path.relative_to(output): path.read_bytes() for path in files})
+    assert len(found[0]) > 2
+    assert found[0].keys() == found[1].keys()
+    assert [name for name, data in found[0].items() if found[1][name] != data] == []

@@ -9,7 +9,7 @@ import pytest
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.kinect.fill import nearest_fill
-from depthcli.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
+from depthcli.kinect.pipeline.fast_global_smoother import FastGlobalSmoother, weighted_smoothing
 from depthcli.kinect.pipeline.guided import Guided
 from depthcli.kinect.pipeline.inpaint import Inpaint
 from depthcli.kinect.pipeline.joint_bilateral import JointBilateral, joint_bilateral_fill
@@ -185,3 +185,18 @@ def test_the_fast_one_beats_the_smoother_it_is_made_of(kind):
     assert np.nanmean(ours[sample.gap]) < 0.8 * np.nanmean(peer[sample.gap])
     assert np.nanmean(ours[sample.mismatch]) < 0.8 * np.nanmean(peer[sample.mismatch])
     assert np.nanmean(ours[sample.measured]) < 0.24
+
+
+def test_weighted_smoothing_is_the_same_at_any_number_of_threads():
+    rng = np.random.default_rng(0)
+    color = cv2.GaussianBlur(rng.integers(0, 256, (241, 333, 3), np.uint8), (0, 0), 2)
+    disparity = 50 * rng.random((241, 333), np.float32)
+    before = cv2.getNumThreads()
+    found = []
+    for threads in (1, 3, 8):
+        cv2.setNumThreads(threads)
+        found.append(weighted_smoothing(color, disparity, np.ones_like(disparity), 900, 5))
+        assert cv2.getNumThreads() == threads
+    cv2.setNumThreads(before)
+    np.testing.assert_array_equal(found[1], found[0])
+    np.testing.assert_array_equal(found[2], found[0])

@@ -16,8 +16,9 @@ class RgbIr(Layout):
 
     kind = RgbIrItem
     wants = (
-        "as `rgbd`, with `ir.*` (8 or 16 bit; where known `ir_noprojector.*`) and `calib.json` (`color`, `infrared`: "
-        "K, distortion, size; R, t; or `rectified`: true, `fb`) or OpenCV's `calib.yml` (M1 D1 M2 D2 R T)"
+        "as `rgbd`, with `ir.*` (8 or 16 bit) and `calib.json` or OpenCV's `calib.yml` (M1 D1 M2 D2 R T); calib.json "
+        "has `color`, `infrared` (K, distortion, size), R and t, or `rectified`: true and `fb`; where known "
+        "`ir_noprojector.*`"
     )
 
     def items(self, folder: Folder) -> list[Item]:

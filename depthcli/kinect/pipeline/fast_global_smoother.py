@@ -9,6 +9,7 @@ from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
+from depthcli.filtering.opencv_threads import single_thread
 from depthcli.kinect.noise import noise_level
 from depthcli.kinect.outcome import measured_disparity, outcome
 from depthcli.kinect.pipeline import KinectPipeline
@@ -63,8 +64,9 @@ def weighted_smoothing(
     smoothness, sigma_color : of ``cv2.ximgproc.createFastGlobalSmootherFilter``
     """
     weighted = np.where(confidence > 0, disparity, np.float32(0)) * confidence
-    smooth = cv2.ximgproc.createFastGlobalSmootherFilter(color, smoothness, sigma_color)
-    above, below = smooth.filter(weighted), smooth.filter(confidence)
+    with single_thread():
+        smooth = cv2.ximgproc.createFastGlobalSmootherFilter(color, smoothness, sigma_color)
+        above, below = smooth.filter(weighted), smooth.filter(confidence)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(below > 1e-12, above / below, np.float32(np.nan)).astype(np.float32)
 

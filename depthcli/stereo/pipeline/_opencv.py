@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
+from depthcli.filtering.opencv_threads import single_thread
 from depthcli.stereo.refinement.background_fill import fill_background
 from depthcli.stereo.volume import StereoResult
 
@@ -67,7 +68,8 @@ def match(
         smoother = cv2.ximgproc.createDisparityWLSFilter(matcher)
         smoother.setLambda(wls.lambda_)
         smoother.setSigmaColor(wls.sigma_color)
-        smooth = smoother.filter(raw, padded_left, None, mirrored)
+        with single_thread():
+            smooth = smoother.filter(raw, padded_left, None, mirrored)
         values, beyond = _to_map(smooth[margin : margin + height, lead : lead + width], max_disparity)
         answered = ~np.isnan(values)
         status = np.where(answered, status | Status.SMOOTHED, status | beyond).astype(np.uint8)
