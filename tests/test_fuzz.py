@@ -1,4 +1,4 @@
-"""A few hundred cases of ``scripts/fuzz``, and that it notices what it is there to notice."""
+"""A thousand cases of ``scripts/fuzz``, and that it notices what it is there to notice."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def fuzz() -> ModuleType:
     return module
 
 
-def test_readers(fuzz, capsys):
-    assert fuzz.main(["--only", "readers", "--cases", "400", "--seed", "7"]) == 0, capsys.readouterr().out
-    assert "400 cases, 0 faults" in capsys.readouterr().out
+def test_readers_and_commands(fuzz, capsys):
+    assert fuzz.main(["--cases", "1000", "--seed", "7"]) == 0, capsys.readouterr().out
+    assert "1000 cases, 0 faults" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("fault", ["bug", "warning", "open file", "message"])

@@ -206,9 +206,9 @@ def _check_names(work: Work, config: Any, items: Sequence[Item], output: Path) -
     for item in items:
         if any(not part or part.startswith(".") or "\0" in part for part in item.name.split("/")):
             raise ConfigError(f"{item.name!r} is no name for a folder of results; give one with --name")
-        target = (output / item.name).resolve()
+        target = os.path.realpath(output / item.name)  # unlike resolve() it lives with loops of links
         files = () if item.problem else work.files(config, item).values()
-        if any(target == file.resolve().parent for file in files):
+        if any(target == os.path.dirname(os.path.realpath(file)) for file in files):
             raise ConfigError(f"{output}: {item.name} would be written over its own input; choose another --output")
 
 

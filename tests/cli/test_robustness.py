@@ -266,3 +266,27 @@ def test_through_real_processes(made_scenes, tmp_path, reference):
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("\n") == 1
+
+
+def test_loops_of_links(made_scenes, tmp_path, capsys):
+    shutil.copytree(made_scenes, tmp_path / "in")
+    bad = sorted(path.name for path in (tmp_path / "in").iterdir() if path.is_dir())[0]
+    victim = next((tmp_path / "in" / bad).glob("left.*"))
+    victim.unlink()
+    victim.symlink_to(victim.name)
+    for name in ("loop", "loop.yaml"):
+        (tmp_path / name).symlink_to(name)
+    assert main(["stereo", PRESET, "-i", str(tmp_path / "in"), "-o", str(tmp_path / "r"), "-q"]) == 3
+    assert f"{bad}: {victim}: cannot be read (Too many levels of symbolic links)" in capsys.readouterr().err
+    done = [path.parent.name for path in (tmp_path / "r").glob("*/disp_left.pfm")]
+    assert sorted([*done, bad]) == sorted(path.name for path in made_scenes.iterdir() if path.is_dir())
+    loop, scenes = str(tmp_path / "loop"), str(made_scenes)
+    for arguments in (
+        ["stereo", PRESET, "-i", loop, "-o", str(tmp_path / "x")],
+        ["stereo", PRESET, "-i", scenes, "-o", loop],
+        ["stereo", f"{loop}.yaml", "-i", scenes, "-o", str(tmp_path / "x")],
+        ["evaluate", loop, "--truth", scenes],
+        ["evaluate", str(tmp_path / "r"), "--truth", loop],
+    ):
+        assert main(arguments) == 2, arguments
+        assert "loop" in capsys.readouterr().err

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -103,3 +105,26 @@ def test_cross_modal_keeps_the_truth(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert after.load().right.ndim == 2
     assert sample(tmp_path / "in", "--cross-modal", "--from", tmp_path / "in") == 2
     assert sample(tmp_path / "x", "--cross-modal", "--from", tmp_path / "missing") == 2
+
+
+@pytest.mark.parametrize("name", ["meta.json", "record.json"])
+@pytest.mark.parametrize("text", ["{}", "[" * 100_000 + "]" * 100_000, '{"width": {}}', "\0"])
+def test_damaged_notes_beside_a_scene_are_made_again(tmp_path: Path, capsys, name: str, text: str):
+    assert sample(tmp_path / "a", "-n", "2") == 0
+    wanted = _bytes(tmp_path / "a")
+    (tmp_path / "a" / "planes_0" / name).write_text(text)
+    assert sample(tmp_path / "a", "-n", "2") == 0
+    assert _bytes(tmp_path / "a") == wanted
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_two_at_once_do_not_mix(tmp_path: Path):
+    command = [sys.executable, "-m", "depthcli", "sample", "-o", str(tmp_path / "a"), "-q", *SMALL, "-n", "4"]
+    started = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(3)]
+    said = [process.communicate()[1].decode() for process in started]
+    for process, text in zip(started, said, strict=True):
+        # Who comes while another writes is told so; who comes after it finds everything done.
+        assert process.returncode == 0 or (process.returncode == 2 and "another depthcli is writing there" in text)
+    assert any(process.returncode == 0 for process in started)
+    assert sample(tmp_path / "b", "-n", "4") == 0
+    assert _bytes(tmp_path / "a") == _bytes(tmp_path / "b")
