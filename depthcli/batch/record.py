@@ -114,7 +114,7 @@ def open_run(folder: Path, text: str, overwrite: bool) -> str:
     file = folder / RUN_FILE
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        before = file.read_text("utf-8", "replace") if file.exists() else None
+        before = _read_text(file) if os.path.lexists(file) else None
     except OSError as error:
         raise OutputError(f"{folder}: cannot be used as a run folder ({error.strerror or error})") from error
     if before is not None and before != text and not overwrite and _any_done(folder):
@@ -122,6 +122,7 @@ def open_run(folder: Path, text: str, overwrite: bool) -> str:
         gone = [line.strip() for line in old if line not in new and not line.startswith("#")]
         come = [line.strip() for line in new if line not in old and not line.startswith("#")]
         what = f"it says {'; '.join(gone[:3])!r}, this run {'; '.join(come[:3])!r}"
+        what = what if before else f"its {RUN_FILE} cannot be read"
         raise ConfigError(
             f"{folder}: holds a run made with another config ({what}); choose another --output, or --overwrite it"
         )
@@ -189,12 +190,20 @@ def read_report(folder: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
+def _read_text(path: Path) -> str:
+    """What is in a file that is ours if it is regular and not huge; "" where it cannot be."""
+    try:
+        if path.is_file() and path.stat().st_size <= _MOST_BYTES:
+            return path.read_text("utf-8", "replace")
+    except OSError:
+        pass
+    return ""
+
+
 def _read_json(path: Path) -> Any:
     try:
-        if path.stat().st_size > _MOST_BYTES or not path.is_file():
-            return None
-        return json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
+        return json.loads(_read_text(path))
+    except (ValueError, RecursionError):
         return None
 
 

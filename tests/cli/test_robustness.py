@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import shutil
 import subprocess
@@ -290,3 +291,14 @@ def test_loops_of_links(made_scenes, tmp_path, capsys):
     ):
         assert main(arguments) == 2, arguments
         assert "loop" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["run.yaml", "report.json", "planes_0/record.json"])
+def test_a_pipe_among_the_files_of_a_run_is_not_waited_for(made_scenes, tmp_path, capsys, name: str):
+    command = ["stereo", PRESET, "-i", str(made_scenes), "-o", str(tmp_path / "r"), "-q", "--scenes", "planes_*"]
+    assert main(command) == 0
+    (tmp_path / "r" / name).unlink()
+    os.mkfifo(tmp_path / "r" / name)
+    assert main(command) == (2 if name == "run.yaml" else 0)
+    assert ("run.yaml cannot be read" in capsys.readouterr().err) == (name == "run.yaml")
+    assert main([*command, "--overwrite"]) == 0
