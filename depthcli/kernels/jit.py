@@ -86,7 +86,7 @@ from numba.core.compiler import CompileResult  # noqa: E402
 
 __all__ = [
     "CompileWatch", "cache_folder", "cgutils", "compile_seconds", "float32", "int32", "intrinsic", "jit",
-    "parallel_jit", "prange", "set_threads", "types",
+    "parallel_jit", "prange", "set_threads", "threads", "types",
 ]  # fmt: skip
 
 
@@ -227,6 +227,12 @@ class _Cache(FunctionCache):
 def intrinsic(function: Callable[..., Any]) -> Any:
     """Define an operation that kernels call, by the code it becomes (callers leave out the typing context)."""
     return numba.extending.intrinsic(function)
+
+
+def threads() -> int:
+    """How many threads a parallel kernel runs on: for those that hold scratch memory a thread."""
+    count: int = numba.get_num_threads()
+    return count
 
 
 def set_threads(count: int) -> None:

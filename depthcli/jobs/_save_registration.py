@@ -1,0 +1,97 @@
+"""Registration confidence as files, on the fixed volume's grid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.batch.record import to_csv
+from depthcli.io.atomic import write_text
+from depthcli.io.images import write_png
+from depthcli.io.items.volume_pair import LoadedPair
+from depthcli.io.volumes import linear, write_volume
+from depthcli.registration._volume import resample
+from depthcli.registration.pipeline import RegistrationResult
+
+_TOP = 10.0  # mm shown in full red
+
+
+def save_registration(
+    result: RegistrationResult,
+    loaded: LoadedPair,
+    points: NDArray[np.float64] | None,
+    error: NDArray[np.float32] | None,
+    folder: Path,
+    suffix: str,
+) -> None:
+    """Write confidence, expected error and shift as volumes, the landmarks as a table, and a preview.
+
+    Parameters
+    ----------
+    points : (N, 3) landmarks x, y, z in mm, or None
+    error : (N,) their true errors, mm, or None
+    suffix : ending of the volumes
+    """
+    grid = loaded.grid
+    back = [1 / step for step in result.step]
+    first_place = [-start / step for start, step in zip(result.start, result.step, strict=True)]
+
+    def slab(values: NDArray[np.float32], first: int, last: int) -> NDArray[np.float32]:
+        start = (first_place[0] + first * back[0], first_place[1], first_place[2])
+        return resample(values, (last - first, grid.shape[1], grid.shape[2]), back, start)
+
+    def vectors(first: int, last: int) -> NDArray[np.float32]:
+        own = np.stack([slab(result.shift[axis], first, last) for axis in (2, 1, 0)], axis=-1)
+        turned: NDArray[np.float32] = (own @ grid.axes.T).astype(np.float32)
+        return turned
+
+    write_volume(folder / f"confidence{suffix}", grid, lambda a, b: slab(result.certainty, a, b))
+    write_volume(folder / f"expected_error{suffix}", grid, lambda a, b: slab(result.expected_error, a, b))
+    write_volume(folder / f"shift{suffix}", grid, vectors, vector=True)
+    write_png(folder / "preview.png", _preview(result, loaded))
+    if points is not None:
+        write_text(folder / "points.csv", to_csv(_rows(result, loaded, points, error)))
+
+
+def _rows(
+    result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.float64], error: NDArray[np.float32] | None
+) -> list[dict[str, Any]]:
+    places = (loaded.grid.to_index(points) - np.array(result.start)) / np.array(result.step)
+    expected, certainty = linear(result.expected_error, places), linear(result.certainty, places)
+    shift = np.stack([linear(result.shift[axis], places) for axis in (2, 1, 0)], axis=-1) @ loaded.grid.axes.T
+    rows = []
+    for k, point in enumerate(points):
+        row: dict[str, Any] = {axis: round(float(v), 4) for axis, v in zip("xyz", point, strict=True)}
+        row |= {"confidence": round(float(certainty[k]), 5), "expected_error": round(float(expected[k]), 4)}
+        row |= {f"shift_{axis}": round(float(v), 4) for axis, v in zip("xyz", shift[k], strict=True)}
+        if error is not None:
+            row["true_error"] = round(float(error[k]), 4)
+        rows.append(row)
+    return rows
+
+
+def _preview(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.uint8]:
+    """Three orthogonal slices through the middle, one a row: fixed, warped, expected error over fixed."""
+    shape = result.expected_error.shape
+    volumes = [resample(v, shape, result.step, result.start) for v in (loaded.pair.fixed, loaded.pair.warped)]
+    low, high = (float(v) for v in np.percentile(volumes[0], [1, 99]))
+    rows = []
+    for axis in range(3):
+        if axis == 0 or shape[0] > 1:
+            cut: list[Any] = [slice(None)] * 3
+            cut[axis] = shape[axis] // 2
+            chosen = tuple(cut)
+            grey = [
+                np.clip((v[chosen] - low) / max(high - low, 1e-6) * 255, 0, 255).astype(np.uint8) for v in volumes
+            ]
+            plain = [np.repeat(g[..., None], 3, axis=2) for g in grey]
+            code = np.clip(result.expected_error[chosen] / _TOP * 255, 0, 255).astype(np.uint8)
+            color = cv2.applyColorMap(code, cv2.COLORMAP_TURBO)[..., ::-1].reshape(plain[0].shape)
+            over = (0.5 * plain[0] + 0.5 * color).astype(np.uint8)
+            rows.append(np.concatenate([*plain, over], axis=1))
+    width = max(row.shape[1] for row in rows)
+    return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows], axis=0)

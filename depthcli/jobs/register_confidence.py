@@ -1,0 +1,90 @@
+"""Tell where a registration of two volumes is doubtful: confidence, expected error and shift of every voxel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from depthcli.core.errors import InputError
+from depthcli.io.items import Item
+from depthcli.io.items.volume_pair import VolumePairItem
+from depthcli.jobs._batch import ConfigCommand
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from depthcli.batch.runner import Outcome
+    from depthcli.batch.tables import Column
+
+_BORDER = 0.2  # share of best matches on the border of the search above which errors are larger than it
+
+
+class RegisterConfidenceCommand(ConfigCommand):
+    """Searches around every voxel of a registered pair."""
+
+    kinds: ClassVar[tuple[type[Item], ...]] = (VolumePairItem,)
+
+    def config_model(self) -> type[BaseModel]:
+        """The method and the convention of displacement files."""
+        from depthcli.registration.config import RegisterConfidenceConfig
+
+        return RegisterConfidenceConfig
+
+    def columns(self) -> tuple[Column, ...]:
+        """Size, side of a working voxel, mean expected error, share of best matches on the border."""
+        from depthcli.batch.tables import Column, percent
+
+        return (
+            Column("size", lambda row: f"{row['width']}x{row['height']}x{row['slices']}" if "slices" in row else "-"),
+            Column("iso mm", lambda row: f"{row['iso']:.2f}" if "iso" in row else "-"),
+            Column("error mm", lambda row: f"{row['mean_error']:.2f}" if "mean_error" in row else "-"),
+            Column("border", percent("border")),
+        )
+
+    def compute(self, config: Any, item: VolumePairItem, folder: Path, memory: int) -> Outcome:
+        """Search one pair.
+
+        Raises
+        ------
+        InputError
+            The files cannot be used, or ``memory`` bytes do not suffice.
+        """
+        from depthcli.batch.resources import show_bytes
+        from depthcli.batch.runner import Outcome
+        from depthcli.core.result import Clock
+        from depthcli.io.volumes import written_suffix
+        from depthcli.jobs._save_registration import save_registration
+
+        clock = Clock()
+        loaded = item.load(config.field)
+        points = item.landmarks(loaded.grid)
+        shape = loaded.pair.shape
+        need = config.peak_bytes(shape, loaded.pair.spacing) + 2 * loaded.pair.fixed.nbytes
+        if need > memory:
+            raise InputError(
+                f"needs about {show_bytes(need)} of memory ({' x '.join(map(str, loaded.grid.size))} voxels), "
+                f"{show_bytes(memory)} may be used; see --max-memory, --jobs, max_voxels, iso"
+            )
+        clock.stop("load")
+        result = config(loaded.pair)
+        clock.stop("other")
+        clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
+        known = points is not None and item.has_truth and item.error_true is None
+        error = item.truth(config.field).error if known else None
+        save_registration(result, loaded, points, error, folder, written_suffix(item.fixed))
+        clock.stop("save")
+        facts = {"width": shape[2], "height": shape[1], "slices": shape[0], **result.figures}
+        seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
+        return Outcome(facts, seconds, _warnings(result.figures["border"]))
+
+
+def _warnings(border: float) -> list[str]:
+    if border <= _BORDER:
+        return []
+    return [
+        f"{100 * border:.0f} % of the best matches lie on the border of the search: the registration is off by more "
+        "than it reaches; raise levels, radius or iso"
+    ]
+
+
+COMMAND = RegisterConfidenceCommand()

@@ -1,0 +1,23 @@
+"""Real numbers to 0 .. 255 on one scale for both volumes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def levels(
+    fixed: NDArray[np.float32], warped: NDArray[np.float32], outliers: float
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Both arrays between their common low and high percentile, ``outliers`` percent cut off at either end."""
+    both = np.concatenate([fixed.ravel(), warped.ravel()])
+    low, high = (float(v) for v in np.percentile(both, [outliers, 100 - outliers]))
+    if high <= low:
+        low, high = float(both.min()), float(both.max())
+    scale = np.float32(255 / (high - low)) if high > low else np.float32(0)
+
+    def code(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+        coded: NDArray[np.uint8] = np.clip(np.rint((values - np.float32(low)) * scale), 0, 255).astype(np.uint8)
+        return coded
+
+    return code(fixed), code(warped)

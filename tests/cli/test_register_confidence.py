@@ -1,0 +1,171 @@
+"""register-confidence from the command line: files, messages, exit codes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import warnings
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.io.volumes import Grid, read_volume, write_array
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)
+    SimpleITK = pytest.importorskip("SimpleITK")
+
+SMALL = ("--set", "radius=3", "--set", "half_window=1", "-q")
+FILES = {"confidence.nii.gz", "expected_error.nii.gz", "shift.nii.gz", "preview.png", "record.json"}
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pairs")
+    assert main(["sample", "--registration", "-o", str(folder), "-n", "2", "-q"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(pairs, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "mind"
+    assert main(["register-confidence", "mind", "-i", str(pairs), "-o", str(folder), *SMALL]) == 0
+    return folder
+
+
+def test_outputs_lie_on_the_fixed_grid(pairs, run):
+    fixed = read_volume(pairs / "pair_0" / "fixed.nii.gz")
+    assert {path.name for path in (run / "pair_0").iterdir()} == FILES
+    confidence = read_volume(run / "pair_0" / "confidence.nii.gz")
+    error = read_volume(run / "pair_0" / "expected_error.nii.gz")
+    shift = read_volume(run / "pair_0" / "shift.nii.gz", vector=True)
+    assert all(each.grid.same_as(fixed.grid) for each in (confidence, error, shift))
+    assert confidence.values.min() >= 0 and confidence.values.max() <= 1 and error.values.min() >= 0
+    # Resampling a product is not the product of what is resampled: equal up to interpolation.
+    assert np.abs(confidence.values - np.exp(-error.values / 3)).mean() < 0.02
+
+
+def test_same_bytes_with_other_threads_and_resumed(pairs, run, tmp_path):
+    again = tmp_path / "again"
+    command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(again), *SMALL, "--threads", "1"]
+    assert main(command) == 0
+    for name in ("pair_0", "pair_1"):
+        for file in FILES - {"record.json"}:
+            assert (again / name / file).read_bytes() == (run / name / file).read_bytes()
+    before = (again / "pair_0" / "record.json").stat().st_mtime_ns
+    assert main(command) == 0
+    assert (again / "pair_0" / "record.json").stat().st_mtime_ns == before
+
+
+def test_evaluated_against_the_dense_truth(pairs, run, tmp_path, capsys):
+    assert main(["evaluate", str(run), "--truth", str(pairs), "-o", str(tmp_path / "e"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    scores = {s["metric"]: s["value"] for s in found["results"][0]["scores"]}
+    assert scores["Spearman"] > 0.6 and scores["MAE"] < 1.5 and 2 < scores["TRE"] < 3
+
+
+def moved_files(pairs, folder):
+    """A single pair given by its moving volume and a field, with landmarks."""
+    folder.mkdir()
+    fixed = read_volume(pairs / "pair_0" / "fixed.nii.gz")
+    shift = np.zeros((*fixed.values.shape, 3), np.float32)
+    shift[..., 0] = 3.0
+    write_array(folder / "fixed.mha", fixed.grid, fixed.values)
+    write_array(folder / "moving.mha", fixed.grid, np.roll(fixed.values, 2, axis=2))
+    write_array(folder / "displacement.mha", fixed.grid, shift)
+    points = fixed.grid.to_point(np.array([[20.0, 25.0, 25.0], [15.0, 30.0, 20.0]]))
+    np.savetxt(folder / "landmarks_fixed.csv", points, delimiter=",", header="x,y,z", comments="")
+    matches = points + np.array([3.0, 0.5, 0.0])
+    np.savetxt(folder / "landmarks_moving.csv", matches, delimiter=",", header="x,y,z", comments="")
+    return folder
+
+
+def test_a_moving_volume_with_its_field_and_landmarks(pairs, tmp_path):
+    folder = moved_files(pairs, tmp_path / "pair")
+    assert main(["register-confidence", "mind", "-i", str(folder), "-o", str(tmp_path / "run"), *SMALL]) == 0
+    rows = (tmp_path / "run" / "pair" / "points.csv").read_text().splitlines()
+    assert rows[0] == "x,y,z,confidence,expected_error,shift_x,shift_y,shift_z,true_error"
+    values = [dict(zip(rows[0].split(","), map(float, row.split(",")), strict=True)) for row in rows[1:]]
+    assert [v["true_error"] for v in values] == pytest.approx([0.5, 0.5], abs=1e-3)
+    assert all(v["confidence"] > 0.8 for v in values)
+    one = ["--fixed", str(folder / "fixed.mha"), "--moving", str(folder / "moving.mha"),
+           "--displacement", str(folder / "displacement.mha"), "--name", "pair"]  # fmt: skip
+    assert main(["register-confidence", "mind", *one, "-o", str(tmp_path / "one"), *SMALL]) == 0
+    name = "pair/expected_error.mha"
+    assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
+
+
+def spoil(folder, what):
+    """One kind of damage to a pair; what the message must say."""
+    fixed = read_volume(folder / "fixed.nii.gz")
+    grid, values = fixed.grid, fixed.values
+    if what == "grid":
+        write_array(folder / "moving_warped.nii.gz", Grid(grid.size, (2.0, 1.5, 2.0)), values)
+        return "another grid"
+    if what == "size":
+        write_array(folder / "moving_warped.nii.gz", Grid((56, 56, 39), grid.spacing), values[:39])
+        return "56 x 56 x 39, want 56 x 56 x 40"
+    if what == "mask":
+        write_array(folder / "mask.nii.gz", Grid((56, 56, 39), grid.spacing), values[:39])
+        return "another grid"
+    if what == "empty mask":
+        write_array(folder / "mask.nii.gz", grid, 0 * values)
+        return "no voxel is set"
+    if what == "nan":
+        values[20, 28, 28] = np.nan
+        write_array(folder / "fixed.nii.gz", grid, values)
+        return "1 voxels are no numbers"
+    if what == "flat":
+        write_array(folder / "moving_warped.nii.gz", grid, 0 * values)
+        return "nothing to compare"
+    if what == "landmark":
+        (folder / "landmarks_fixed.csv").write_text("x,y,z\n10,10,10\n500,0,0\n")
+        return "1 of 2 landmarks lie outside the fixed volume, the first is point 2"
+    if what == "4-D":
+        SimpleITK.WriteImage(
+            SimpleITK.JoinSeries([SimpleITK.GetImageFromArray(values)] * 2), str(folder / "fixed.nii.gz")
+        )
+        return "4-D"
+    data = (folder / "moving_warped.nii.gz").read_bytes()
+    (folder / "moving_warped.nii.gz").write_bytes(data[: len(data) // 2])
+    return "cut off"
+
+
+@pytest.mark.parametrize("what", ["grid", "size", "mask", "empty mask", "nan", "flat", "landmark", "4-D", "truncated"])
+def test_bad_input_is_one_line_and_spoils_no_other(pairs, tmp_path, capsys, what):
+    shutil.copytree(pairs, tmp_path / "pairs")
+    said = spoil(tmp_path / "pairs" / "pair_1", what)
+    status = main(["register-confidence", "mind", "-i", str(tmp_path / "pairs"), "-o", str(tmp_path / "run"), *SMALL])
+    assert status == 3
+    lines = [line for line in capsys.readouterr().err.splitlines() if "pair_1" in line]
+    assert len(lines) == 1 and said in lines[0]
+    assert (tmp_path / "run" / "pair_0" / "confidence.nii.gz").is_file()
+
+
+def test_a_mask_leaves_nan_out(pairs, tmp_path):
+    shutil.copytree(pairs, tmp_path / "pairs")
+    fixed = read_volume(tmp_path / "pairs" / "pair_0" / "fixed.nii.gz")
+    fixed.values[0, 0, 0] = np.nan  # a corner, outside the body
+    write_array(tmp_path / "pairs" / "pair_0" / "fixed.nii.gz", fixed.grid, fixed.values)
+    command = ["register-confidence", "mind", "-i", str(tmp_path / "pairs"), "-o", str(tmp_path / "run"), *SMALL]
+    assert main(command) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--fixed", "a.nii"], "--fixed wants --warped, or --moving"),
+        (["--warped", "a.nii"], "--warped wants --fixed"),
+        (["--fixed", "a.nii", "--warped", "b.nii", "--field", "spm"], "field"),
+    ],
+)
+def test_options_that_do_not_fit(tmp_path, capsys, options, said):
+    assert main(["register-confidence", "mind", *options, "-o", str(tmp_path / "run")]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_too_little_memory_is_said(pairs, tmp_path, capsys):
+    command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(tmp_path / "run"), "--max-memory", "20MiB"]
+    assert main([*command, "-q"]) == 3
+    assert "of memory" in capsys.readouterr().err

@@ -1,0 +1,62 @@
+"""Slow twins of the registration confidence, numpy only."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+
+def displacements(shape, radius, span):
+    """Every displacement by length, zero first; none along axes of one voxel."""
+    sides = [range(-radius, radius + 1) if n > 1 else range(1) for n in shape]
+    most = {"cube": 3, "planes": 2, "axes": 1}[span]
+    found = [d for d in itertools.product(*sides) if sum(v != 0 for v in d) <= most]
+    return sorted(found, key=lambda d: sum(v * v for v in d))
+
+
+def curves(fixed, warped, radius, half, span):
+    """(K, Z, Y, X) mean absolute differences over channels and window, borders repeated, in stored units."""
+    shape = fixed.shape[1:]
+    window = list(itertools.product(*(range(-half, half + 1) if n > 1 else range(1) for n in shape)))
+    costs = []
+    for d in displacements(shape, radius, span):
+        out = np.zeros(shape)
+        for p in np.ndindex(*shape):
+            total = 0
+            for u in window:
+                a = tuple(int(np.clip(p[i] + u[i], 0, shape[i] - 1)) for i in range(3))
+                b = tuple(int(np.clip(p[i] + u[i] + d[i], 0, shape[i] - 1)) for i in range(3))
+                total += np.abs(fixed[(slice(None), *a)].astype(int) - warped[(slice(None), *b)].astype(int)).sum()
+            out[p] = total / (len(window) * fixed.shape[0])
+        costs.append(out)
+    return np.array(costs)
+
+
+def measures(costs, offsets, spacing, power):
+    """What the formulas say, one curve at a time."""
+    names = ("eshift", "vshift", "shift", "mlm0", "aml0", "rank0", "cur0", "cost0", "msm")
+    out = {name: np.zeros(costs.shape[1:]) for name in names}
+    offsets = np.array(offsets, float)
+    lengths = np.linalg.norm(offsets, axis=1) * spacing
+    near = np.isclose((offsets**2).sum(axis=1), 1)
+    for p in np.ndindex(*costs.shape[1:]):
+        c = costs[(slice(None), *p)]
+        s = c.std()
+        t = 2 * (c - c.min()) / s if s > 1e-9 else None
+        if t is None:
+            values = (0, 0, 0, 1, 1)
+        else:
+            sharp, soft, squared = np.exp(-power * t), np.exp(-t), np.exp(-t * t)
+            q = sharp / sharp.sum()
+            values = (
+                (q * lengths).sum(),
+                np.linalg.norm((q[:, None] * offsets).sum(axis=0)) * spacing,
+                lengths[c.argmin()],
+                soft[0] / soft.sum(),
+                squared[0] / squared.sum(),
+            )
+        rest = ((c < c[0]).mean(), (c[near] - c[0]).sum(), c[0], -c.min())
+        for name, value in zip(names, (*values, *rest), strict=True):
+            out[name][p] = value
+    return out

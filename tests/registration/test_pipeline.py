@@ -1,0 +1,122 @@
+"""The whole method on volumes whose error is known, and the combination of measures."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from depthcli.core.volumes import RegisteredPair
+from depthcli.evaluation.protocols.registration import correlation, ranks
+from depthcli.registration.calibration import isotonic, monotone
+from depthcli.registration.config import RegisterConfidenceConfig
+from depthcli.synthetic.deformed_volumes import make_deformed_pair, smooth_noise
+
+
+def texture(shape, seed=0, sigma=1.2):
+    return (100 * smooth_noise(np.random.default_rng(seed), shape, sigma)).astype(np.float32)
+
+
+def config(**fields):
+    return RegisterConfidenceConfig(**{"radius": 4, "half_window": 2, **fields})
+
+
+@pytest.fixture(scope="module")
+def deformed():
+    pair = make_deformed_pair(0, (36, 48, 48), 3.0, noise=0)
+    true = np.linalg.norm(pair.residual, axis=-1)
+    return RegisteredPair(pair.fixed, pair.warped, (1.0, 1.0, 1.0), pair.mask), true
+
+
+def test_identical_volumes_are_certain_inside():
+    volume = texture((20, 24, 24))
+    result = config()(RegisteredPair(volume, volume.copy(), (1.5, 1.5, 1.5)))
+    assert result.certainty[5:-5, 5:-5, 5:-5].min() > 0.95
+    assert result.figures["border"] == 0
+
+
+def test_confidence_falls_and_error_follows_a_uniform_shift():
+    wide = texture((24, 24, 32))
+    means, inner = [], (slice(6, -6),) * 3
+    for shift in range(4):
+        pair = RegisteredPair(wide[:, :, 4:28].copy(), wide[:, :, 4 - shift : 28 - shift].copy(), (1.0, 1.0, 1.0))
+        result = config()(pair)
+        means.append(float(result.certainty[inner].mean()))
+        if shift:
+            assert result.expected_error[inner].mean() == pytest.approx(shift, rel=0.25)
+    assert all(a > b for a, b in itertools.pairwise(means))
+
+
+@pytest.mark.parametrize("calibration", ["none", "self"])
+def test_orders_a_smooth_error(deformed, calibration):
+    pair, true = deformed
+    result = config(calibration=calibration, levels=2)(pair)
+    chosen = np.flatnonzero(pair.mask)[::7]
+    found, known = result.expected_error.ravel()[chosen], true.ravel()[chosen]
+    assert correlation(ranks(found), ranks(known)) > 0.75
+    assert np.abs(found - known).mean() < 0.6 * known.mean()
+
+
+def test_a_coarser_level_sees_beyond_the_radius():
+    wide = texture((28, 40, 52), sigma=2.5)
+    pair = RegisteredPair(wide[:, :, 6:46].copy(), wide[:, :, :40].copy(), (1.0, 1.0, 1.0))
+    inner = (slice(10, -10),) * 3
+    near, far = (config(levels=levels)(pair) for levels in (1, 2))
+    assert near.figures["border"] > 0.2
+    assert far.expected_error[inner].mean() == pytest.approx(6, rel=0.25)
+    assert abs(far.expected_error[inner].mean() - 6) < abs(near.expected_error[inner].mean() - 6)
+
+
+def test_a_plane_is_searched_in_its_plane():
+    wide = texture((9, 40, 48))[4:5]
+    pair = RegisteredPair(wide[:, :, 2:46].copy(), wide[:, :, :44].copy(), (1.0, 0.8, 0.8))
+    result = config()(pair)  # fixed(x) = wide(x + 2) = warped(x + 2): the match lies 2 voxels of 0.8 mm up x
+    assert result.step[0] == 1 and result.expected_error.shape[0] == 1
+    assert not result.shift[0].any()
+    assert np.median(result.shift[2][:, 8:-8, 8:-8]) == pytest.approx(1.6, abs=0.3)
+
+
+def test_anisotropic_voxels_become_cubes():
+    method = config()
+    shape, step, start = method.grid((10, 40, 60), (4.0, 1.0, 1.0))
+    side = 4 ** (1 / 3)
+    assert np.allclose(np.array(step) * [4, 1, 1], side)
+    assert shape == tuple(int(np.ceil(n * s / side - 1e-6)) for n, s in zip((10, 40, 60), (4, 1, 1), strict=True))
+    assert start == tuple((s - 1) / 2 for s in step)
+    assert np.prod(config(max_voxels=1000).grid((100, 100, 100), (1.0, 1.0, 1.0))[0]) <= 1000
+
+
+def test_inputs_are_left_alone_and_the_result_is_the_same(deformed):
+    pair, _ = deformed
+    before = pair.fixed.copy(), pair.warped.copy()
+    one, other = config(calibration="self")(pair), config(calibration="self")(pair)
+    assert np.array_equal(one.expected_error, other.expected_error) and np.array_equal(one.shift, other.shift)
+    assert np.array_equal(pair.fixed, before[0]) and np.array_equal(pair.warped, before[1])
+
+
+@pytest.mark.parametrize(
+    ("fields", "match"),
+    [({"measure": "nothing"}, "no measure"), ({"intensity_range": (5, 5)}, "below the second"),
+     ({"calibration": "self", "measure": "cost0"}, "chooses its measures"), ({"field": "spm"}, "pattern")],
+)  # fmt: skip
+def test_wrong_configs(fields, match):
+    with pytest.raises(ValidationError, match=match):
+        config(**fields)
+
+
+def test_isotonic_pools_what_falls():
+    found = isotonic(np.array([1.0, 3.0, 2.0, 4.0, 0.0]), np.array([1.0, 1.0, 1.0, 1.0, 2.0]))
+    np.testing.assert_allclose(found, [1, 1.8, 1.8, 1.8, 1.8])
+    assert isotonic(np.arange(4.0), np.ones(4)).tolist() == [0, 1, 2, 3]
+
+
+def test_monotone_keeps_the_order_of_the_score():
+    rng = np.random.default_rng(0)
+    score = rng.standard_normal((10, 10, 10)).astype(np.float32)
+    error = np.maximum(score + rng.standard_normal(score.shape) + 3, 0).astype(np.float32)
+    found = monotone(score, error, np.arange(0, score.size, 2))
+    order = np.argsort(score.ravel())
+    assert (np.diff(found.ravel()[order]) >= 0).all() and (found >= 0).all()
+    assert found.mean() == pytest.approx(error.mean(), rel=0.05)

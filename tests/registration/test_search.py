@@ -1,0 +1,78 @@
+"""The search against its naive twin, and what must hold for any volume."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+from depthcli.registration.search import FEW, displacements, search
+from tests.naive import registration as naive
+
+
+def channels(seed, shape, count=2, top=FEW):
+    return np.random.default_rng(seed).integers(0, top + 1, (count, *shape), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("span", ["cube", "planes", "axes"])
+@pytest.mark.parametrize(
+    ("shape", "count", "half", "top"), [((4, 5, 6), 2, 1, 85), ((1, 6, 5), 4, 2, 255), ((3, 3, 3), 1, 0, 255)]
+)
+def test_as_the_naive_twin(span, shape, count, half, top):
+    fixed, warped = channels(0, shape, count, top), channels(1, shape, count, top)
+    fixed[0, 0, 0, 0] = top
+    found = search(fixed, warped, 1.5, 2, half, 5, span, squared=True)
+    offsets = naive.displacements(shape, 2, span)
+    assert [tuple(d) for d in displacements(shape, 2, span)] == offsets
+    costs = naive.curves(fixed, warped, 2, half, span)
+    expected = naive.measures(costs, offsets, 1.5, 5)
+    for name, values in expected.items():
+        units = top if name in ("cur0", "cost0", "msm") else 1
+        slack = 2e-3 * max(units / 20, 1)
+        np.testing.assert_allclose(found.maps[name] * units, values, rtol=2e-3, atol=slack, err_msg=name)
+
+
+def test_same_bytes_at_any_tile_and_thread_count():
+    fixed, warped = channels(2, (9, 13, 17), 6), channels(3, (9, 13, 17), 6)
+    whole = search(fixed, warped, 1.0, 2, 2, squared=True)
+    threads = numba.get_num_threads()
+    for count in (1, threads):
+        numba.set_num_threads(count)
+        try:
+            for tile in ((9, 13, 17), (4, 5, 7), (1, 1, 3)):
+                parts = search(fixed, warped, 1.0, 2, 2, squared=True, tile=tile)
+                assert all(np.array_equal(parts.maps[name], whole.maps[name]) for name in whole.maps)
+                assert np.array_equal(parts.displacement, whole.displacement)
+                assert np.array_equal(parts.border, whole.border)
+        finally:
+            numba.set_num_threads(threads)
+
+
+@pytest.mark.parametrize("offset", [(0, 0, 0), (2, 0, 0), (0, -1, 0), (1, 2, -2)])
+def test_finds_a_shift(offset):
+    wide = channels(4, (18, 18, 18), 3)
+    inner = tuple(slice(3, 15) for _ in range(3))
+    moved = tuple(slice(3 - d, 15 - d) for d in offset)
+    found = search(
+        np.ascontiguousarray(wide[(slice(None), *inner)]), np.ascontiguousarray(wide[(slice(None), *moved)]), 2.0, 3, 1
+    )
+    middle = (slice(4, 8),) * 3
+    for axis in range(3):
+        assert np.allclose(found.displacement[(axis, *middle)], 2.0 * offset[axis], atol=0.05)
+    assert np.allclose(found.maps["shift"][middle], 2 * np.linalg.norm(offset))
+
+
+def test_flat_volumes_say_nothing_against_zero():
+    flat = np.full((6, 5, 5, 5), 40, np.uint8)
+    found = search(flat, flat.copy(), 1.0, 2, 1, squared=True)
+    assert not found.maps["eshift"].any() and not found.border.any()
+    assert (found.maps["mlm0"] == 1).all() and (found.maps["aml0"] == 1).all()
+
+
+def test_inputs_are_left_alone_and_must_fit():
+    fixed, warped = channels(5, (4, 4, 4)), channels(6, (4, 4, 4))
+    before = fixed.copy(), warped.copy()
+    search(fixed, warped, 1.0, 1, 1)
+    assert np.array_equal(fixed, before[0]) and np.array_equal(warped, before[1])
+    with pytest.raises(ValueError, match="want two uint8 arrays"):
+        search(fixed, warped[:1], 1.0)
