@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.io.files import naming, open_regular, read_bytes
-from depthcli.io.volumes import Grid, Volume, nifti_header, read_image, read_volume, simple_itk, suffix_of
+from depthcli.io.volumes import Grid, Volume, nifti_header, quiet, read_image, read_volume, simple_itk, suffix_of
 
 TRANSFORM_SUFFIXES = (".tfm", ".txt", ".h5", ".hdf5", ".mat", ".xfm")
 FIELD_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")
@@ -246,10 +246,8 @@ def _read_transform(path: Path) -> Any:
                 return sitk.CompositeTransform(_elastix_chain(path, text, ()))
         with open_regular(path):
             pass
-        from depthcli.io.volumes import _quiet
-
         try:
-            with _quiet():
+            with quiet():
                 return sitk.ReadTransform(str(path))
         except RuntimeError:
             raise InputError("not a transform that ITK can read") from None

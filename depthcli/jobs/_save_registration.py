@@ -13,7 +13,8 @@ from depthcli.batch.record import to_csv
 from depthcli.io.atomic import write_text
 from depthcli.io.images import write_png
 from depthcli.io.items.volume_pair import LoadedPair
-from depthcli.io.volumes import linear, write_volume
+from depthcli.io.volume_files import write_volume
+from depthcli.io.volumes import linear
 from depthcli.registration._volume import resample
 from depthcli.registration.pipeline import RegistrationResult
 
@@ -85,9 +86,7 @@ def _preview(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.uint8
             cut: list[Any] = [slice(None)] * 3
             cut[axis] = shape[axis] // 2
             chosen = tuple(cut)
-            grey = [
-                np.clip((v[chosen] - low) / max(high - low, 1e-6) * 255, 0, 255).astype(np.uint8) for v in volumes
-            ]
+            grey = [np.clip((v[chosen] - low) / max(high - low, 1e-6) * 255, 0, 255).astype(np.uint8) for v in volumes]
             plain = [np.repeat(g[..., None], 3, axis=2) for g in grey]
             code = np.clip(result.expected_error[chosen] / _TOP * 255, 0, 255).astype(np.uint8)
             color = cv2.applyColorMap(code, cv2.COLORMAP_TURBO)[..., ::-1].reshape(plain[0].shape)

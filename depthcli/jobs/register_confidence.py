@@ -52,7 +52,7 @@ class RegisterConfidenceCommand(ConfigCommand):
         from depthcli.batch.resources import show_bytes
         from depthcli.batch.runner import Outcome
         from depthcli.core.result import Clock
-        from depthcli.io.volumes import written_suffix
+        from depthcli.io.volume_files import written_suffix
         from depthcli.jobs._save_registration import save_registration
 
         clock = Clock()

@@ -104,7 +104,15 @@ def _add_scaled(row: Any, factor: Any, out: Any) -> None:
 
 @jit
 def _measure_row(
-    costs: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, power: Any, scale: Any, squared: bool, rows: Any,
+    costs: Any,
+    offsets: Any,
+    lengths: Any,
+    edge: Any,
+    neighbors: Any,
+    power: Any,
+    scale: Any,
+    squared: bool,
+    rows: Any,
     out: Any,
 ) -> None:
     """Measures of one row of curves, (K, n) uint16 costs with displacement zero first, into (planes, n) ``out``.

@@ -56,9 +56,7 @@ def _oriented(curves: Curves, name: str) -> NDArray[np.float32]:
     return -values if name in SURER_IF_LARGER else values
 
 
-def monotone(
-    score: NDArray[np.float32], error: NDArray[np.float32], places: NDArray[np.int64]
-) -> NDArray[np.float32]:
+def monotone(score: NDArray[np.float32], error: NDArray[np.float32], places: NDArray[np.int64]) -> NDArray[np.float32]:
     """Mean of ``error`` given ``score``, never falling: pooled over the places, then interpolated.
 
     Means of at most 200 bins of equally many places, pooled where they fall (isotonic regression by

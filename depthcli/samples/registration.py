@@ -45,7 +45,8 @@ class RegistrationSample(Sample):
         import numpy as np
 
         from depthcli.io.atomic import write_text
-        from depthcli.io.volumes import Grid, write_array
+        from depthcli.io.volume_files import write_array
+        from depthcli.io.volumes import Grid
         from depthcli.synthetic.deformed_volumes import make_deformed_pair
 
         largest, seed = item.settings["largest"], item.settings["seed"]

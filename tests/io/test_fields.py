@@ -10,7 +10,8 @@ import pytest
 
 from depthcli.core.errors import InputError
 from depthcli.io.fields import in_millimeters, place, read_field, read_moving_transform
-from depthcli.io.volumes import Grid, Volume, write_array
+from depthcli.io.volume_files import write_array
+from depthcli.io.volumes import Grid, Volume
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

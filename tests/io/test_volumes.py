@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from depthcli.core.errors import InputError
-from depthcli.io.volumes import Grid, linear, read_volume, write_array, written_suffix
+from depthcli.io.volume_files import write_array, written_suffix
+from depthcli.io.volumes import Grid, linear, read_volume
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -132,9 +132,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Confidence at the places of the truth."""
         return self._at(path, truth)
 
-    def curves(
-        self, estimate: Errors, truth: PreparedTruth, confidences: Mapping[str, NDArray[Any]]
-    ) -> list[Curve]:
+    def curves(self, estimate: Errors, truth: PreparedTruth, confidences: Mapping[str, NDArray[Any]]) -> list[Curve]:
         """Sparsification of the true error by each confidence."""
         mask, wrong = _mask(truth), self.wrong(estimate, truth)
         made = []

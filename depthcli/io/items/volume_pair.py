@@ -225,9 +225,7 @@ class VolumePairItem(Item):
         return values
 
     @staticmethod
-    def _numbers(
-        values: NDArray[np.float32], inside: NDArray[np.bool_] | None, file: Path
-    ) -> NDArray[np.float32]:
+    def _numbers(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, file: Path) -> NDArray[np.float32]:
         import numpy as np
 
         bad = ~np.isfinite(values)
