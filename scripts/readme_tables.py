@@ -21,6 +21,7 @@ from depthcli.core.method import Family
 from depthcli.evaluation import protocols
 from depthcli.io.layouts import layouts
 from depthcli.jobs import command_names, help_of
+from depthcli.registration.search import MEASURES
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 MARKS = re.compile(r"(<!-- table: ([\w/-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -54,6 +55,8 @@ def table(name: str) -> str:
         return _rows(("protocol", "what it measures"), found)
     if name == "confidence":
         return _rows(("measure", "what it is"), ((f"`{n}`", text) for n, text in measures().items()))
+    if name == "registration":
+        return _rows(("measure", "what it is"), ((f"`{n}`", text) for n, text in MEASURES.items()))
     if name == "presets":
         return _rows(("preset", "what it is"), _presets(thesis=False))
     if name == "thesis-presets":

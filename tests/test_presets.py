@@ -33,7 +33,7 @@ SMALL = {
     "fuse": ["--width", "96", "--height", "64", "--max-disparity", "12", "-n", "1"],
     "refine-kinect": ["--width", "128", "--height", "96"],
     "transparent": ["--width", "128", "--height", "96", "--share", "0.1"],
-    "register-confidence": [],
+    "register-confidence": ["-n", "1"],
 }
 
 

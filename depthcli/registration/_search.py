@@ -11,7 +11,8 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Order of the planes written by `search_tiles`.
 PLANES = (
-    "eshift", "shift_z", "shift_y", "shift_x", "mlm0", "aml0", "shift", "rank0", "cur0", "cost0", "msm", "border",
+    "eshift", "square", "shift_z", "shift_y", "shift_x", "mlm0", "aml0", "shift", "rank0", "cur0", "cost0", "msm",
+    "border",
 )  # fmt: skip
 
 
@@ -150,7 +151,7 @@ def _measure_row(
     weight[:] = 0
     soft[:] = 0
     hard[:] = 0
-    out[:4] = 0
+    out[:5] = 0
     limit = np.float32(80.0 / power)  # no power of the exponential may become denormal
     for k in range(count):
         row = costs[k]
@@ -172,29 +173,30 @@ def _measure_row(
         for i in range(n):
             weight[i] += e[i]
         _add_scaled(e, lengths[k], out[0])
+        _add_scaled(e, lengths[k] * lengths[k], out[1])
         for axis in range(3):
             if offsets[k, axis] != 0:
-                _add_scaled(e, np.float32(offsets[k, axis]), out[1 + axis])
+                _add_scaled(e, np.float32(offsets[k, axis]), out[2 + axis])
     for i in range(n):
         flat = rate[i] == 0
         inverse = np.float32(0.0) if flat else np.float32(1.0) / weight[i]
-        for m in range(4):
+        for m in range(5):
             out[m, i] *= inverse
         away = (base[i] - lowest[i]) * rate[i]
-        out[4, i] = np.float32(1.0) if flat else exp_minus(away) / soft[i]
-        out[5, i] = np.float32(1.0) if flat else exp_minus(away * away) / max(hard[i], np.float32(1e-30))
+        out[5, i] = np.float32(1.0) if flat else exp_minus(away) / soft[i]
+        out[6, i] = np.float32(1.0) if flat else exp_minus(away * away) / max(hard[i], np.float32(1e-30))
         best = 0
         while np.float32(costs[best, i]) != lowest[i]:
             best += 1
-        out[6, i] = lengths[best]
-        out[7, i] = cheaper[i] * every
+        out[7, i] = lengths[best]
+        out[8, i] = cheaper[i] * every
         total = np.float32(0.0)
         for j in range(neighbors.size):
             total += np.float32(costs[neighbors[j], i]) - base[i]
-        out[8, i] = total * scale
-        out[9, i] = base[i] * scale
-        out[10, i] = -lowest[i] * scale
-        out[11, i] = np.float32(edge[best])
+        out[9, i] = total * scale
+        out[10, i] = base[i] * scale
+        out[11, i] = -lowest[i] * scale
+        out[12, i] = np.float32(edge[best])
 
 
 @parallel_jit
@@ -213,7 +215,7 @@ def search_tiles(
     tiles : (N, 3) int64 first voxels; tile : largest size; shift, scale : bits dropped and what one unit stands for
     power : 0.5 / k; few : no value above 85; squared : AML0 is wanted
     sums : empty array of the type that holds the sum of a window's layer
-    scratch : (workers, tz, ty, K, tx or more) uint16; out : (12, Z, Y, X) float32, in the order of PLANES
+    scratch : (workers, tz, ty, K, tx or more) uint16; out : (13, Z, Y, X) float32, in the order of PLANES
     """
     workers = scratch.shape[0]
     extent = out.shape
@@ -224,7 +226,7 @@ def search_tiles(
         layers = np.empty((2 * half[0] + 1, tile[1], tile[2]), sums.dtype)
         volumes = np.empty((tile[1], tile[2]), np.uint32)
         work = np.empty((11, scratch.shape[4]), np.float32)
-        measured = np.empty((12, scratch.shape[4]), np.float32)
+        measured = np.empty((13, scratch.shape[4]), np.float32)
         for t in range(w, tiles.shape[0], workers):
             origin = tiles[t]
             for a in range(3):
@@ -237,6 +239,6 @@ def search_tiles(
                 for y in range(size[1]):
                     _measure_row(costs[z, y], offsets, lengths, edge, neighbors, power, scale, squared, work, measured)
                     # What lies behind the tile's end is measured with it, and not copied.
-                    for m in range(12):
+                    for m in range(13):
                         target = out[m, origin[0] + z, origin[1] + y, origin[2] : origin[2] + size[2]]
                         target[:] = measured[m, : size[2]]

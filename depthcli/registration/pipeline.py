@@ -233,5 +233,6 @@ def _enlarged(curves: Curves, shape: tuple[int, ...], times: int) -> Curves:
     return Curves(
         {name: enlarge(values) for name, values in curves.maps.items()},
         np.stack([enlarge(values) for values in curves.displacement]),
+        enlarge(curves.variance),
         enlarge(curves.border.astype(np.float32)) >= 0.5,
     )

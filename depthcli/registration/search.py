@@ -44,11 +44,13 @@ class Curves:
     ----------
     maps : measure -> (Z, Y, X) float32
     displacement : (3, Z, Y, X) float32, expected displacement (z, y, x), mm
+    variance : (Z, Y, X) float32, of the displacement about its expectation, mm^2, summed over the axes
     border : (Z, Y, X) bool, the cheapest displacement lies on the border of the search
     """
 
     maps: dict[str, NDArray[np.float32]]
     displacement: NDArray[np.float32]
+    variance: NDArray[np.float32]
     border: NDArray[np.bool_]
 
 
@@ -122,18 +124,19 @@ def search(
         size, np.uint32(shift), np.float32((1 << shift) / largest), sharpness, top == FEW, squared, layer, scratch, out,
     )  # fmt: skip
     planes = dict(zip(PLANES, out, strict=True))
-    displacement = out[1:4] * np.float32(spacing)
+    displacement = out[2:5] * np.float32(spacing)
     left_out = {"vshift"} if squared else {"vshift", "aml0"}
     maps = {name: planes[name] for name in MEASURES if name not in left_out}
     maps["vshift"] = np.sqrt((displacement**2).sum(axis=0))
-    return Curves({name: maps[name] for name in MEASURES if name in maps}, displacement, planes["border"] > 0)
+    variance = np.maximum(planes["square"] - maps["vshift"] ** 2, 0)
+    return Curves({name: maps[name] for name in MEASURES if name in maps}, displacement, variance, planes["border"] > 0)
 
 
 def search_bytes(shape: tuple[int, int, int], channels: int, radius: int, half_window: int, workers: int) -> int:
     """Memory of :func:`search`, beside its inputs."""
     voxels = int(np.prod(shape))
     padded = sum(channels * int(np.prod([n + 2 * r for n in shape])) for r in (half_window, half_window + radius))
-    return padded + 20 * 4 * voxels + workers * _SCRATCH
+    return padded + 22 * 4 * voxels + workers * _SCRATCH
 
 
 def _tile(shape: tuple[int, int, int], count: int) -> tuple[int, int, int]:

@@ -19,17 +19,19 @@ def curves(fixed, warped, radius, half, span):
     """(K, Z, Y, X) mean absolute differences over channels and window, borders repeated, in stored units."""
     shape = fixed.shape[1:]
     window = list(itertools.product(*(range(-half, half + 1) if n > 1 else range(1) for n in shape)))
+    margin = radius + half
+    one, other = (np.pad(v.astype(int), [(0, 0), *[(margin, margin)] * 3], mode="edge") for v in (fixed, warped))
+
+    def at(volume, offset):
+        places = (slice(margin + o, margin + o + n) for o, n in zip(offset, shape, strict=True))
+        return volume[(slice(None), *places)]
+
     costs = []
     for d in displacements(shape, radius, span):
-        out = np.zeros(shape)
-        for p in np.ndindex(*shape):
-            total = 0
-            for u in window:
-                a = tuple(int(np.clip(p[i] + u[i], 0, shape[i] - 1)) for i in range(3))
-                b = tuple(int(np.clip(p[i] + u[i] + d[i], 0, shape[i] - 1)) for i in range(3))
-                total += np.abs(fixed[(slice(None), *a)].astype(int) - warped[(slice(None), *b)].astype(int)).sum()
-            out[p] = total / (len(window) * fixed.shape[0])
-        costs.append(out)
+        total = np.zeros(shape)
+        for u in window:
+            total += np.abs(at(one, u) - at(other, np.add(u, d))).sum(axis=0)
+        costs.append(total / (len(window) * fixed.shape[0]))
     return np.array(costs)
 
 
