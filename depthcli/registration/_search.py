@@ -17,84 +17,122 @@ PLANES = (
 
 
 @jit
-def _differences(
-    fixed: Any, warped: Any, z: int, y: int, x: int, oz: int, oy: int, ox: int, few: bool, row: Any
-) -> None:  # fmt: skip
-    """Sum over the channels of |fixed - warped|, into a row of uint16."""
+def _differences(fixed: Any, warped: Any, few: bool, row: Any) -> None:
+    """Sum over the channels of |fixed - warped|, (C, n) each, into n uint16."""
     channels = fixed.shape[0]
     n = row.size
     row[:] = 0
     c = 0
     if few:  # three differences of at most 85 fit a byte: a third of the widening
         while c + 3 <= channels:
-            a, b = fixed[c, z, y, x : x + n], warped[c, z + oz, y + oy, x + ox : x + ox + n]
-            d, e = fixed[c + 1, z, y, x : x + n], warped[c + 1, z + oz, y + oy, x + ox : x + ox + n]
-            f, g = fixed[c + 2, z, y, x : x + n], warped[c + 2, z + oz, y + oy, x + ox : x + ox + n]
+            a, b, d = fixed[c, :n], fixed[c + 1, :n], fixed[c + 2, :n]
+            e, f, g = warped[c, :n], warped[c + 1, :n], warped[c + 2, :n]
             for i in range(n):
-                one = np.uint8(max(a[i], b[i]) - min(a[i], b[i]))
-                two = np.uint8(max(d[i], e[i]) - min(d[i], e[i]))
-                three = np.uint8(max(f[i], g[i]) - min(f[i], g[i]))
+                one = np.uint8(max(a[i], e[i]) - min(a[i], e[i]))
+                two = np.uint8(max(b[i], f[i]) - min(b[i], f[i]))
+                three = np.uint8(max(d[i], g[i]) - min(d[i], g[i]))
                 row[i] += np.uint16(np.uint8(one + two + three))
             c += 3
     while c < channels:
-        a, b = fixed[c, z, y, x : x + n], warped[c, z + oz, y + oy, x + ox : x + ox + n]
+        a, e = fixed[c, :n], warped[c, :n]
         for i in range(n):
-            row[i] += np.uint16(np.uint8(max(a[i], b[i]) - min(a[i], b[i])))
+            row[i] += np.uint16(np.uint8(max(a[i], e[i]) - min(a[i], e[i])))
         c += 1
 
 
 @jit
+def _window_rows(differences: Any, last: int, total: Any) -> None:
+    """Add the ``last + 1`` values from each place on, to as many sums."""
+    n = total.size
+    first = differences[:n]
+    for i in range(n):
+        total[i] += first[i]
+    j = 1
+    while j + 1 <= last:
+        one, other = differences[j : j + n], differences[j + 1 : j + 1 + n]
+        for i in range(n):
+            total[i] += one[i] + other[i]
+        j += 2
+    if j <= last:
+        one = differences[j : j + n]
+        for i in range(n):
+            total[i] += one[i]
+
+
+@jit
 def _tile_costs(
-    fixed: Any, warped: Any, offsets: Any, half: Any, reach: Any, origin: Any, size: Any, shift: Any, few: bool,
-    costs: Any, row: Any, columns: Any, layers: Any, volumes: Any,
+    fixed: Any, warped: Any, offsets: Any, half: Any, reach: Any, stride: Any, size: Any, shift: Any, few: bool,
+    costs: Any, row: Any, sums: Any, running: Any, layers: Any, volumes: Any,
 ) -> None:  # fmt: skip
-    """Window sums of |fixed - warped| for every displacement, ``shift`` bits coarser, (tz, ty, K, tx) uint16.
+    """Window sums of |fixed - warped| for every displacement, ``shift`` bits coarser, (tz, ty, K, width) uint16.
+
+    ``fixed`` and ``warped``: (Z, sx, C, Y * pitch) of this tile: rows of one pitch one after another, so that a slice
+    is one long loop. Between the rows' ends and the next ones' beginnings the sums are of no use.
 
     All sums are of integers: they are the same wherever a tile begins.
     """
-    tz, ty, tx = size
+    tz, ty, pitch = size
     hz, hy, hx = half
+    sz, sy, sx = stride
+    width = costs.shape[3]
     nz = 2 * hz + 1
+    rows = sy * (ty - 1) + 1 + 2 * hy
     rounding = np.uint32((1 << shift) >> 1)
-    differences = row[: tx + 2 * hx]
-    running = columns[0, :tx]
+    flat = rows * pitch
+    total = sums[:flat]
     for k in range(offsets.shape[0]):
         oz, oy, ox = offsets[k, 0] + reach[0], offsets[k, 1] + reach[1], offsets[k, 2] + reach[2]
         volumes[:] = 0
-        for z in range(tz + 2 * hz):
-            for y in range(ty + 2 * hy):
+        for z in range(sz * (tz - 1) + nz):
+            total[:] = 0
+            for phase in range(min(sx, 2 * hx + 1)):
+                start = oy * pitch + (phase + ox) // sx
+                last = (2 * hx - phase) // sx
                 _differences(
-                    fixed, warped, origin[0] + z, origin[1] + y, origin[2], oz, oy, ox, few, differences
+                    fixed[z, phase], warped[z + oz, (phase + ox) % sx, :, start:], few, row[: flat + last]
                 )  # fmt: skip
-                total = columns[1 + y, :tx]
-                first = differences[:tx]
-                for i in range(tx):
-                    total[i] = first[i]
-                for j in range(1, 2 * hx + 1, 2):
-                    one, other = differences[j : j + tx], differences[j + 1 : j + 1 + tx]
-                    for i in range(tx):
-                        total[i] += one[i] + other[i]
+                _window_rows(row, last, total)
             running[:] = 0
-            for y in range(2 * hy):
-                added = columns[1 + y, :tx]
-                for i in range(tx):
+            for y in range(2 * hy + 1 - sy):
+                added = total[y * pitch : y * pitch + width]
+                for i in range(width):
                     running[i] += added[i]
             for y in range(ty):
-                added, removed = columns[1 + y + 2 * hy, :tx], columns[1 + y, :tx]
-                kept, volume = layers[z % nz, y, :tx], volumes[y, :tx]
+                for step in range(min(sy, 2 * hy + 1)):
+                    first = (sy * y + 2 * hy - step) * pitch
+                    added = total[first : first + width]
+                    for i in range(width):
+                        running[i] += added[i]
+                kept, volume = layers[z % nz, y], volumes[y]
                 if z >= nz:
-                    for i in range(tx):
+                    for i in range(width):
                         volume[i] -= np.uint32(kept[i])
-                for i in range(tx):
-                    v = running[i] + added[i]
-                    kept[i] = v
-                    running[i] = v - removed[i]
-                for i in range(tx):
+                for i in range(width):
+                    kept[i] = running[i]
+                for i in range(width):
                     volume[i] += np.uint32(kept[i])
-                if z >= 2 * hz:
-                    out = costs[z - 2 * hz, y, k, :tx]
-                    for i in range(tx):
+                for step in range(min(sy, 2 * hy + 1)):
+                    first = (sy * y + step) * pitch
+                    removed = total[first : first + width]
+                    for i in range(width):
+                        running[i] -= removed[i]
+                if z >= 2 * hz and (z - 2 * hz) % sz == 0:
+                    out = costs[(z - 2 * hz) // sz, y, k]
+                    for i in range(width):
                         out[i] = np.uint16((volume[i] + rounding) >> shift)
+
+
+@jit
+def _take(volume: Any, first: Any, stride: Any, count: Any, pitch: int, out: Any) -> None:
+    """Part of a volume (C, Z, Y, sx, X) as (Z, sx, C, Y * pitch)."""
+    for z in range(count[0]):
+        for p in range(stride[2]):
+            for c in range(volume.shape[0]):
+                target = out[z, p, c]
+                for y in range(count[1]):
+                    source = volume[c, first[0] * stride[0] + z, first[1] * stride[1] + y, p]
+                    source = source[first[2] : first[2] + pitch]
+                    target[y * pitch : y * pitch + source.size] = source
 
 
 @jit
@@ -202,43 +240,62 @@ def _measure_row(
 @parallel_jit
 def search_tiles(
     fixed: Any, warped: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, half: Any, reach: Any,
-    tiles: Any, tile: Any, shift: Any, scale: Any, power: Any, few: bool, squared: bool, sums: Any,
+    stride: Any, tiles: Any, tile: Any, shift: Any, scale: Any, power: Any, few: bool, squared: bool, sums: Any,
     scratch: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Search every tile and write its measures.
+    """Search every tile and write its measures, at every ``stride``-th voxel.
 
     Parameters
     ----------
-    fixed : (C, Z + 2 hz, Y + 2 hy, X + 2 hx) uint8; warped : the same, wider by the reach on every side
+    fixed : (C, Z + 2 hz, Y + 2 hy, sx, Xs) uint8, voxel x at [x % sx, x // sx]; warped : the same, wider by the reach
     offsets : (K, 3) int64, zero first; lengths : (K,) float32, mm
     edge : (K,) bool, on the border of the search; neighbors : indices of the unit displacements
-    tiles : (N, 3) int64 first voxels; tile : largest size; shift, scale : bits dropped and what one unit stands for
+    stride : (3,) int64, at most the window's size along each axis
+    tiles : (N, 3) int64 first places, of those measured; tile : largest size
+    shift, scale : bits dropped and what one unit stands for
     power : 0.5 / k; few : no value above 85; squared : AML0 is wanted
     sums : empty array of the type that holds the sum of a window's layer
-    scratch : (workers, tz, ty, K, tx or more) uint16; out : (13, Z, Y, X) float32, in the order of PLANES
+    scratch : (workers, tz, ty, K, tx or more) uint16; out : (13, nz, ny, nx) float32, in the order of PLANES
     """
     workers = scratch.shape[0]
     extent = out.shape
+    width = scratch.shape[4]
+    channels = fixed.shape[0]
+    window = stride * (tile - 1) + 1 + 2 * half
+    # A row holds the tile's width in full vectors, what the window takes behind it, and the reach.
+    pitch = width + (2 * half[2]) // stride[2] + (2 * reach[2] + stride[2] - 1) // stride[2] + 1
     for w in prange(workers):
         size = np.empty(3, np.int64)
-        row = np.empty(tile[2] + 2 * half[2], np.uint16)
-        columns = np.empty((1 + tile[1] + 2 * half[1], tile[2]), sums.dtype)
-        layers = np.empty((2 * half[0] + 1, tile[1], tile[2]), sums.dtype)
-        volumes = np.empty((tile[1], tile[2]), np.uint32)
-        work = np.empty((11, scratch.shape[4]), np.float32)
-        measured = np.empty((13, scratch.shape[4]), np.float32)
+        count = np.empty(3, np.int64)
+        # Every slice of the first may be read as far as the last slice of the other.
+        near = np.zeros((window[0], stride[2], channels, (window[1] + 2) * pitch), np.uint8)
+        far = np.zeros(
+            (window[0] + 2 * reach[0], stride[2], channels, (window[1] + 2 * reach[1] + 2) * pitch), np.uint8
+        )
+        row = np.empty((window[1] + 1) * pitch, np.uint16)
+        total = np.empty((window[1] + 1) * pitch, sums.dtype)
+        running = np.empty(width, sums.dtype)
+        layers = np.empty((2 * half[0] + 1, tile[1], width), sums.dtype)
+        volumes = np.empty((tile[1], width), np.uint32)
+        work = np.empty((11, width), np.float32)
+        measured = np.empty((13, width), np.float32)
         for t in range(w, tiles.shape[0], workers):
             origin = tiles[t]
             for a in range(3):
                 size[a] = min(tile[a], extent[1 + a] - origin[a])
+                count[a] = stride[a] * (size[a] - 1) + 1 + 2 * half[a]
+            _take(fixed, origin, stride, count, pitch, near)
+            _take(warped, origin, stride, count + 2 * reach, pitch, far)
+            last = size[2]
+            size[2] = pitch
             costs = scratch[w]
             _tile_costs(
-                fixed, warped, offsets, half, reach, origin, size, shift, few, costs, row, columns, layers, volumes
-            )  # fmt: skip
+                near, far, offsets, half, reach, stride, size, shift, few, costs, row, total, running, layers, volumes
+            )
             for z in range(size[0]):
                 for y in range(size[1]):
                     _measure_row(costs[z, y], offsets, lengths, edge, neighbors, power, scale, squared, work, measured)
                     # What lies behind the tile's end is measured with it, and not copied.
                     for m in range(13):
-                        target = out[m, origin[0] + z, origin[1] + y, origin[2] : origin[2] + size[2]]
-                        target[:] = measured[m, : size[2]]
+                        target = out[m, origin[0] + z, origin[1] + y, origin[2] : origin[2] + last]
+                        target[:] = measured[m, :last]

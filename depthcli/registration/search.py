@@ -32,8 +32,8 @@ FEW = 85
 """Largest value of features of many channels: three differences then fit a byte, which the search is faster with."""
 
 _SCRATCH = 48 << 20
-_HARD_WIDTH = 128
-_LANES = 64  # rows are measured in whole vectors: what is left of one rounds otherwise
+_LANES = 32  # rows are measured in whole vectors: what is left of one rounds otherwise
+_WIDEST = 128
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ class Curves:
 
     Attributes
     ----------
-    maps : measure -> (Z, Y, X) float32
-    displacement : (3, Z, Y, X) float32, expected displacement (z, y, x), mm
-    variance : (Z, Y, X) float32, of the displacement about its expectation, mm^2, summed over the axes
-    border : (Z, Y, X) bool, the cheapest displacement lies on the border of the search
+    maps : measure -> (z, y, x) float32, at every ``stride``-th voxel
+    displacement : (3, z, y, x) float32, expected displacement (z, y, x), mm
+    variance : (z, y, x) float32, of the displacement about its expectation, mm^2, summed over the axes
+    border : (z, y, x) bool, the cheapest displacement lies on the border of the search
     """
 
     maps: dict[str, NDArray[np.float32]]
@@ -75,6 +75,7 @@ def search(
     sharpness: int = 5,
     span: Span = "cube",
     squared: bool = False,
+    stride: int = 1,
     tile: tuple[int, int, int] | None = None,
 ) -> Curves:
     """Compare every voxel with those around its place in the other volume.
@@ -91,7 +92,8 @@ def search(
     sharpness : 0.5 / k, k of the likelihoods of ``eshift`` and ``vshift`` in deviations of the curve
     span : which displacements: all, those in the three planes, or on the three axes
     squared : compute ``aml0`` too, which costs as much again as all likelihoods together
-    tile : voxels worked on at once; changes time and memory, never the result
+    stride : measure every ``stride``-th voxel along each axis, from the first one on; at most 2 half_window + 1
+    tile : places measured at once; changes time and memory, never the result
 
     Raises
     ------
@@ -102,7 +104,11 @@ def search(
         raise ValueError(f"want two uint8 arrays (C, Z, Y, X), got {fixed.shape} {fixed.dtype}, {warped.shape}")
     channels = fixed.shape[0]
     shape = (fixed.shape[1], fixed.shape[2], fixed.shape[3])
+    if not 1 <= stride <= 2 * half_window + 1:
+        raise ValueError(f"want a stride from 1 to the window's {2 * half_window + 1} voxels, got {stride}")
     offsets = displacements(shape, radius, span)
+    steps = np.array([stride if size > 1 else 1 for size in shape], np.int64)
+    measured = tuple(-(-n // int(step)) for n, step in zip(shape, steps, strict=True))
     half = np.array([half_window if size > 1 else 0 for size in shape], np.int64)
     reach = np.array([radius if size > 1 else 0 for size in shape], np.int64)
     top = FEW if max(int(fixed.max(initial=0)), int(warped.max(initial=0))) <= FEW else 255
@@ -112,16 +118,17 @@ def search(
     lengths = (np.linalg.norm(offsets, axis=1) * spacing).astype(np.float32)
     edge = np.abs(offsets).max(axis=1) == radius
     neighbors = np.flatnonzero((offsets**2).sum(axis=1) == 1)
-    size = np.array(tile or _tile(shape, len(offsets)), np.int64)
-    grid = np.stack(np.meshgrid(*(np.arange(0, n, s) for n, s in zip(shape, size, strict=True)), indexing="ij"), -1)
+    size = np.array(tile or _tile(measured, len(offsets)), np.int64)
+    grid = np.stack(np.meshgrid(*(np.arange(0, n, s) for n, s in zip(measured, size, strict=True)), indexing="ij"), -1)
     tiles = np.ascontiguousarray(grid.reshape(-1, 3), np.int64)
     workers = min(threads(), len(tiles))
     width = -(-int(size[2]) // _LANES) * _LANES
     scratch = memory.empty((workers, int(size[0]), int(size[1]), len(offsets), width), np.uint16)
-    out = np.empty((len(PLANES), *shape), np.float32)
+    out = np.empty((len(PLANES), *measured), np.float32)
     search_tiles(
-        _padded(fixed, half), _padded(warped, half + reach), offsets, lengths, edge, neighbors, half, reach, tiles,
-        size, np.uint32(shift), np.float32((1 << shift) / largest), sharpness, top == FEW, squared, layer, scratch, out,
+        _phases(fixed, half, steps), _phases(warped, half + reach, steps), offsets, lengths, edge, neighbors, half,
+        reach, steps, tiles, size, np.uint32(shift), np.float32((1 << shift) / largest), sharpness, top == FEW,
+        squared, layer, scratch, out,
     )  # fmt: skip
     planes = dict(zip(PLANES, out, strict=True))
     displacement = out[2:5] * np.float32(spacing)
@@ -139,14 +146,23 @@ def search_bytes(shape: tuple[int, int, int], channels: int, radius: int, half_w
     return padded + 22 * 4 * voxels + workers * _SCRATCH
 
 
-def _tile(shape: tuple[int, int, int], count: int) -> tuple[int, int, int]:
+def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:
     """A tile whose costs stay within the scratch memory of a thread, with as little halo as that allows."""
+    widths = range(_LANES, _WIDEST + 1, _LANES)
+    width = min(widths, key=lambda w: -(-shape[2] // w) * (w + 8))
     cells = _SCRATCH // (2 * count)
-    width = min(shape[2], _HARD_WIDTH)
     side = max(1, int(np.sqrt(cells / width)))
-    return min(shape[0], side, 32), min(shape[1], side, 32), width
+    return min(shape[0], side, 32), min(shape[1], side, 32), min(shape[2], width)
 
 
-def _padded(channels: NDArray[np.uint8], width: NDArray[np.int64]) -> NDArray[np.uint8]:
+def _phases(channels: NDArray[np.uint8], width: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """(C, Z, Y, sx, Xs): widened by repeating the border, voxel x at [x % sx, x // sx]."""
     around = [(0, 0), *((int(w), int(w)) for w in width)]
-    return np.pad(channels, around, mode="edge")
+    step = int(stride[2])
+    around[3] = (int(width[2]), int(width[2]) + step)
+    padded = np.pad(channels, around, mode="edge")
+    if step == 1:
+        return padded[:, :, :, None]
+    length = padded.shape[3] // step
+    parts = padded[..., : length * step].reshape(*padded.shape[:3], length, step)
+    return np.ascontiguousarray(parts.swapaxes(3, 4))

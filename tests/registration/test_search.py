@@ -48,6 +48,19 @@ def test_same_bytes_at_any_tile_and_thread_count():
             numba.set_num_threads(threads)
 
 
+@pytest.mark.parametrize("stride", [2, 3, 5])
+@pytest.mark.parametrize("shape", [(9, 11, 13), (1, 8, 7)])
+def test_every_other_voxel_is_measured_as_if_all_were(stride, shape):
+    fixed, warped = channels(7, shape, 4), channels(8, shape, 4)
+    every, some = (search(fixed, warped, 1.0, 2, 2, squared=True, stride=step) for step in (1, stride))
+    chosen = tuple(slice(None, None, stride) for _ in shape)
+    assert all(np.array_equal(some.maps[name], every.maps[name][chosen]) for name in every.maps)
+    assert np.array_equal(some.displacement, every.displacement[(slice(None), *chosen)])
+    assert np.array_equal(some.border, every.border[chosen])
+    parts = search(fixed, warped, 1.0, 2, 2, squared=True, stride=stride, tile=(1, 2, 1))
+    assert all(np.array_equal(some.maps[name], parts.maps[name]) for name in some.maps)
+
+
 @pytest.mark.parametrize("offset", [(0, 0, 0), (2, 0, 0), (0, -1, 0), (1, 2, -2)])
 def test_finds_a_shift(offset):
     wide = channels(4, (18, 18, 18), 3)
