@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -36,6 +37,23 @@ class Command(ABC):
     @abstractmethod
     def options(self) -> tuple[Option, ...]:
         """Options beside the common ones."""
+
+    def line(self, values: Mapping[str, Any]) -> str:
+        """The command line that gives these values."""
+        words = ["depthcli", self.name]
+        for argument in self.arguments:
+            value = values[argument.name]
+            words += [] if value is None else [*map(str, value)] if argument.many else [str(value)]
+        for option in self.options:
+            value = values[option.name]
+            if value == option.default or value is None or value == []:
+                continue
+            if option.type is bool:
+                words.append(option.flag)
+                continue
+            for each in value if option.many else [value]:
+                words += [option.flag, str(each)]
+        return shlex.join(words)
 
     @abstractmethod
     def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:

@@ -19,12 +19,12 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def parse_bytes(text: str) -> int:
+def parse_bytes(text: str, option: str = "--max-memory") -> int:
     """``2GiB``, ``500M``, ``1e9`` as bytes; ConfigError for anything else."""
     match = re.fullmatch(r"\s*(\d{1,18}(?:\.\d{0,9})?(?:[eE]\d{1,2})?)\s*([kmgt]i?|)b?\s*", text, re.IGNORECASE)
     size = int(float(match[1]) * _UNITS[match[2].lower()]) if match else 0
     if size < 1:
-        raise ConfigError(f"--max-memory: want a size such as 2GiB or 500M (got {text[:40]!r})")
+        raise ConfigError(f"{option}: want a size such as 2GiB or 500M (got {text[:40]!r})")
     return size
 
 

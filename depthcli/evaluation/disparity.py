@@ -17,6 +17,7 @@ from depthcli.evaluation.scores import MISSING_IS_BAD, Measure, Tally
 from depthcli.io.disparity import MAP_SUFFIXES, read_disparity
 from depthcli.io.items import Item
 from depthcli.io.items.stereo import StereoItem, StereoTruth
+from depthcli.io.pictures import STATUS_PALETTE
 
 Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]
@@ -54,8 +55,9 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     suffixes = MAP_SUFFIXES
     curve_masks: ClassVar[tuple[str, ...]] = ("nonocc", "all")
     legend = LEGEND_TEXT
-    visible: ClassVar[str] = "nonocc"
-    """Mask of the pixels that both views see."""
+    quantity = "disparity"
+    visible = "nonocc"
+    palette = STATUS_PALETTE
     thresholds: ClassVar[tuple[float, ...]]
     """Pixels; the one of the settings is added."""
     default_threshold: ClassVar[float]
@@ -169,6 +171,14 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     def error(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """(H, W) float32, pixels: single precision, as in the benchmarks' programs."""
         return difference(self.fit(estimate, truth), truth.disparity)
+
+    def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
+        """(H, W) float32, pixels."""
+        return self.fit(estimate, truth)
+
+    def true_values(self, truth: DisparityTruth) -> Disparity:
+        """(H, W) float32, pixels."""
+        return truth.disparity
 
     def tallies(self, estimate: Disparity, truth: DisparityTruth) -> list[Tally]:
         """The errors by region."""

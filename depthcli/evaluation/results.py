@@ -46,6 +46,7 @@ class Result:
         usable truth
     curves : of the confidence maps beside the map
     seconds : time of the run's report, or NaN
+    size : pixels (or voxels) of the truth, known or not; 0 where there is no map
     warning : suspicions about the map, or empty
     error : why there is no map to score, or empty
     evidence : what the protocol keeps for its means
@@ -59,6 +60,7 @@ class Result:
     scores: tuple[Score, ...] = ()
     curves: tuple[Curve, ...] = ()
     seconds: float = math.nan
+    size: int = 0
     warning: str = ""
     error: str = ""
     evidence: Any = field(default=None, repr=False, compare=False)
@@ -159,6 +161,13 @@ class Section:
         ]
         return self.protocol.pool(*zip(*pairs, strict=True)) if pairs else None
 
+    def signed(self, run: str) -> list[float]:
+        """One run's headline in the main region by scene, so that lower is better; NaN without a map."""
+        headline = self.protocol.headline
+        scores = [None if r.error else r.by_key.get((headline, self.masks[0])) for r in self.of(run)]
+        sign = -1 if headline.larger_is_better else 1
+        return [math.nan if score is None else sign * score.value for score in scores]
+
     def row(self, run: str, score: Score, common: Score | None) -> dict[str, Any]:
         """A mean over all scenes (``value``; ``missing`` ones count as wholly wrong) and over the common ones."""
         return {
@@ -216,16 +225,9 @@ class EvaluationReport:
         """Every further run against the first, by protocol: the headline in the main region, scenes that both have."""
         made = []
         for section in self.by_protocol:
-            headline = section.protocol.headline
-            values = [[self._signed(r, headline, section.masks[0]) for r in section.of(run)] for run in self.runs]
+            values = [section.signed(run) for run in self.runs]
             made += [(section, run, compare(values[0], v)) for run, v in zip(self.runs[1:], values[1:], strict=True)]
         return made
-
-    @staticmethod
-    def _signed(result: Result, measure: Measure, mask: str) -> float:
-        """A score of which lower is better; NaN without a map."""
-        score = None if result.error else result.by_key.get((measure, mask))
-        return math.nan if score is None else -score.value if measure.larger_is_better else score.value
 
     def tables(self) -> list[Table]:
         """Every table of the report."""

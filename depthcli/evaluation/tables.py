@@ -9,7 +9,7 @@ import numpy as np
 
 from depthcli.evaluation.report import Table, number
 from depthcli.evaluation.results import Curve, EvaluationReport, Section
-from depthcli.evaluation.scores import Score
+from depthcli.evaluation.scores import Measure, Score
 from depthcli.evaluation.summary import average_ranks
 
 _STAR = "*: scenes without a map count as wholly wrong; where a measure has no worst value there is no mean over all"
@@ -18,7 +18,8 @@ _STAR = "*: scenes without a map count as wholly wrong; where a measure has no w
 def summary(section: Section) -> Table:
     """A row a run: the headline by region, the one figure, the average rank; a second row over the common scenes."""
     protocol, headline, main = section.protocol, section.protocol.headline, section.masks[0]
-    ranks = _average_ranks(section)
+    over = [(headline, mask) for mask in protocol.figure_masks(section.masks)]
+    ranks = {run: number(rank, 1) for run, rank in average_rank(section, over).items()}
     several = protocol.averages_masks and len(section.masks) > 1
     timed = any(not math.isnan(result.seconds) for result in section.results)
     rows = []
@@ -29,7 +30,7 @@ def summary(section: Section) -> Table:
         cells += [ranks[run] if common or not section.incomplete else ""]
         score = means.get((headline, main))
         cells += ["-" if score is None else number(score.density, 1)]
-        cells += [number(_mean(r.seconds for r in section.of(run, common)))] * timed
+        cells += [number(mean(r.seconds for r in section.of(run, common)))] * timed
         rows.append((run, _scenes(section, run, common), *cells))
     header = ["run", "scenes", *section.masks, *["mean of all figures"] * several, "avg rank", f"density {main} %"]
     title = f"{section.data_set} - {protocol.title} ({headline.heading})"
@@ -143,17 +144,19 @@ def _run_rows(section: Section) -> list[tuple[str, bool, str]]:
     return [(run, kind, "" if kind else "*" * bool(section.lacking(run))) for run in section.runs for kind in kinds]
 
 
-def _average_ranks(section: Section) -> dict[str, str]:
-    """Average rank over the common scenes and the regions of the one figure; equal values share a rank."""
-    headline = section.protocol.headline
-    keys = [(headline, mask) for mask in section.protocol.figure_masks(section.masks)]
-    sign = -1 if headline.larger_is_better else 1
+def average_rank(section: Section, keys: Sequence[tuple[Measure, str]]) -> dict[str, float]:
+    """Run -> mean rank over the common scenes and (measure, region) pairs; equal values share a rank."""
     grid = [
-        [sign * r.by_key[key].value for r in section.of(run, common=True) for key in keys if key in r.by_key]
+        [
+            (-1 if key[0].larger_is_better else 1) * r.by_key[key].value
+            for r in section.of(run, common=True)
+            for key in keys
+            if key in r.by_key
+        ]
         for run in section.runs
     ]
     ranks = average_ranks(np.array(grid, np.float64).reshape(len(section.runs), -1))
-    return {run: number(rank, 1) for run, rank in zip(section.runs, ranks, strict=True)}
+    return {run: float(rank) for run, rank in zip(section.runs, ranks, strict=True)}
 
 
 def _cell(score: Score | None, mark: str = "") -> str:
@@ -173,11 +176,12 @@ def _note(section: Section) -> str:
 
 def _areas(curves: Sequence[Curve]) -> tuple[str, ...]:
     areas = [c.line.areas() for c in curves]
-    mean = {name: _mean(each[name] for each in areas) for name in areas[0]}
-    mean["ratio"] = mean["auc"] / mean["optimal"] if mean["optimal"] > 0 else math.nan
-    return tuple(number(value, 2 if name == "ratio" else 4) for name, value in mean.items())
+    means = {name: mean(each[name] for each in areas) for name in areas[0]}
+    means["ratio"] = means["auc"] / means["optimal"] if means["optimal"] > 0 else math.nan
+    return tuple(number(value, 2 if name == "ratio" else 4) for name, value in means.items())
 
 
-def _mean(values: Iterable[float]) -> float:
+def mean(values: Iterable[float]) -> float:
+    """Mean of those that are numbers, NaN of none."""
     present = [v for v in values if not math.isnan(v)]
     return math.fsum(present) / len(present) if present else math.nan

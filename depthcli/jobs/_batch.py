@@ -37,6 +37,7 @@ HOW = (
     Option("overwrite", bool, "Replace what an earlier run with another config left.", default=False),
 )
 _EVALUATE = Option("evaluate", bool, "Compare with the ground truth of the input folder.", default=False)
+_HTML = Option("html", bool, "As --evaluate, with evaluation/report.html to look at in a browser.", default=False)
 
 
 class BatchCommand(Command):
@@ -68,7 +69,7 @@ class BatchCommand(Command):
         rows = run_items(self, config, items, values["output"], run_options(values), reporter)
         self._write_legend(values["output"], rows)
         failed = [row for row in rows if row["status"] == "failed"]
-        evaluation = self._evaluation(items, values, reporter) if values.get("evaluate") else None
+        evaluation = self._evaluation(items, values, reporter) if _evaluates(values) else None
         if values["json"]:
             document = record.report_document(self.name, rows)
             if evaluation is not None:
@@ -97,15 +98,16 @@ class BatchCommand(Command):
             write_legend(output / "legend.png", palette, self.legend_values())
 
     def _evaluation(self, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> Any:
-        from depthcli.jobs.evaluate import evaluate
+        from depthcli.jobs.evaluate import evaluate, new_page
 
         if not any(item.has_truth for item in items):
             reporter.error(f"{values['input']}: no ground truth there, nothing to evaluate")
             return None
         output = values["output"]
+        page = new_page(self, {"html_budget": "50MB", **values}, output / "evaluation") if values.get("html") else None
         return evaluate(
             [output], values["input"], output / "evaluation", values["scenes"] or ["*"], values["layout"],
-            reporter=reporter, kinds=tuple({type(item) for item in items}),
+            reporter=reporter, kinds=tuple({type(item) for item in items}), page=page,
         )  # fmt: skip
 
 
@@ -124,7 +126,7 @@ class ConfigCommand(BatchCommand):
     def options(self) -> tuple[Option, ...]:
         """What the kinds of item declare, between what all batches share."""
         own = {option.name: option for kind in self.kinds for option in kind.options}
-        return (_INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE)
+        return (_INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE, _HTML)
 
     @abstractmethod
     def config_model(self) -> type[BaseModel]:
@@ -145,7 +147,7 @@ class ConfigCommand(BatchCommand):
         if single is not None:
             if values["input"] is not None:
                 raise ConfigError(f"--input and {self._single_options()} exclude each other")
-            if values["evaluate"]:
+            if _evaluates(values):
                 raise ConfigError("--evaluate wants --input: a single scene has no ground truth")
             return [single if values["name"] is None else _renamed(single, values["name"])]
         if values["input"] is None:
@@ -182,6 +184,10 @@ def run_options(values: Mapping[str, Any]) -> Any:
 
     memory = parse_bytes(values["max_memory"]) if values["max_memory"] else None
     return Options(values["jobs"], values["threads"], memory, values["overwrite"])
+
+
+def _evaluates(values: Mapping[str, Any]) -> bool:
+    return bool(values.get("evaluate") or values.get("html"))
 
 
 def _renamed(item: Item, name: str) -> Item:

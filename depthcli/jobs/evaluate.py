@@ -6,26 +6,30 @@ is read and what it scores is up to the scene's protocol (``depthcli/evaluation/
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from depthcli.batch.command import SOME_FAILED, Command
-from depthcli.core.errors import DepthcliError, InputError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.jobs._batch import LAYOUT, SCENES
 
 if TYPE_CHECKING:
     from depthcli.batch.reporter import Reporter
-    from depthcli.evaluation.protocols import Protocol, Settings
+    from depthcli.evaluation.protocols import Settings
     from depthcli.evaluation.results import EvaluationReport, Result
     from depthcli.io.items import Item
+    from depthcli.report.page import Page
 
+HTML = (
+    Option("html", bool, "Also write report.html, to look at maps and errors in a browser.", default=False),
+    Option("html_budget", str, "Size beyond which its pictures are scaled down, full ones beside it.", "SIZE",
+           default="50MB"),
+)  # fmt: skip
 # Of a truth file that lies in no scene's folder and has no --protocol.
 _PLAIN = "middlebury_v2"
+_MOST_CONFIG = 100_000  # characters of a config that the page shows
 
 
 class EvaluateCommand(Command):
@@ -51,21 +55,29 @@ class EvaluateCommand(Command):
             Option("resolution", str, "Size of the ground truth of Middlebury v3, where it cannot be told.", "F|H|Q"),
             Option("resize", str, "Bring depth maps and their truth to one size, nearest neighbor.", "WxH"),
             Option("threshold", float, "Error above which a pixel is wrong, not the benchmark's.", "T", least=1e-6),
+            Option("format", str, "Print wide tables: latex, markdown or csv; best bold, second underlined.", "FORMAT"),
+            *HTML,
         )  # fmt: skip
 
     def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
         """Evaluate and print the tables; the exit code."""
         from depthcli.batch.record import to_json
+        from depthcli.evaluation.matrix import FORMATS, written
         from depthcli.evaluation.protocols import Settings, parse_size
 
         resolution, resize = (values["resolution"] or "").upper() or None, parse_size(values["resize"])
         settings = Settings(values["scale"], resolution, values["threshold"], resize)
+        form = values["format"]
+        if form is not None and form not in FORMATS:
+            raise ConfigError(f"--format: want {', '.join(FORMATS)} (got {form!r})")
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
-            values["protocol"], settings, reporter,
+            values["protocol"], settings, reporter, page=new_page(self, values, values["output"]),
         )  # fmt: skip
         if values["json"]:
             reporter.data(to_json(report.to_dict()))
+        elif form is not None:
+            reporter.data(written(report, form))
         elif not values["quiet"]:
             reporter.data(report.text())
         if values["output"] is not None:
@@ -83,6 +95,7 @@ def evaluate(
     settings: Settings | None = None,
     reporter: Reporter | None = None,
     kinds: Iterable[type[Item]] | None = None,
+    page: Page | None = None,
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
@@ -100,6 +113,7 @@ def evaluate(
     settings : what a user said about the evaluation
     reporter : told about progress, failures and suspicions
     kinds : kinds of item to evaluate; None: all, or what ``protocol`` scores
+    page : is filled and written into its folder; None for none
 
     Raises
     ------
@@ -114,6 +128,7 @@ def evaluate(
     from depthcli.evaluation.protocols import Settings, load
     from depthcli.evaluation.results import EvaluationReport, run_names
     from depthcli.io.atomic import write_text
+    from depthcli.jobs._scoring import Scoring
 
     reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), Path(truth)
     places = [Path(run) for run in runs]
@@ -130,7 +145,7 @@ def evaluate(
     if len(items) > 1 and any(place.is_file() for place in places):
         raise InputError(f"a single map wants a single scene, {truth} has {len(items)}: give a file, or --scenes")
     target = None if output is None else Path(output)
-    job = _Job(dict(zip(run_names(places), places, strict=True)), truth, target, judge, settings)
+    job = Scoring(dict(zip(run_names(places), places, strict=True)), truth, target, judge, settings, page)
     results: list[Result] = []
     with reporter:
         reporter.start(len(items), 0, "evaluate")
@@ -143,11 +158,32 @@ def evaluate(
         write_text(target / "scores.csv", to_csv(report.rows()))
         write_text(target / "scores.json", to_json(report.to_dict()))
         write_text(target / "report.md", report.markdown())
+    if page is not None:
+        page.write(report, to_json(report.to_dict()), {run: _config_of(place) for run, place in job.runs.items()})
     for warning in report.warnings:
         reporter.info(f"warning: {warning}")
     for result in report.failed:
         reporter.error(f"{result.run} {result.scene}: {result.error}")
     return report
+
+
+def new_page(command: Command, values: Mapping[str, Any], output: Path | None) -> Page | None:
+    """The page that ``HTML`` asks for; ConfigError where there is no place for it."""
+    if not values["html"]:
+        return None
+    if output is None:
+        raise ConfigError("--html wants --output, the folder to write the page into")
+    from depthcli.batch.resources import parse_bytes
+    from depthcli.report.page import Page
+
+    return Page(output, command.line(values), parse_bytes(values["html_budget"], "--html-budget"))
+
+
+def _config_of(run: Path) -> str:
+    from depthcli.batch.record import RUN_FILE
+
+    file = run / RUN_FILE
+    return file.read_text("utf-8", "replace")[:_MOST_CONFIG] if file.is_file() else ""
 
 
 def _items(truth: Path, kinds: Any, layout: str | None, scenes: Sequence[str], reporter: Reporter) -> list[Item]:
@@ -163,87 +199,6 @@ def _items(truth: Path, kinds: Any, layout: str | None, scenes: Sequence[str], r
             raise InputError(found[0].problem)
         raise InputError(f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)")
     return found
-
-
-@dataclass
-class _Job:
-    """What stays the same from scene to scene, and the protocols met so far."""
-
-    runs: dict[str, Path]
-    truth: Path
-    output: Path | None
-    judge: Protocol[Any, Any] | None
-    settings: Settings
-    judges: dict[str, Protocol[Any, Any]] = field(default_factory=dict)
-
-    @cached_property
-    def reports(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Run -> scene -> row of the run's own report."""
-        from depthcli.batch.record import read_report
-
-        return {run: read_report(place) for run, place in self.runs.items()}
-
-    def results(self, item: Item, alone: bool) -> list[Result]:
-        """The results of one scene for every run; ``alone``: no other scene has its short name."""
-        from depthcli.evaluation.protocols import load
-        from depthcli.evaluation.results import Result
-
-        folder, _, short = item.name.rpartition("/")
-        start = Result("", item.name, folder or self.truth.resolve().name, "")
-        names = [item.name, f"{self.truth.resolve().name}/{item.name}", *([short] if alone else [])]
-        try:
-            item.check()
-            if self.judge is None and not item.protocol:
-                raise InputError(f"{item.folder}: {item.name} names no protocol; say which with --protocol")
-            judge = self.judge or load(item.protocol)(self.settings)
-            judge = self.judges.setdefault(judge.name, judge)
-            start = replace(start, protocol=judge.name)
-            truth = judge.truth(item)
-        except DepthcliError as error:
-            return [replace(start, run=run, error=str(error)) for run in self.runs]
-        return [self._result(replace(start, run=run), judge, item, truth, names) for run in self.runs]
-
-    def _result(self, start: Result, judge: Protocol[Any, Any], item: Item, truth: Any, names: list[str]) -> Result:
-        place, rows = self.runs[start.run], self.reports[start.run]
-        row: dict[str, Any] = next((rows[name] for name in names if name in rows), {})
-        try:
-            path = place if place.is_file() else judge.find(place, names)
-            if path is None:
-                failed = f": the run failed there: {row.get('error')}" if row.get("error") else judge.looked_for(names)
-                raise InputError(f"{place}: no map of scene {item.name}{failed}")
-            estimate = judge.read(path, item, truth)
-        except DepthcliError as error:
-            return replace(start, scores=tuple(judge.missing(truth)), error=str(error))
-        warnings, confidences = judge.warnings(estimate, truth), {}
-        for name, file in judge.confidences(path).items():
-            try:
-                confidences[name] = judge.read_confidence(file, truth)
-            except DepthcliError as error:
-                warnings.append(str(error))
-        result = replace(
-            start,
-            source=path.name if path == place else path.relative_to(place).as_posix(),
-            scores=tuple(judge.scores(estimate, truth)),
-            curves=tuple(judge.curves(estimate, truth, confidences)),
-            seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
-            warning="; ".join(warnings),
-            evidence=judge.evidence(estimate, truth),
-        )
-        if self.output is not None:
-            _draw(result, judge.picture(estimate, truth), self.output)
-        return result
-
-
-def _draw(result: Result, picture: Any, output: Path) -> None:
-    from depthcli.evaluation.report import curve_plot
-    from depthcli.io.atomic import write_text
-    from depthcli.io.images import write_png
-
-    if picture is not None:
-        write_png(output / result.picture, picture)
-    for (mask, of), path in result.plots.items():
-        lines = {c.confidence: c.line for c in result.curves if (c.mask, c.of) == (mask, of)}
-        write_text(output / path, curve_plot(lines, f"{result.run}: {result.scene}, {mask}", of))
 
 
 COMMAND = EvaluateCommand()

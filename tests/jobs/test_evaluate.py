@@ -409,6 +409,7 @@ def test_one_map_at_a_glance(tmp_path: Path, truth: Path, capsys: pytest.Capture
         evaluate([tmp_path / "m.pfm"], truth, None)
     values = dict.fromkeys(("output", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize"))
     values |= {"runs": [tmp_path / "m.pfm"], "truth": truth / "a" / "disp_left.png", "json": True, "quiet": False}
+    values |= {"html": False, "format": None}
     assert COMMAND.run(values, Reporter(-1)) == 0
     assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
 

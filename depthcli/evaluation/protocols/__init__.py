@@ -17,11 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import color8
 from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.results import Curve, Result
 from depthcli.evaluation.scores import Measure, Score
 from depthcli.io.disparity import read_plane
+from depthcli.io.images import read_image
 from depthcli.io.items import Item
+from depthcli.io.pictures import Palette
 
 if TYPE_CHECKING:
     from depthcli.evaluation.report import Table
@@ -79,6 +82,9 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     averages_masks : one figure may be taken over all of the regions ("mean of all figures")
     scene_rows : tables show every measure of every scene, not of the means alone
     legend : what the colors of ``picture`` mean
+    quantity : what a map holds, in a word
+    visible : region of the pixels that both views see, where the others are occluded; empty: not told apart
+    palette : colors and words of the status map beside a map
     """
 
     title: ClassVar[str]
@@ -92,6 +98,9 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     averages_masks: ClassVar[bool] = False
     scene_rows: ClassVar[bool] = True
     legend: ClassVar[str] = ""
+    quantity: ClassVar[str] = "value"
+    visible: ClassVar[str] = ""
+    palette: ClassVar[Palette] = {}
 
     def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
@@ -147,6 +156,23 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """(H, W, 3) RGB picture of where the estimate is wrong, or None."""
         return None
 
+    # For people who look at a map
+
+    def values(self, estimate: Estimate, truth: Truth) -> NDArray[np.floating[Any]] | None:
+        """What is compared, in ``unit``, NaN where there is nothing; None: no single number stands for a pixel."""
+        return None
+
+    def true_values(self, truth: Truth) -> NDArray[np.floating[Any]] | None:
+        """The same of the truth."""
+        return None
+
+    def image(self, item: Item) -> NDArray[np.uint8] | None:
+        """(H, W, 3) RGB: the first of the item's input files, where that is a picture."""
+        try:
+            return color8(read_image(next(iter(item.input_files.values()))))
+        except (InputError, StopIteration):
+            return None
+
     def headlines(self, estimate: Estimate, truth: Truth) -> dict[str, float]:
         """The headline by region."""
         return {s.mask: s.value for s in self.scores(estimate, truth) if s.measure == self.headline}
@@ -184,10 +210,19 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     def confidences(self, path: Path) -> dict[str, Path]:
         """Name -> confidence map that lies beside the map ``path``: ``confidence_<name>.pfm`` or ``.npy``."""
-        if not any(place.rpartition("/")[2] == path.stem for place in self.places):
+        if not self._is_ours(path):
             return {}
         files = sorted(p for p in path.parent.glob("confidence_*") if p.suffix.lower() in (".pfm", ".npy"))
         return {file.stem.removeprefix("confidence_"): file for file in files}
+
+    def status(self, path: Path) -> Path | None:
+        """The status map that lies beside the map ``path``; None where there is none."""
+        file = path.parent / "status.png"
+        return file if self.palette and self._is_ours(path) and file.is_file() else None
+
+    def _is_ours(self, path: Path) -> bool:
+        """Called as in a run folder, so that what lies beside it belongs to it."""
+        return any(place.rpartition("/")[2] == path.stem for place in self.places)
 
     def read_confidence(self, path: Path, truth: Truth) -> NDArray[Any]:
         """The values as stored: NaN, infinite and negative ones mean what they say; InputError for another size."""

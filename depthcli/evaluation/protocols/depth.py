@@ -18,6 +18,7 @@ from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally
 from depthcli.io.depth import read_depth
 from depthcli.io.items import Item
 from depthcli.io.items.rgbd import RgbdItem, RgbdTruth
+from depthcli.io.pictures import DEPTH_STATUS_PALETTE
 
 Depth = NDArray[np.float32]
 
@@ -63,6 +64,8 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     suffixes = (".pfm", ".npy", ".png", ".pgm", ".tif", ".tiff")
     mask_order = ("all", "gap", "occluded", "specular", "mismatch", "measured", "object", "transparent")
     legend = LEGEND_TEXT
+    quantity = "depth"
+    palette = DEPTH_STATUS_PALETTE
     mae = Measure("MAE", "mm", convention=ESTIMATED_ONLY)
 
     @property
@@ -118,6 +121,14 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     def error(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.float64]:
         """(H, W) float64, millimeters."""
         return 1000.0 * np.abs(estimate.astype(np.float64) - truth.depth)
+
+    def values(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.floating[Any]]:
+        """(H, W) float64, millimeters."""
+        return 1000.0 * estimate.astype(np.float64)
+
+    def true_values(self, truth: DepthTruth) -> NDArray[np.floating[Any]]:
+        """(H, W) float64, millimeters."""
+        return 1000.0 * truth.depth.astype(np.float64)
 
     def wrong(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.bool_]:
         """Pixels off by more than 5 %, or by more than the settings' threshold in mm."""

@@ -1,0 +1,71 @@
+"""Colors of the page, as tables that Python and the page's script index alike."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
+"""Kinds of pixel; ``HIDDEN``: occluded in the other view."""
+
+WORDS = ("truth unknown", "right", "wrong", "right, occluded", "wrong, occluded", "no value")
+
+# From a small error to a large one. Blue and orange stay apart for every kind of color blindness, purple is apart from
+# both by lightness too; the darker, the worse.
+_RAMPS = {
+    UNKNOWN: ("#ffffff", "#ffffff"),
+    RIGHT: ("#c6dff2", "#2f7ab8"),
+    WRONG: ("#f5b13d", "#8a3000"),
+    HIDDEN_RIGHT: ("#dcdcdc", "#9b9b9b"),
+    HIDDEN_WRONG: ("#dba2cf", "#5c1f57"),
+    EMPTY: ("#000000", "#000000"),
+}
+NO_VALUE = (90, 90, 90)
+"""RGB of a pixel of a map that has no value; no color of the map's scale."""
+
+
+@cache
+def scale() -> NDArray[np.uint8]:
+    """(256, 3) RGB: viridis, perceptually uniform, readable without color vision."""
+    grey = np.arange(256, dtype=np.uint8)[:, None]
+    table: NDArray[Any] = cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
+    return np.ascontiguousarray(table, np.uint8)
+
+
+@cache
+def error_scales() -> NDArray[np.uint8]:
+    """(6, 64, 3) RGB: by kind of pixel and size of the error."""
+    share = np.linspace(0, 1, 64)[:, None]
+    ends = [[np.array([int(end[k : k + 2], 16) for k in (1, 3, 5)]) for end in _RAMPS[kind]] for kind in range(6)]
+    return np.stack([np.rint(first + share * (last - first)) for first, last in ends]).astype(np.uint8)
+
+
+def map_picture(values: NDArray[np.floating[Any]], low: float, high: float) -> NDArray[np.uint8]:
+    """(H, W) numbers as (H, W, 3) RGB over [low, high]."""
+    picture = scale()[_index(values, low, high, 256)]
+    picture[np.isnan(values)] = NO_VALUE
+    return picture
+
+
+def kinds(
+    known: NDArray[np.bool_], hidden: NDArray[np.bool_], wrong: NDArray[np.bool_], missing: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """Kind of every pixel, (H, W) uint8."""
+    kind = np.where(wrong, np.where(hidden, HIDDEN_WRONG, WRONG), np.where(hidden, HIDDEN_RIGHT, RIGHT))
+    kind = np.where(missing, EMPTY, kind)
+    return np.where(known, kind, UNKNOWN).astype(np.uint8)
+
+
+def error_picture(kind: NDArray[np.uint8], error: NDArray[np.floating[Any]], top: float) -> NDArray[np.uint8]:
+    """(H, W, 3) RGB: hue by kind of pixel, lightness by error, the darkest from ``top`` on."""
+    return error_scales()[kind, _index(error, 0.0, top, 64)]
+
+
+def _index(values: NDArray[np.floating[Any]], low: float, high: float, steps: int) -> NDArray[np.intp]:
+    share = (np.nan_to_num(values, nan=low, posinf=high, neginf=low) - low) / max(high - low, 1e-9)
+    index: NDArray[np.intp] = np.clip((share * steps).astype(np.intp), 0, steps - 1)
+    return index

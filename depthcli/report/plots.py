@@ -1,0 +1,172 @@
+"""Plots of a section as SVG, by matplotlib."""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from depthcli.evaluation.curves import PERCENTAGES
+from depthcli.evaluation.results import Section
+from depthcli.evaluation.tables import mean
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Okabe & Ito's palette without its yellow, which is too pale for a line.
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d1f", "#000000")
+_MARKERS = "osD^vPX*"
+_SETTINGS = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 10, "axes.spines.top": False,
+             "axes.spines.right": False}  # fmt: skip
+
+
+def plots(section: Section) -> dict[str, str]:
+    """Caption -> text of an SVG file: what the section's numbers allow."""
+    made = {}
+    headline, mask = section.protocol.headline, section.masks[0]
+    what = f"{headline.heading}{f', {headline.unit}' if headline.unit else ''}, {mask}"
+    if len(section.scenes) > 2:
+        made[f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"] = _boxes(section, what)
+    if (curves := _by_threshold(section)) is not None:
+        made["Against the threshold: means over the scenes"] = curves
+    if any(not math.isnan(r.seconds) for r in section.results):
+        made[f"Time against {what}: means of a scene"] = _times(section, what)
+    for (region, of), svg in _sparsifications(section):
+        made[f"Sparsification, {region}: {'share of wrong pixels' if of == 'bad' else 'mean error'} of the most "
+             "confident pixels; dotted: the best ranking"] = svg  # fmt: skip
+    return made
+
+
+def _boxes(section: Section, what: str) -> str:
+    key = (section.protocol.headline, section.masks[0])
+    rows = [[r.by_key[key].value for r in section.of(run) if key in r.by_key] for run in section.runs]
+    kept = [(run, [v for v in row if not math.isnan(v)]) for run, row in zip(section.runs, rows, strict=True)]
+    kept = [(run, row) for run, row in kept if row]
+    with _figure(height=1.2 + 0.32 * len(kept)) as (axes, out):
+        place = list(range(len(kept), 0, -1))
+        axes.boxplot([row for _, row in kept], positions=place, orientation="horizontal", widths=0.55,
+                     showfliers=False, medianprops={"color": "black"})  # fmt: skip
+        for i, (_, row) in enumerate(kept):
+            axes.plot(row, [place[i]] * len(row), linestyle="", marker="o", ms=4, alpha=0.7, color=_color(i))
+        axes.set_yticks(place, [_plain(run) for run, _ in kept])
+        axes.set_xlabel(_plain(what))
+        axes.set_xlim(left=0)
+    return out[0]
+
+
+def _by_threshold(section: Section) -> str | None:
+    """The headline's measure, or the first one that has several thresholds, in the main region."""
+    headline, mask = section.protocol.headline, section.masks[0]
+    groups: dict[tuple[str, str, str], list[Any]] = {}
+    for measure, region in section.means(section.runs[0]):
+        if region == mask and measure.threshold is not None:
+            groups.setdefault((measure.metric, measure.unit, measure.convention), []).append(measure)
+    several = [measures for measures in groups.values() if len(measures) > 2]
+    own = [measures for measures in several if headline in measures] or several
+    if not own:
+        return None
+    with _figure() as (axes, out):
+        for i, run in enumerate(section.runs):
+            means = section.means(run)
+            points = [(m.threshold, means[m, mask].value) for m in own[0] if (m, mask) in means]
+            _line(axes, i, run, points)
+        axes.set_xlabel("threshold")
+        axes.set_ylabel(_plain(f"{own[0][0].metric}, {own[0][0].unit}, {mask}"))
+        if not own[0][0].larger_is_better:
+            axes.set_ylim(bottom=0)
+        _legend(axes, len(section.runs))
+    return out[0]
+
+
+def _times(section: Section, what: str) -> str:
+    from matplotlib.ticker import LogLocator
+
+    with _figure() as (axes, out):
+        for i, run in enumerate(section.runs):
+            score, seconds = section.figure(run), mean(r.seconds for r in section.of(run))
+            if score is not None and not math.isnan(score.value + seconds):
+                axes.plot([seconds], [score.value], linestyle="", marker=_marker(i), ms=8, color=_color(i),
+                          label=_plain(run))  # fmt: skip
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("")
+        axes.set_xlabel("seconds a scene")
+        axes.set_ylabel(_plain(what))
+        axes.set_ylim(bottom=0)
+        _legend(axes, len(section.runs))
+    return out[0]
+
+
+def _sparsifications(section: Section) -> Iterator[tuple[tuple[str, str], str]]:
+    """((region, kind of error), plot): a line a run and confidence, the mean of its scenes' curves."""
+    groups: dict[tuple[str, str], dict[str, list[Any]]] = {}
+    for r in section.results:
+        for c in r.curves:
+            name = f"{r.run}: {c.confidence}" if len(section.runs) > 1 else c.confidence
+            groups.setdefault((c.mask, c.of), {}).setdefault(name, []).append(c.line)
+    for (mask, of), lines in groups.items():
+        means = {name: [mean(column) for column in zip(*(c.errors for c in found), strict=True)]
+                 for name, found in lines.items()}  # fmt: skip
+        bests = [[mean(column) for column in zip(*(c.best for c in found), strict=True)] for found in lines.values()]
+        with _figure() as (axes, out):
+            for i, name in enumerate(sorted(means, key=lambda name: sum(means[name]))):
+                _line(axes, i, name, list(zip(PERCENTAGES, means[name], strict=True)))
+            for best in [list(b) for b in dict.fromkeys(map(tuple, bests))]:
+                axes.plot(PERCENTAGES, best, linestyle=":", color="#777777")
+            axes.set_xlabel("most confident pixels, %")
+            axes.set_ylabel("share of wrong pixels" if of == "bad" else _plain(f"mean error, {section.protocol.unit}"))
+            axes.set_ylim(bottom=0)
+            _legend(axes, len(means))
+        yield (mask, of), out[0]
+
+
+@contextmanager
+def _figure(height: float = 3.4) -> Iterator[tuple[Axes, list[str]]]:
+    """Axes to draw in, and a list that holds the SVG's text afterwards."""
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    out: list[str] = []
+    # A name in a script that the font lacks is still a name: the reader's browser has the font.
+    with matplotlib.rc_context(_SETTINGS), warnings.catch_warnings():  # type: ignore[arg-type]
+        warnings.simplefilter("ignore")
+        figure = Figure(figsize=(6.2, height), layout="constrained")
+        FigureCanvasSVG(figure)
+        axes = figure.add_subplot()
+        axes.grid(color="#e4e4e4")
+        axes.set_axisbelow(True)
+        yield axes, out
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    out.append(text.getvalue())
+
+
+def _line(axes: Axes, i: int, name: str, points: Sequence[tuple[float, float]]) -> None:
+    x, y = zip(*points, strict=True) if points else ((), ())
+    style = "-" if i < len(_COLORS) else "--"
+    axes.plot(x, y, style, color=_color(i), marker=_marker(i), ms=4, lw=1.4, label=_plain(name))
+
+
+def _legend(axes: Axes, lines: int) -> None:
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9 if lines < 14 else 6)
+
+
+def _color(i: int) -> str:
+    return _COLORS[i % len(_COLORS)]
+
+
+def _marker(i: int) -> str:
+    return _MARKERS[i % len(_MARKERS)]
+
+
+def _plain(text: str) -> str:
+    """A name, not a formula; short enough to leave room for the plot."""
+    text = text if len(text) <= 40 else f"{text[:24]}...{text[-12:]}"
+    text = "".join(char if char.isprintable() else "?" for char in text).replace("$", r"\$")
+    return f"\u200b{text}" if text.startswith("_") else text  # else it is left out of the legend

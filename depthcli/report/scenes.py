@@ -1,0 +1,221 @@
+"""A scene as the page shows it: its maps packed for the script, small pictures for readers without one."""
+
+from __future__ import annotations
+
+import base64
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.evaluation.protocols import Protocol
+from depthcli.evaluation.results import Result
+from depthcli.io.items import Item
+from depthcli.io.pictures import read_status, status_color, status_words
+from depthcli.report import colors
+from depthcli.report.planes import Packed, cuts, pack, pack_bytes, thinned
+
+_CONFIDENCES = 4096  # levels of a confidence; noise below them would only fill the page
+_THUMB = 240  # pixels of a small picture's longer side, at most
+_MARGIN = 0.5  # values that lie so many ranges of the truth beside it are shown as out of range
+
+
+@dataclass
+class _Small:
+    """What the small picture of an error is drawn from, when the scene's scale is known."""
+
+    error: NDArray[np.floating[Any]]
+    kind: NDArray[np.uint8]
+    high: float
+
+
+@dataclass
+class Scene:
+    """One scene, filled run by run.
+
+    Attributes
+    ----------
+    name : of the scene
+    judge : its protocol
+    image : (H, W, 3) RGB, or None
+    data : what the script reads
+    thumbs : name of a picture -> data URI; of a run: ``map``, ``error``
+    """
+
+    name: str
+    judge: Protocol[Any, Any]
+    image: NDArray[np.uint8] | None
+    data: dict[str, Any] = field(default_factory=dict)
+    thumbs: dict[str, dict[str, str]] = field(default_factory=dict)
+    _small: dict[str, _Small] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, judge: Protocol[Any, Any], item: Item, truth: Any) -> Scene:
+        """A scene without runs yet."""
+        scene = cls(item.name, judge, judge.image(item))
+        regions = judge.regions(truth)
+        known = np.logical_or.reduce(list(regions.values()))
+        seen = regions.get(judge.visible)
+        hidden = np.zeros_like(known) if seen is None else known & ~seen
+        true = judge.true_values(truth)
+        low, high = _range(None if true is None else true[known])
+        scene.data = {"name": item.name, "protocol": judge.name, "quantity": judge.quantity, "unit": judge.unit,
+                      "low": low, "high": high, "hidden": bool(hidden.any()), "status": {}, "views": []}  # fmt: skip
+        for name, cut in cuts(known.shape):
+            plane = known[cut]
+            packed = None if true is None else pack(np.where(plane, true[cut], np.nan), *scene._reach)
+            image = scene._image(plane.shape)
+            scene.data["views"].append(
+                {"name": name, "width": plane.shape[1], "height": plane.shape[0], "factor": 1, "image": image,
+                 "truth": packed, "region": pack_bytes(plane + 2 * hidden[cut].astype(np.uint8)), "runs": {}}
+            )  # fmt: skip
+        step = _step(known[cuts(known.shape)[0][1]].shape)
+        if scene.image is not None:
+            scene.thumbs[""] = {"image": _jpeg(_shrunk(scene.image))}
+        if true is not None:
+            small = np.where(known, true, np.nan)[cuts(known.shape)[0][1]][::step, ::step]
+            scene.thumbs.setdefault("", {})["truth"] = _png(colors.map_picture(small, low, high))
+        return scene
+
+    @property
+    def _reach(self) -> tuple[float, float]:
+        low, high = self.data["low"], self.data["high"]
+        return low - _MARGIN * (high - low), high + _MARGIN * (high - low)
+
+    def add(self, result: Result, path: Any, estimate: Any, truth: Any, confidences: dict[str, NDArray[Any]]) -> None:
+        """One run's map."""
+        judge, regions = self.judge, self.judge.regions(truth)
+        known = np.logical_or.reduce(list(regions.values()))
+        seen = regions.get(judge.visible)
+        hidden = np.zeros_like(known) if seen is None else known & ~seen
+        error = np.where(known, judge.error(estimate, truth), np.nan)
+        wrong = judge.wrong(estimate, truth) & known
+        values, true = judge.values(estimate, truth), judge.true_values(truth)
+        follows = values is not None and true is not None and _same(error, np.abs(values - true), known)
+        status = self._status(path, known.shape)
+        for view, (_, cut) in zip(self.data["views"], cuts(known.shape), strict=True):
+            run: dict[str, Packed | dict[str, Packed] | None] = {
+                "values": None if values is None else pack(values[cut], *self._reach),
+                # The script takes the difference where that is the error.
+                "error": None if follows else pack(error[cut], 0.0, _largest(error)),
+                "wrong": pack_bytes(wrong[cut]),
+                "status": None if status is None else pack_bytes(status[cut]),
+                "confidence": {name: _pack_confidence(plane[cut]) for name, plane in confidences.items()},
+            }
+            view["runs"][result.run] = run
+        cut = cuts(known.shape)[0][1]
+        step = _step(known[cut].shape)
+        kind = colors.kinds(known[cut], hidden[cut], wrong[cut], np.isnan(error[cut]))
+        worst = error[wrong & ~np.isnan(error)]
+        high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
+        self._small[result.run] = _Small(error[cut][::step, ::step], kind[::step, ::step], high)
+        if values is not None:
+            picture = colors.map_picture(values[cut][::step, ::step], self.data["low"], self.data["high"])
+            self.thumbs.setdefault(result.run, {})["map"] = _png(picture)
+
+    def close(self) -> None:
+        """Settle the scale of the errors: the darkest is what most runs' worst tenth of wrong pixels exceeds."""
+        highs = [small.high for small in self._small.values() if not math.isnan(small.high)]
+        top = float(f"{float(np.median(highs)) if highs else 1.0:.2g}") or 1.0
+        self.data["top"] = top
+        for run, small in self._small.items():
+            picture = colors.error_picture(small.kind, small.error, top)
+            self.thumbs.setdefault(run, {})["error"] = _png(picture)
+        self._small, self.image = {}, None
+
+    def _image(self, shape: tuple[int, int]) -> str | None:
+        """The camera's picture at the size of the maps; None where it is of another shape."""
+        if self.image is None:
+            return None
+        height, width = self.image.shape[:2]
+        if abs(width * shape[0] - height * shape[1]) > 2 * max(width, height):
+            return None
+        fitted = self.image if (height, width) == shape else cv2.resize(self.image, shape[::-1])
+        return _jpeg(np.asarray(fitted, np.uint8))
+
+    def _status(self, path: Any, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
+        file = self.judge.status(path)
+        try:
+            status = None if file is None else read_status(file)
+        except InputError:  # the map counts, what lies beside it is an extra
+            return None
+        if status is None or status.shape != shape:
+            return None
+        for value in np.unique(status).tolist():
+            words, color = status_words(value, self.judge.palette), status_color(value, self.judge.palette)
+            self.data["status"][str(value)] = {"words": words, "color": color}
+        return status
+
+
+def smaller(data: dict[str, Any], factor: int) -> dict[str, Any]:
+    """A scene's data with every ``factor``-th pixel."""
+    return {**data, "views": [_smaller(view, factor) for view in data["views"]]}
+
+
+def _smaller(view: dict[str, Any], factor: int) -> dict[str, Any]:
+    def thin(value: Any) -> Any:
+        if isinstance(value, dict):
+            if "data" in value:
+                return {**value, **thinned(value, factor)}
+            return {name: thin(inner) for name, inner in value.items()}
+        return value
+
+    made = {**view, **{name: thin(view[name]) for name in ("truth", "region", "runs")}, "factor": factor}
+    made["height"], made["width"] = made["region"]["height"], made["region"]["width"]
+    if view["image"] is not None:
+        code = np.frombuffer(base64.b64decode(view["image"].partition(",")[2]), np.uint8)
+        picture = cv2.imdecode(code, cv2.IMREAD_COLOR)
+        assert picture is not None  # it was written here
+        picture = cv2.resize(picture, (made["width"], made["height"]))
+        made["image"] = _jpeg(np.asarray(picture[..., ::-1], np.uint8))
+    return made
+
+
+def _range(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:
+    finite = np.array([]) if values is None else values[np.isfinite(values)]
+    if finite.size == 0:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    return low, max(high, low + 1e-3)
+
+
+def _largest(error: NDArray[np.floating[Any]]) -> float:
+    return _range(error)[1]
+
+
+def _same(error: NDArray[Any], difference: NDArray[Any], known: NDArray[np.bool_]) -> bool:
+    return np.allclose(error[known], difference[known], rtol=1e-4, atol=1e-4, equal_nan=True)
+
+
+def _pack_confidence(plane: NDArray[Any]) -> Packed:
+    values = plane.astype(np.float64)
+    low, high = _range(values)
+    finite = values[np.isfinite(values)]
+    shown = np.percentile(finite, (1, 99)).tolist() if finite.size else [0.0, 1.0]
+    return {**pack(values, low, high, _CONFIDENCES), "shown": shown}
+
+
+def _step(shape: tuple[int, ...]) -> int:
+    return max(1, -(-max(shape) // _THUMB))
+
+
+def _shrunk(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    step = _step(image.shape[:2])
+    size = (max(1, image.shape[1] // step), max(1, image.shape[0] // step))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _jpeg(picture: NDArray[np.uint8]) -> str:
+    return _uri("image/jpeg", cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])[1])
+
+
+def _png(picture: NDArray[np.uint8]) -> str:
+    return _uri("image/png", cv2.imencode(".png", picture[..., ::-1])[1])
+
+
+def _uri(kind: str, data: Any) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data.tobytes()).decode('ascii')}"

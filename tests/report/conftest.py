@@ -1,0 +1,73 @@
+"""Scenes and runs to make a page of: maps with holes, status, confidence, odd names."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.core.maps import Status
+from depthcli.io.disparity import write_pfm
+from depthcli.io.images import write_png
+from depthcli.io.pictures import STATUS_PALETTE, write_status
+
+SHAPE = (36, 48)
+ODD = """<script>alert("1")<&'x"""
+
+
+def truth_of(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.rint((np.linspace(4, 12, SHAPE[1]) + rng.uniform(0, 1, (SHAPE[0], 1))) * 16).astype(np.float32) / 16
+
+
+@pytest.fixture(scope="session")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two scenes with exact truth (PFM), a mask of visible pixels; one has a hostile name."""
+    folder = tmp_path_factory.mktemp("page") / "set"
+    rng = np.random.default_rng(0)
+    for seed, name in enumerate(("plain", ODD)):
+        image = rng.integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
+        write_png(folder / name / "left.png", image)
+        write_png(folder / name / "right.png", image)
+        truth = truth_of(seed).copy()
+        truth[:2, :5] = np.nan
+        write_pfm(folder / name / "disp_left.pfm", truth)
+        visible = np.ones(SHAPE, bool)
+        visible[:, :8] = False
+        write_png(folder / name / "mask_nonocc.png", visible)
+        (folder / name / "meta.json").write_text(json.dumps({"max_disparity": 15, "protocol": "middlebury_v2"}))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """A good run with status and confidence, and a bad one with holes that lacks nothing."""
+    folder = tmp_path_factory.mktemp("runs")
+    places = [folder / "good", folder / 'bad "<b>"']
+    rng = np.random.default_rng(1)
+    for place, spread in zip(places, (0.25, 2.0), strict=True):
+        for seed, name in enumerate(("plain", ODD)):
+            values = np.maximum(truth_of(seed) + rng.normal(0, spread, SHAPE).astype(np.float32), np.float32(0.5))
+            status = np.zeros(SHAPE, np.uint8)
+            if place == places[0]:
+                write_pfm(place / name / "confidence_lrd.pfm", rng.uniform(0, 1, SHAPE).astype(np.float32))
+                status[:, :8] = int(Status.OCCLUDED | Status.FILLED)
+                write_status(place / name / "status.png", status, STATUS_PALETTE)
+            else:
+                values[10:14, 20:30] = np.nan
+            write_pfm(place / name / "disp_left.pfm", values)
+    seconds = [{"scene": n, "status": "done", "seconds": {"match": 0.5 + i}} for i, n in enumerate(("plain", ODD))]
+    (places[0] / "report.json").write_text(json.dumps({"scenes": seconds}))
+    (places[0] / "run.yaml").write_text("method: <census>\n")
+    return places
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory, scenes: Path, runs: list[Path]) -> Path:
+    """The report of both runs."""
+    output = tmp_path_factory.mktemp("report") / "out"
+    assert main(["evaluate", *map(str, runs), "--truth", str(scenes), "--output", str(output), "--html", "-q"]) == 0
+    return output

@@ -1,0 +1,238 @@
+"""The page as a file: what stands in it without a browser."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.io.disparity import read_disparity
+from depthcli.jobs.evaluate import evaluate
+from depthcli.report import colors
+from depthcli.report.page import Page
+from depthcli.report.planes import cuts, pack, pack_bytes, thinned, unpack
+from tests.report.conftest import ODD, SHAPE
+
+
+class Reader(HTMLParser):
+    """Text of scripts by id, cells of tables, sources of pictures, targets of links, ids."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scripts: dict[str, str] = {}
+        self.tables: list[list[list[str]]] = []
+        self.images: list[str] = []
+        self.links: list[str] = []
+        self.ids: list[str] = []
+        self.open: list[str] = []
+        self.text = ""
+        self._script: str | None = None
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        if "id" in found:
+            self.ids.append(found["id"])
+        if tag == "script":
+            self._script = found.get("id", f"code-{len(self.scripts)}")
+            self.scripts[self._script] = ""
+            assert "src" not in found
+        elif tag == "img":
+            self.images.append(found["src"])
+        elif tag == "a":
+            self.links.append(found["href"])
+        elif tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("th", "td"):
+            self.tables[-1][-1].append("")
+        if tag not in ("img", "meta", "input", "link", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+        self._script = None
+
+    def handle_data(self, data):
+        if self._script is not None:
+            self.scripts[self._script] += data
+            return
+        self.text += data
+        if "table" in self.open and self.open[-1] in ("a", "th", "td") and self.tables[-1]:
+            self.tables[-1][-1][-1] += data
+
+
+def read(folder: Path) -> Reader:
+    reader = Reader()
+    reader.feed((folder / "report.html").read_text("utf-8"))
+    reader.close()
+    assert reader.open == []
+    return reader
+
+
+def test_numbers_are_those_of_csv_and_json(made: Path):
+    page = read(made)
+    assert json.loads(page.scripts["scores"]) == json.loads((made / "scores.json").read_text())
+    with (made / "scores.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["metric"] == "bad" and row["threshold"] == "1.0"]
+    (table,) = [t for t in page.tables if t[0][0] == "scene" and t[0][1:] == ["good", 'bad "<b>"']][:1]
+    cells = {(line[0], run): line[k + 1] for line in table[1:] for k, run in enumerate(table[0][1:])}
+    for row in rows:
+        if row["mask"] == "nonocc" and not row["scene"].startswith("*"):
+            assert cells[row["scene"], row["run"]] == f"{float(row['value']):.2f}"
+    assert cells["mean", "good"] == f"{np.mean([float(r['value']) for r in rows if mean_row(r)]):.2f}"
+
+
+def mean_row(row: dict[str, str]) -> bool:
+    return row["mask"] == "nonocc" and row["run"] == "good" and not row["scene"].startswith("*")
+
+
+def test_everything_is_in_the_file_and_nothing_else(made: Path):
+    page = read(made)
+    assert sorted(p.name for p in made.iterdir()) == ["curves", "errors", "report.html", "report.md", "scores.csv",
+                                                      "scores.json"]  # fmt: skip
+    assert all(source.startswith("data:image/") for source in page.images)
+    assert len(page.images) > 2 * 2 * 2 + 3  # maps and errors of two runs and scenes, and plots
+    assert all(link.startswith("#") for link in page.links)
+    assert {link[1:].partition("/")[0] for link in page.links} <= set(page.ids)
+    assert len(page.ids) == len(set(page.ids))
+    assert "method: <census>" in page.text
+    assert "maps by another program" in page.text
+    assert "depthcli evaluate " in page.text
+    assert "is best" in page.text
+    text = (made / "report.html").read_text("utf-8")
+    assert not re.search(r"""(src|href)=["']?(https?:)?//""", text)
+
+
+def test_a_name_is_only_a_name(made: Path):
+    page = read(made)
+    assert set(page.scripts) == {"page", "scores", "data-0", "data-1", "code-4", "code-5"}
+    assert ODD in page.text
+    assert {json.loads(page.scripts[f"data-{k}"])["name"] for k in (0, 1)} == {"plain", ODD}
+
+
+def test_maps_come_back_as_they_were(made: Path, runs: list[Path]):
+    page = read(made)
+    scenes = [json.loads(page.scripts[f"data-{k}"]) for k in (0, 1)]
+    (view,) = next(s for s in scenes if s["name"] == "plain")["views"]
+    assert (view["height"], view["width"]) == SHAPE
+    for run in runs:
+        packed = view["runs"][run.name]
+        values, exact = unpack(packed["values"]), read_disparity(run / "plain" / "disp_left.pfm")
+        assert np.array_equal(np.isnan(values), np.isnan(exact))
+        step = packed["values"]["step"]
+        assert step < 1e-3
+        inside = (values > 2) & (values < 14)
+        assert np.nanmax(np.abs(values - exact)[inside]) <= step / 2 + 1e-6
+        assert packed["error"] is None  # the difference of the two
+    region = unpack(view["region"])
+    assert np.all(region[:, :8] & 1 == ~np.isnan(unpack(view["truth"]))[:, :8])
+    assert np.all((region[:, :8] & 2 > 0) == (region[:, :8] & 1 > 0))
+    assert not np.any(region[:, 8:] & 2)
+
+
+def test_beyond_the_budget_pictures_shrink_and_full_ones_lie_beside(tmp_path: Path, scenes: Path, runs: list[Path]):
+    output = tmp_path / "out"
+    evaluate(runs, scenes, output, page=Page(output, budget=2000))
+    page = read(output)
+    assert "of their size" in page.text
+    view = json.loads(page.scripts["data-1"])["views"][0]
+    full = (output / "assets" / "scene-1.js").read_text()
+    data = json.loads(full[full.index("{") : full.rindex("}") + 1])["views"][0]
+    factor = view["factor"]
+    assert factor > 1
+    assert (data["height"], data["factor"]) == (SHAPE[0], 1)
+    assert view["height"] == -(-SHAPE[0] // factor)
+    for name in ("good", 'bad "<b>"'):
+        small, large = (unpack(v["runs"][name]["values"]) for v in (view, data))
+        assert np.array_equal(small, large[::factor, ::factor], equal_nan=True)
+    evaluate(runs, scenes, output, page=Page(output))
+    assert not (output / "assets").exists()
+
+
+def test_a_missing_map_and_a_single_run(tmp_path: Path, scenes: Path, runs: list[Path]):
+    output, less = tmp_path / "out", tmp_path / "less"
+    shutil.copytree(runs[1], less)
+    (less / "plain" / "disp_left.pfm").unlink()
+    evaluate([runs[0], less], scenes, output, page=Page(output))
+    page = read(output)
+    assert "1 map missing" in page.text
+    assert any(cell == "100.00*" for table in page.tables for row in table for cell in row)
+    evaluate(runs[:1], scenes, output, page=Page(output))
+    assert "is best" not in read(output).text
+
+
+def test_the_same_input_gives_the_same_page(tmp_path: Path, scenes: Path, runs: list[Path]):
+    texts = []
+    for name in ("one", "two"):
+        evaluate(runs, scenes, tmp_path / name, page=Page(tmp_path / name))
+        texts.append((tmp_path / name / "report.html").read_bytes())
+    assert texts[0] == texts[1]
+
+
+def test_depth_has_its_unit(tmp_path: Path):
+    folder, run = tmp_path / "kinect", tmp_path / "run"
+    small = ("--frames", "0", "--width", "96", "--height", "64")
+    assert main(["sample", "--kinect", *small, "-o", str(folder), "-q"]) == 0
+    assert (
+        main(["refine-kinect", "nearest", "-i", str(folder), "-o", str(run), "--html", "-q", "--scenes", "planes"]) == 0
+    )
+    page = read(run / "evaluation")
+    scene = json.loads(page.scripts["data-0"])
+    assert (scene["quantity"], scene["unit"], scene["hidden"]) == ("depth", "mm", False)
+    assert any("gap filled" in each["words"] for each in scene["status"].values())
+    truth = unpack(scene["views"][0]["truth"])
+    assert 300 < np.nanmedian(truth) < 10_000
+    assert "depthcli refine-kinect nearest" in page.text
+
+
+def test_html_wants_a_folder(scenes: Path, runs: list[Path], capsys: pytest.CaptureFixture[str]):
+    assert main(["evaluate", str(runs[0]), "--truth", str(scenes), "--html"]) == 2
+    assert "--output" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-7.5, 200.3), (500.0, 9000.0), (3.0, 3.0)])
+def test_packing(low: float, high: float):
+    rng = np.random.default_rng(3)
+    values = rng.uniform(low, high, (7, 5))
+    values[2, 3], values[0, 0], values[-1, -1] = np.nan, low, high
+    packed = pack(values, low, high)
+    back = unpack(packed)
+    assert np.array_equal(np.isnan(back), np.isnan(values))
+    assert np.nanmax(np.abs(back - values)) <= packed["step"] / 2 + 1e-12
+    assert packed["step"] <= 2 * max(high - low, 1e-6) / 65000
+    outside = unpack(pack(np.array([[-np.inf, low - 1e9, high + 1e9, np.inf]]), low, high))
+    assert outside[0, 0] == outside[0, 1] < low
+    assert outside[0, 2] == outside[0, 3] > high
+    assert np.array_equal(unpack(thinned(packed, 2)), back[::2, ::2], equal_nan=True)
+    bits = rng.integers(0, 256, (4, 6)).astype(np.uint8)
+    assert np.array_equal(unpack(pack_bytes(bits)), bits)
+
+
+def test_volumes_are_cut_in_the_middle():
+    volume = np.arange(4 * 6 * 8).reshape(4, 6, 8)
+    assert [volume[index].shape for _, index in cuts(volume.shape)] == [(6, 8), (4, 8), (4, 6)]
+    assert np.array_equal(volume[cuts(volume.shape)[1][1]], volume[:, 3])
+    assert cuts((3, 4))[0][0] == ""
+
+
+def test_colors_are_told_apart():
+    flags = ("011111", "000110", "001010", "000001")
+    known, hidden, wrong, missing = (np.array([[c == "1" for c in row]]) for row in flags)
+    kind = colors.kinds(known, hidden, wrong, missing)
+    assert kind.tolist() == [list(range(6))]
+    scales = colors.error_scales().astype(float) / 255
+    light = scales @ np.array([0.2126, 0.7152, 0.0722])
+    assert np.all(np.diff(light[1:5], axis=1) <= 1e-9)  # darker is worse
+    # Right and wrong differ for readers without red-green vision too: the blue channel they keep differs widely.
+    assert np.min(scales[colors.RIGHT][:, 2]) - np.max(scales[colors.WRONG][:, 2]) > 0.3
+    steps = np.diff(colors.scale().astype(int) @ np.array([2126, 7152, 722]))
+    assert np.all(steps > -20_000)
+    assert colors.scale()[-1].sum() > colors.scale()[0].sum() + 200
