@@ -165,7 +165,7 @@ def by_scene(section: Section, measure: Measure, mask: str) -> Matrix:
             values = tuple(r.by_key[key].value if key in r.by_key else math.nan for r in results)
             marks = tuple("*" * bool(r.error) for r in results)
             columns.append(Column(short(scene), values, larger, marks, scene=scene))
-    columns += _means(section, key, "mean")
+    columns += _means(section, key, "mean") if len(section.scenes) > 1 else []
     headline = section.protocol.headline == measure
     if headline and len(section.runs) > 1 and len(section.scenes) > 1:
         ranks = tuple(average_rank(section, [key]).values())
@@ -180,7 +180,8 @@ def of_measures(section: Section) -> list[Matrix]:
     for mask in section.masks:
         keys = dict.fromkeys((s.measure, mask) for r in section.results for s in r.scores if s.mask == mask)
         columns = [c for key in keys for c in _means(section, key, key[0].heading, one=True)]
-        title = f"{section.data_set}: means over {len(section.scenes)} scenes, {mask}"
+        many = len(section.scenes)
+        title = f"{section.data_set}: {f'means over {many} scenes' if many > 1 else short(section.scenes[0])}, {mask}"
         made.append(Matrix(title, section.runs, (*columns, *times(section)), _note(section)))
     return made
 
@@ -197,7 +198,7 @@ def times(section: Section) -> list[Column]:
 def _means(section: Section, key: Any, title: str, one: bool = False) -> list[Column]:
     """Over all scenes, and over those that all runs have where these are fewer."""
     columns = []
-    for common in (False, True) if section.incomplete and not one else (False,):
+    for common in (False, True) if section.common and section.incomplete and not one else (False,):
         found = [section.means(run, common).get(key) for run in section.runs]
         values = tuple(math.nan if score is None else score.value for score in found)
         marks = tuple("*" * bool(section.lacking(run) and not common) for run in section.runs)

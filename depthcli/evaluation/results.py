@@ -289,8 +289,14 @@ class EvaluationReport:
             "means": self.means(),
             "headlines": self.headlines(),
             "comparisons": [
-                {"protocol": section.protocol.name, "run": run, "against": self.runs[0], **vars(comparison)}
-                for section, run, comparison in self.comparisons()
+                {
+                    "protocol": section.protocol.name,
+                    "run": run,
+                    "against": self.runs[0],
+                    "better": run if c.wins > c.losses else self.runs[0] if c.losses > c.wins else None,
+                    **vars(c),
+                }
+                for section, run, c in self.comparisons()
             ],
             "failed": [{"run": r.run, "scene": r.scene, "reason": r.error} for r in self.failed],
             "warnings": self.warnings,

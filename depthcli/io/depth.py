@@ -47,7 +47,7 @@ def read_depth(
 ) -> NDArray[np.float32]:
     """Read a depth map in meters.
 
-    Codes (PNG, PGM, TIFF, integer npy) are divided by ``scale``; 0 is unknown. PFM and float npy hold meters
+    Codes (PNG, PGM, TIFF, integer npy) are divided by ``scale``; 0 is unknown. PFM, float npy and TIFF hold meters
     unless a ``scale`` is given; what is not a positive number (NaN, +-inf, 0 or less) is unknown.
 
     Parameters

@@ -13,7 +13,7 @@ from depthcli.core.errors import InputError, OutputError
 from depthcli.io.atomic import write_bytes
 from depthcli.io.files import naming, read_bytes, shown
 from depthcli.io.headers import image_kind, pfm_header
-from depthcli.io.images import IMAGE_SUFFIXES, decode_grey
+from depthcli.io.images import IMAGE_SUFFIXES, decode_floats, decode_grey
 from depthcli.io.npy import decode_npy
 
 MAP_SUFFIXES = (".pfm", ".npy", *IMAGE_SUFFIXES)
@@ -28,13 +28,13 @@ def read_disparity(
 ) -> NDArray[np.float32]:
     """Read a disparity map in pixels.
 
-    PFM and float npy hold pixels (+-inf and NaN: unknown). Integer codes (PNG, PGM, integer npy) are
+    PFM, float npy and float TIFF hold pixels (+-inf and NaN: unknown). Integer codes (PNG, PGM, integer npy) are
     divided by ``scale``; a code of 0 or less is unknown.
 
     Parameters
     ----------
     path : the file; its kind is told by the content
-    scale : codes per pixel; None: 1 for PFM and float npy, 256 for 16-bit codes (KITTI)
+    scale : codes per pixel; None: 1 for PFM, float npy and float TIFF, 256 for 16-bit codes (KITTI)
     scale_8bit : codes per pixel of 8-bit files where ``scale`` is None; such a file has no scale of its own
 
     Returns
@@ -87,7 +87,7 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
 
 
 def read_plane(path: Path | str) -> NDArray[Any]:
-    """Read one channel of numbers as stored: a PFM or npy map, or an image of codes; the kind is told by the content.
+    """Read one channel of numbers as stored: a map (PFM, npy, float TIFF) or codes; the kind is told by the content.
 
     Returns
     -------
@@ -103,7 +103,10 @@ def read_plane(path: Path | str) -> NDArray[Any]:
         kind = image_kind(data)
         if kind == "pfm":
             return _decode_pfm(data)
-        return decode_npy(data) if kind == "npy" else decode_grey(data)
+        if kind == "npy":
+            return decode_npy(data)
+        floats = decode_floats(data)
+        return decode_grey(data) if floats is None else floats
 
 
 def _decode_pfm(data: bytes) -> NDArray[np.float32]:

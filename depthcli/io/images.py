@@ -128,6 +128,18 @@ def decode_grey(data: bytes, max_bytes: int | None = None) -> Image:
     return pixels
 
 
+def decode_floats(data: bytes) -> NDArray[np.float32] | None:
+    """(H, W) numbers of a TIFF with samples of floating point, from its bytes; None for any other file."""
+    if image_kind(data) != "tiff":
+        return None
+    check_size(image_size(data), len(data), None)
+    image = open_with_pillow(data)
+    if image.mode != "F":
+        return None
+    with decoding("tiff"):
+        return np.array(image, np.float32)
+
+
 def write_png(path: Path | str, array: NDArray[Any]) -> None:
     """Write (H, W) grey or (H, W, 3) RGB, uint8 or uint16 (bool: 0 and 255), atomically.
 

@@ -153,6 +153,10 @@ def evaluate(
         for item, name in zip(items, short, strict=True):
             results += (found := job.results(item, alone=short.count(name) == 1))
             reporter.step(any(result.error for result in found))
+    for name in vars(settings):
+        taken = any(name in each.takes for each in job.judges.values())
+        if getattr(settings, name) is not None and job.judges and not taken:
+            reporter.info(f"--{name} makes no difference to {', '.join(job.judges)}")
     report = EvaluationReport(tuple(job.runs), tuple(results), job.judges, truth)
     if target is not None:
         write_text(target / "scores.csv", to_csv(report.rows()))

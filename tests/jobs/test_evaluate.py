@@ -9,10 +9,12 @@ import math
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from depthcli.batch.reporter import Reporter
+from depthcli.cli import main
 from depthcli.core.errors import InputError
 from depthcli.evaluation import protocols
 from depthcli.evaluation.disparity import DisparityProtocol
@@ -443,3 +445,35 @@ def test_seconds_of_the_report_are_shown(tmp_path: Path, truth: Path):
     (run / "report.json").write_text(json.dumps({"scenes": scenes}))
     (summary, *_) = evaluate([run], truth, None).tables()
     assert (summary.header[-1], summary.rows[0][-1]) == ("seconds", "2.00")
+
+
+def test_formats_settings_and_whose_wins(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
+    good = exact(truth)
+    one = run_of(tmp_path / "one", {"a": good, "b": good + 2})
+    two = run_of(tmp_path / "two", {"a": good + 2, "b": good + 2})
+    (one / "report.json").write_text(json.dumps({"scenes": [{"scene": "a", "seconds": {"all": 1.5}}]}))
+    command = ["evaluate", str(one), str(two), "--truth", str(truth)]
+    assert main([*command, "--format", "markdown", "--resolution", "q"]) == 0
+    out, err = capsys.readouterr()
+    assert "| one | **0.00** | **100.00** | **50.00** | **1.2** | **1.50** |" in out
+    assert "--resolution makes no difference to middlebury_v2" in err
+    assert main([*command, "--format", "latex"]) == 0
+    assert r"\textbf{50.00}" in capsys.readouterr().out
+    assert main([*command, "--format", "word"]) == 2
+    assert "latex, markdown, csv" in capsys.readouterr().err
+    (comparison,) = evaluate([one, two], truth, None).to_dict()["comparisons"]
+    assert (comparison["run"], comparison["better"], comparison["losses"]) == ("two", "one", 1)
+    report = evaluate([one, two], truth, None)
+    assert [r.size for r in report.results] == [SHAPE[0] * SHAPE[1]] * 4
+
+
+def test_maps_of_floating_point_in_tiff_files(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    good[3, 3], good[3, 4] = np.nan, np.inf
+    assert cv2.imwrite(str(tmp_path / "good.tif"), good)
+    np.save(tmp_path / "good.npy", good)
+    report = evaluate([tmp_path / "good.tif", tmp_path / "good.npy"], truth / "a" / "disp_left.png", None)
+    assert report.failed == []
+    values = [[s.value for s in r.scores] for r in report.results]
+    assert values[0] == values[1]
+    assert math.isclose(bad(report.results[0]), 100 * 2 / good.size)

@@ -85,6 +85,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     quantity : what a map holds, in a word
     visible : region of the pixels that both views see, where the others are occluded; empty: not told apart
     palette : colors and words of the status map beside a map
+    takes : names of the settings that make a difference
     """
 
     title: ClassVar[str]
@@ -101,6 +102,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     quantity: ClassVar[str] = "value"
     visible: ClassVar[str] = ""
     palette: ClassVar[Palette] = {}
+    takes: ClassVar[tuple[str, ...]] = ("scale", "threshold")
 
     def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()

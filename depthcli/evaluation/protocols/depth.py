@@ -16,6 +16,7 @@ from depthcli.evaluation.pictures import LEGEND_TEXT, error_picture
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally
 from depthcli.io.depth import read_depth
+from depthcli.io.disparity import read_plane
 from depthcli.io.items import Item
 from depthcli.io.items.rgbd import RgbdItem, RgbdTruth
 from depthcli.io.pictures import DEPTH_STATUS_PALETTE
@@ -25,6 +26,7 @@ Depth = NDArray[np.float32]
 _RATIOS = (1.05, 1.10, 1.25, 1.25**2, 1.25**3)
 _WRONG = 1.05  # ratio beyond which a pixel is shown as wrong
 _METERS = (".pfm", ".npy")
+_EITHER = (".tif", ".tiff")  # codes, or meters
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     legend = LEGEND_TEXT
     quantity = "depth"
     palette = DEPTH_STATUS_PALETTE
+    takes = ("scale", "threshold", "resize")
     mae = Measure("MAE", "mm", convention=ESTIMATED_ONLY)
 
     @property
@@ -97,7 +100,9 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
 
     def read(self, path: Path, item: Item, truth: DepthTruth) -> Depth:
         """The map in meters; integer codes have the truth's scale where the settings have none."""
-        scale = None if path.suffix.lower() in _METERS else self.settings.scale or truth.scale
+        suffix = path.suffix.lower()
+        meters = suffix in _METERS or (suffix in _EITHER and read_plane(path).dtype.kind == "f")
+        scale = None if meters else self.settings.scale or truth.scale
         estimate = self._resized(read_depth(path, scale))
         if estimate.shape != truth.depth.shape:
             have, want = (f"{a.shape[1]} x {a.shape[0]}" for a in (estimate, truth.depth))
