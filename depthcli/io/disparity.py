@@ -131,12 +131,17 @@ def write_pfm(path: Path | str, values: NDArray[np.floating[Any]]) -> None:
     OutputError
         The file cannot be written.
     """
+    write_bytes(path, encode_pfm(values))
+
+
+def encode_pfm(values: NDArray[np.floating[Any]]) -> bytes:
+    """The bytes that :func:`write_pfm` writes."""
     if values.ndim != 2:
         raise ValueError(f"want (H, W), got {values.shape}")
     plane = values.astype("<f4")
     plane[np.isnan(plane)] = np.inf
     header = f"Pf\n{plane.shape[1]} {plane.shape[0]}\n-1\n".encode()
-    write_bytes(path, header + plane[::-1].tobytes())
+    return header + plane[::-1].tobytes()
 
 
 def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) -> None:
@@ -152,12 +157,18 @@ def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) 
     OutputError
         The file cannot be written.
     """
+    data = encode_disparity_png(disparity)
+    if data is None:
+        raise OutputError(f"{path}: cannot be encoded as PNG")
+    write_bytes(path, data)
+
+
+def encode_disparity_png(disparity: NDArray[np.floating[Any]]) -> bytes | None:
+    """The bytes that :func:`write_disparity_png` writes; None where they cannot be made."""
     if disparity.ndim != 2:
         raise ValueError(f"want (H, W), got {disparity.shape}")
     known = np.isfinite(disparity)
     codes = np.zeros(disparity.shape, np.uint16)
     codes[known] = np.clip(np.rint(disparity[known].astype(np.float64) * KITTI_SCALE), 1, 65535).astype(np.uint16)
     done, data = cv2.imencode(".png", codes)
-    if not done:
-        raise OutputError(f"{path}: cannot be encoded as PNG")
-    write_bytes(path, data.tobytes())
+    return data.tobytes() if done else None

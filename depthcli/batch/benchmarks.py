@@ -1,0 +1,235 @@
+"""What the benchmarks take: names, layouts and limits of the files of a submission.
+
+Sources: the upload formats of vision.middlebury.edu/stereo/submit3 and eth3d.net/documentation, and the readme files
+of KITTI's development kits of 2012 and 2015.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import ConfigError, OutputError
+from depthcli.io.disparity import KITTI_SCALE, encode_disparity_png, encode_pfm
+
+TRAINING, TEST = "training", "test"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One map of a submission.
+
+    Attributes
+    ----------
+    scene : its name at the benchmark
+    split : ``TRAINING`` or ``TEST``
+    file : the map
+    seconds : run time, NaN where it is not known
+    image : the left image, or None where it is not known
+    size : (width, height) that the map must have, from the image or the run's report; None where neither is known
+    """
+
+    scene: str
+    split: str
+    file: Path
+    seconds: float = math.nan
+    image: Path | None = None
+    size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Submission:
+    """Settings of one: the method's name, whether maps may have holes, and the sizes of the maps by scene."""
+
+    method: str
+    sparse: bool = False
+    sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+
+
+class Benchmark(ABC):
+    """One benchmark.
+
+    Attributes
+    ----------
+    protocol : name of the evaluation protocol, which knows where a run holds its maps
+    scenes : split -> names of its scenes; a split is submitted whole or not at all
+    timed : every map wants its run time
+    """
+
+    protocol: ClassVar[str]
+    scenes: ClassVar[Mapping[str, tuple[str, ...]]]
+    timed: ClassVar[bool] = False
+
+    def check_name(self, method: str) -> str:
+        """What is wrong with the name of a method, or empty."""
+        return ""
+
+    def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
+        """Why a map (H, W), pixels, NaN = no value, cannot be submitted."""
+        found = []
+        size = (values.shape[1], values.shape[0])
+        if entry.size is not None and size != entry.size:
+            found.append(f"the map is {size[0]} x {size[1]}, the image {entry.size[0]} x {entry.size[1]}")
+        with np.errstate(invalid="ignore"):
+            if (values < 0).any():
+                found.append(f"negative disparities, down to {np.nanmin(values):.4g}")
+        if np.isnan(values).all():
+            found.append("no pixel has a value")
+        if self.timed and math.isnan(entry.seconds):
+            found.append("no run time: the run has no report of this scene; say it with --seconds")
+        return found
+
+    def whole(self, submission: Submission) -> list[str]:
+        """What is wrong with all maps together."""
+        return []
+
+    @abstractmethod
+    def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
+        """Path in the archive -> content, of one map."""
+
+
+def _png(values: NDArray[np.float32], name: str) -> bytes:
+    data = encode_disparity_png(values)
+    if data is None:
+        raise OutputError(f"{name}: cannot be encoded as PNG")
+    return data
+
+
+class MiddleburyV3(Benchmark):
+    """PFM maps and times in the folders ``trainingX`` and ``testX``, X being the resolution."""
+
+    protocol = "middlebury_v3"
+    timed = True
+    scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        TRAINING: ("Adirondack", "ArtL", "Jadeplant", "Motorcycle", "MotorcycleE", "Piano", "PianoL", "Pipes",
+                   "Playroom", "Playtable", "PlaytableP", "Recycle", "Shelves", "Teddy", "Vintage"),
+        TEST: ("Australia", "AustraliaP", "Bicycle2", "Classroom2", "Classroom2E", "Computer", "Crusade", "CrusadeP",
+               "Djembe", "DjembeL", "Hoops", "Livingroom", "Newkuba", "Plants", "Staircase"),
+    }  # fmt: skip
+    # Typical width of the full images; these three come from older sets.
+    width = 2800
+    others: ClassVar[Mapping[str, int]] = {"ArtL": 1388, "Computer": 1328, "Teddy": 1800}
+
+    def check_name(self, method: str) -> str:
+        """It is a part of file names, in which ``_s`` marks sparse maps."""
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_+.-]{0,39}", method) or method.endswith("_s") or method == "GT":
+            return f"want letters, digits and _ + . - for file names, no _s at the end, not GT (got {method!r})"
+        return ""
+
+    def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
+        """Also holes, where the submission is a dense one."""
+        found = super().problems(entry, values, submission)
+        holes = int(np.isnan(values).sum())
+        if holes and not submission.sparse:
+            found.append(f"{holes} pixels without a value; fill them, or submit sparse maps with --sparse")
+        return found
+
+    def whole(self, submission: Submission) -> list[str]:
+        """All maps must be of one resolution."""
+        found: dict[str, list[str]] = {}
+        for scene in submission.sizes:
+            found.setdefault(self.resolution(scene, submission), []).append(scene)
+        if len(found) < 2:
+            return []
+        return ["maps of several resolutions: " + "; ".join(f"{r}: {', '.join(s)}" for r, s in sorted(found.items()))]
+
+    def resolution(self, scene: str, submission: Submission) -> str:
+        """F, H or Q, by the width of a map."""
+        full, width = self.others.get(scene, self.width), submission.sizes[scene][0]
+        return min(("F", 1), ("H", 2), ("Q", 4), key=lambda each: abs(math.log(full / each[1] / width)))[0]
+
+    def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
+        """``disp0METHOD.pfm``, or ``disp0METHOD_s.pfm``, and ``timeMETHOD.txt``."""
+        folder = f"{entry.split}{self.resolution(entry.scene, submission)}/{entry.scene}"
+        kind = "_s" if submission.sparse else ""
+        return {
+            f"{folder}/disp0{submission.method}{kind}.pfm": encode_pfm(values),
+            f"{folder}/time{submission.method}.txt": f"{_seconds(entry)}\n".encode(),
+        }
+
+
+class Eth3d(Benchmark):
+    """PFM maps and run times in the folder ``low_res_two_view``."""
+
+    protocol = "eth3d"
+    timed = True
+    scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        TRAINING: (*(f"{place}_{n}{kind}" for place in ("delivery_area", "electro", "playground")
+                     for n in (1, 2, 3) for kind in "ls"),
+                   "facade_1s", "forest_1s", "forest_2s", "terrace_1s", "terrace_2s",
+                   "terrains_1l", "terrains_1s", "terrains_2l", "terrains_2s"),
+        TEST: (*(f"{place}_{n}{kind}" for place in ("storage_room", "tunnel") for n in (1, 2, 3) for kind in "ls"),
+               *(f"{place}_1{kind}" for place in ("lakeside", "sand_box") for kind in "ls"),
+               *(f"storage_room_2_{n}{kind}" for n in (1, 2) for kind in "ls")),
+    }  # fmt: skip
+
+    def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
+        """Also values beyond the width, which count as missing there."""
+        found = super().problems(entry, values, submission)
+        with np.errstate(invalid="ignore"):
+            if (values > values.shape[1]).any():
+                found.append(f"disparities beyond the image's width, up to {np.nanmax(values):.4g}")
+        return found
+
+    def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
+        """``SCENE.pfm`` and ``SCENE.txt``."""
+        return {
+            f"low_res_two_view/{entry.scene}.pfm": encode_pfm(values),
+            f"low_res_two_view/{entry.scene}.txt": f"runtime {_seconds(entry)}\n".encode(),
+        }
+
+
+class Kitti2015(Benchmark):
+    """16-bit PNG maps in the folder ``disp_0``."""
+
+    protocol = "kitti_2015"
+    scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {TEST: tuple(f"{n:06d}_10" for n in range(200))}
+    folder = "disp_0/"
+
+    def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
+        """Also values that a code cannot hold, and maps of the training images, whose names are the same."""
+        found = super().problems(entry, values, submission)
+        with np.errstate(invalid="ignore"):
+            if (np.rint(values.astype(np.float64) * KITTI_SCALE) > 65535).any():
+                found.append(f"disparities up to {np.nanmax(values):.4g}; a 16-bit code holds less than 256")
+        if entry.image is not None and "training" in entry.image.parts:
+            found.append(f"made from {entry.image}, a training image; the benchmark takes the test images' maps")
+        return found
+
+    def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
+        """``NNNNNN_10.png``."""
+        name = f"{self.folder}{entry.scene}.png"
+        return {name: _png(values, name)}
+
+
+class Kitti2012(Kitti2015):
+    """16-bit PNG maps in the archive's root."""
+
+    protocol = "kitti_2012"
+    scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {TEST: tuple(f"{n:06d}_10" for n in range(195))}
+    folder = ""
+
+
+BENCHMARKS: Mapping[str, type[Benchmark]] = {
+    "middlebury-v3": MiddleburyV3, "kitti-2012": Kitti2012, "kitti-2015": Kitti2015, "eth3d": Eth3d,
+}  # fmt: skip
+
+
+def benchmark(name: str) -> Benchmark:
+    """The benchmark of that name; ConfigError for another."""
+    found = BENCHMARKS.get(name.lower().replace("_", "-"))
+    if found is None:
+        raise ConfigError(f"--for: no benchmark called {name!r}; one of: {', '.join(BENCHMARKS)}")
+    return found()
+
+
+def _seconds(entry: Entry) -> float:
+    return round(entry.seconds, 6)
