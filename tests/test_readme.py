@@ -14,9 +14,10 @@ import typer
 
 from depthcli.batch.presets import find_config, list_presets
 from depthcli.cli import app, main
-from depthcli.core.maps import Status
+from depthcli.core.maps import DepthStatus, Status
 from depthcli.core.method import Family
 from depthcli.io.disparity import read_pfm
+from depthcli.io.pictures import DEPTH_STATUS_PALETTE
 from depthcli.stereo import cost
 from scripts import readme_tables
 from tests.stereo._pairs import shifted_pair
@@ -63,6 +64,10 @@ def test_status_bits_and_exit_codes():
     bits = TEXT[TEXT.index("| bit of `status.png`") : TEXT.index("| exit code")]
     for flag in Status:
         assert re.search(rf"^\| {flag.value} \| {flag.name.lower().replace('_', '.*')}", bits, re.MULTILINE), flag
+    bits = TEXT[TEXT.index("| bit of a depth map's") : TEXT.index("### Transparent objects")]
+    for depth_flag in DepthStatus:
+        words = DEPTH_STATUS_PALETTE[int(depth_flag)][0]
+        assert re.search(rf"^\| {depth_flag.value} \| {words}", bits, re.MULTILINE), depth_flag
     for code in (0, 1, 2, 3, 130, 143):
         assert re.search(rf"^\| {code} \|", TEXT[TEXT.index("| exit code") :], re.MULTILINE)
 

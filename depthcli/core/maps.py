@@ -58,7 +58,7 @@ class DisparityMap:
 class DepthStatus(IntFlag):
     """What was done to a pixel of a sensor's depth map; ``KEPT`` alone was measured and left as it was (or smoothed).
 
-    At most one of the bits up to ``EMPTY`` is set; ``SMOOTHED`` is information beside it.
+    At most one of the bits up to ``EMPTY`` is set; ``SMOOTHED`` and ``SAMPLED`` are information beside it.
     """
 
     KEPT = 0
@@ -68,6 +68,7 @@ class DepthStatus(IntFlag):
     CARRIED = 8  # taken over from earlier frames
     EMPTY = 16  # no value
     SMOOTHED = 32
+    SAMPLED = 64  # filled or replaced, and a second measurement of this very pixel (stereo) says the same
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ Palette = Mapping[int, tuple[str, tuple[int, int, int]]]
 # Colors that the common kinds of color blindness tell apart (Okabe and Ito, 2008). White as a tint makes pale.
 _LIGHT, _PALE, _BLACK, _WHITE = (225, 225, 225), (180, 214, 196), (0, 0, 0), (255, 255, 255)
 _BLUE, _SKY, _YELLOW = (0, 114, 178), (86, 180, 233), (240, 228, 66)
-_ORANGE, _VERMILION, _PURPLE = (230, 159, 0), (213, 94, 0), (204, 121, 167)
+_ORANGE, _VERMILION, _PURPLE, _GREEN = (230, 159, 0), (213, 94, 0), (204, 121, 167), (0, 158, 115)
 
 STATUS_PALETTE: Palette = {
     Status.MEASURED: ("measured", _LIGHT),
@@ -42,6 +42,7 @@ DEPTH_STATUS_PALETTE: Palette = {
     DepthStatus.CARRIED: ("carried over", _PURPLE),
     DepthStatus.EMPTY: ("no value", _BLACK),
     DepthStatus.SMOOTHED: ("smoothed", _PALE),
+    DepthStatus.SAMPLED: ("from stereo", _GREEN),
 }
 
 _SMOOTHED = int(Status.SMOOTHED)  # the same bit in both

@@ -177,7 +177,7 @@ class RefineKinectCommand(ConfigCommand):
             "kept": round(float(np.mean((status & others) == 0)), 6),
             "filled": share(replaced),
             "corrected": share(DepthStatus.CORRECTED),
-            **{bit.name.lower(): share(bit) for bit in DepthStatus if bit and bit.name},
+            **{bit.name.lower(): share(bit) for bit in DepthStatus if bit and bit.name and bit != DepthStatus.SAMPLED},
             "density": round(result.depth.density, 6),
             **{name: float(value) for name, value in result.figures.items()},
         }

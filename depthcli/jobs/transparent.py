@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from depthcli.batch.tables import Column
     from depthcli.core.frames import SparseFrame
     from depthcli.core.result import Result
+    from depthcli.io.pictures import Palette
 
 
 class TransparentCommand(ConfigCommand):
@@ -44,10 +45,24 @@ class TransparentCommand(ConfigCommand):
         return said | {"max_disparity": str(getattr(item, "max_disparity", None))}
 
     def columns(self) -> tuple[Column, ...]:
-        """Size, and the shares of pixels that were kept, filled and replaced."""
+        """Size, and the shares of pixels that were kept, filled, replaced, and have a sample that says the same."""
         from depthcli.batch.tables import SIZE, Column, percent
 
-        return (SIZE, *(Column(name, percent(name)) for name in ("known", "sparse", "kept", "filled", "replaced")))
+        names = ("known", "sparse", "kept", "filled", "replaced", "from_stereo")
+        return (SIZE, *(Column(name, percent(name)) for name in names))
+
+    def palette(self) -> Palette:
+        """Colors of the bits of a depth map's status."""
+        from depthcli.io.pictures import DEPTH_STATUS_PALETTE
+
+        return DEPTH_STATUS_PALETTE
+
+    def legend_values(self) -> tuple[int, ...]:
+        """The sensor's, filled and replaced, without and with a sample of the pixel that says the same, and empty."""
+        from depthcli.core.maps import DepthStatus
+
+        filled, replaced, sampled = DepthStatus.GAP_FILLED, DepthStatus.CORRECTED, DepthStatus.SAMPLED
+        return (0, filled, replaced, filled | sampled, replaced | sampled, DepthStatus.EMPTY)
 
     def compute(self, config: Any, item: RgbdItem, folder: Path, memory: int) -> Outcome:
         """Dense depth of one frame.
@@ -78,14 +93,19 @@ class TransparentCommand(ConfigCommand):
         clock.seconds["load"] = max(clock.seconds["load"] - sum(stereo.seconds.values()), 0.0)
         clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
         status = result.depth.status
+
+        def share(bits: int) -> float:
+            return round(float(np.mean((status & bits) != 0)), 6)
+
         facts = {
             "width": frame.shape[1],
             "height": frame.shape[0],
             "known": round(float(np.mean(np.isfinite(frame.depth))), 6),
             "sparse": round(float(np.mean(np.isfinite(frame.sparse))), 6),
             "kept": round(float(np.mean(status == DepthStatus.KEPT)), 6),
-            "filled": round(float(np.mean(status == DepthStatus.GAP_FILLED)), 6),
-            "replaced": round(float(np.mean(status == DepthStatus.CORRECTED)), 6),
+            "filled": share(DepthStatus.GAP_FILLED),
+            "replaced": share(DepthStatus.CORRECTED),
+            "from_stereo": share(DepthStatus.SAMPLED),
             "density": round(result.depth.density, 6),
             **{name: float(value) for name, value in result.figures.items()},
         }

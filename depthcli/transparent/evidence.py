@@ -42,6 +42,13 @@ class Evidence:
     contradiction: NDArray[np.float32]
     suspect: NDArray[np.bool_]
 
+    def sampled(self, values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+        """(H, W) bool: a sample at the pixel itself agrees with ``values`` (H, W)."""
+        found = np.zeros(self.sensor.shape, np.bool_)
+        at = self.samples.rows, self.samples.columns
+        found[at] = np.abs(values[at] - self.samples.values) <= _OF_FIT * self.noise
+        return found
+
 
 def gather(frame: SparseFrame, fit: RobustFit, suspicion: Suspicion, clock: Clock) -> Evidence:
     """Clean the samples by a fit that leaves each of them out, fit to the rest everywhere, compare with the sensor."""
@@ -78,6 +85,7 @@ def outcome(
     values: NDArray[np.floating[Any]],
     sigma: NDArray[np.floating[Any]],
     replaced: NDArray[np.bool_],
+    sampled: NDArray[np.bool_],
     clock: Clock,
     figures: dict[str, float] | None = None,
 ) -> RefinedDepth:
@@ -87,6 +95,7 @@ def outcome(
     ----------
     values, sigma : (H, W) inverse depths and their standard deviations
     replaced : (H, W) bool, the sensor knows the pixel and is not believed
+    sampled : (H, W) bool, a sample at the pixel says the same
     figures : numbers for the report
     """
     known = np.isfinite(frame.depth)
@@ -97,6 +106,7 @@ def outcome(
     status = np.zeros(frame.shape, np.uint8)
     status[~known] = DepthStatus.GAP_FILLED
     status[known & replaced] = DepthStatus.CORRECTED
+    status[(status != DepthStatus.KEPT) & sampled] |= np.uint8(DepthStatus.SAMPLED)
     status[np.isnan(depth)] = DepthStatus.EMPTY
     pictures = {"suspect": np.where(replaced & known, np.uint8(255), np.uint8(0))}
     return RefinedDepth(

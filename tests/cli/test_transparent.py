@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.core.maps import DepthStatus
 from depthcli.io.depth import read_depth
 from depthcli.io.disparity import read_pfm
 from depthcli.io.images import read_image
+from depthcli.io.pictures import read_status
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +37,11 @@ def test_files_report_and_evaluation(made, tmp_path, capsys):
     replaced = np.mean(read_image(folder / "suspect.png") > 0)
     assert row["replaced"] == pytest.approx(replaced, abs=1e-6)
     assert row["kept"] + row["filled"] + row["replaced"] == pytest.approx(1, abs=1e-5)
+    status = read_status(folder / "status.png")
+    from_stereo = (status & DepthStatus.SAMPLED) > 0
+    assert row["from_stereo"] == pytest.approx(from_stereo.mean(), abs=1e-6)
+    assert 0 < from_stereo.mean() < 0.2 * (row["filled"] + row["replaced"])  # a tenth of the pixels has a sample
+    assert (run / "legend.png").is_file()
     assert {"samples", "fit", "suspects"} <= set(row["seconds"])
     assert "transparent" in json.dumps(document["evaluation"])
 

@@ -44,8 +44,11 @@ def test_every_pixel_has_a_depth_and_a_status_that_fits(name):
     assert np.isfinite(depth).all()
     kept = status == DepthStatus.KEPT
     np.testing.assert_array_equal(depth[kept], frame.depth[kept])
-    np.testing.assert_array_equal(status == DepthStatus.GAP_FILLED, np.isnan(frame.depth))
-    np.testing.assert_array_equal(result.pictures["suspect"] > 0, status == DepthStatus.CORRECTED)
+    np.testing.assert_array_equal((status & DepthStatus.GAP_FILLED) > 0, np.isnan(frame.depth))
+    np.testing.assert_array_equal(result.pictures["suspect"] > 0, (status & DepthStatus.CORRECTED) > 0)
+    sampled = (status & DepthStatus.SAMPLED) > 0
+    assert sampled.any()
+    assert not (sampled & (kept | np.isnan(frame.sparse))).any()
     assert set(result.seconds)
 
 

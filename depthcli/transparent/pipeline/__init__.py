@@ -18,8 +18,9 @@ class TransparentPipeline(Method):
         """Dense depth of ``frame``.
 
         Status ``KEPT`` is the sensor's value, ``CORRECTED`` replaces one that is not believed, ``GAP_FILLED`` was
-        unknown to the sensor; a pixel that nothing reaches is ``EMPTY``. The picture ``suspect`` is 255 where the
-        sensor is not believed.
+        unknown to the sensor; either with ``SAMPLED`` where a sample at the pixel says the same, else it is inferred
+        from around. A pixel that nothing reaches is ``EMPTY``. The picture ``suspect`` is 255 where the sensor is not
+        believed.
         """
 
     @abstractmethod

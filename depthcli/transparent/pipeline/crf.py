@@ -63,8 +63,10 @@ class Crf(TransparentPipeline):
             at = tuple(axis[chosen] for axis in np.nonzero(region))
             values[at], sigma[at] = found[chosen], deviation[chosen]
         figures = {"labelled": float(region.mean()), "samples": float(evidence.samples.values.size)}
-        replaced = evidence.suspect if self.suspicion is not None else region
-        result = outcome(frame, values, sigma, replaced, clock, figures)
+        replaced, sampled = region, np.isfinite(frame.sparse)
+        if self.suspicion is not None:
+            replaced, sampled = evidence.suspect, evidence.sampled(values)
+        result = outcome(frame, values, sigma, replaced, sampled, clock, figures)
         clock.stop("decode")
         return result
 

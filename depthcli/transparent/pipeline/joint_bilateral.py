@@ -29,7 +29,7 @@ class JointBilateral(TransparentPipeline):
         believed = np.where(suspect, np.float32(np.nan), frame.depth)
         known = inverse(np.where(np.isfinite(believed), believed, frame.sparse))
         filled = joint_bilateral_fill(frame.color, known, self.window, self.sigma_space, self.sigma_color)
-        result = outcome(frame, filled, np.full(frame.shape, np.nan), suspect, clock)
+        result = outcome(frame, filled, np.full(frame.shape, np.nan), suspect, np.isfinite(frame.sparse), clock)
         clock.stop("fill")
         return result
 

@@ -29,7 +29,7 @@ class Nearest(TransparentPipeline):
         suspect = disagrees(frame, dense, self.tolerance, self.relative_tolerance, self.reach)
         sensor = inverse(frame.depth)
         values = np.where(np.isfinite(sensor) & ~suspect, sensor, inverse(dense))
-        result = outcome(frame, values, np.full(frame.shape, np.nan), suspect, clock)
+        result = outcome(frame, values, np.full(frame.shape, np.nan), suspect, np.isfinite(frame.sparse), clock)
         clock.stop("fill")
         return result
 

@@ -27,7 +27,7 @@ class Robust(TransparentPipeline):
         values = np.where(kept, evidence.sensor, evidence.fit)
         sigma = np.where(kept, np.float32(evidence.noise), evidence.sigma)
         figures = {"samples": float(evidence.samples.values.size), "noise": evidence.noise}
-        result = outcome(frame, values, sigma, evidence.suspect, clock, figures)
+        result = outcome(frame, values, sigma, evidence.suspect, evidence.sampled(values), clock, figures)
         clock.stop("decode")
         return result
 
