@@ -178,13 +178,15 @@ class SparseFrame(RgbdFrame):
     ----------
     sparse : (H, W) float32, meters, NaN = none; registered to ``color``
     sparse_confidence : (H, W) float32, higher is surer, or None where all count alike
+    dense : (H, W) float32, meters, NaN = none, or None: what the source of ``sparse`` guesses everywhere
     """
 
     sparse: NDArray[np.float32] = field(kw_only=True)
     sparse_confidence: NDArray[np.float32] | None = field(default=None, kw_only=True)
+    dense: NDArray[np.float32] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for values in (self.sparse, self.sparse_confidence):
+        for values in (self.sparse, self.sparse_confidence, self.dense):
             if values is not None and (values.shape != self.shape or values.dtype != np.float32):
                 raise ValueError(f"want float32 sparse maps {self.shape}, got {values.shape} {values.dtype}")

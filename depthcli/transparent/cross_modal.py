@@ -17,9 +17,10 @@ from depthcli.core.result import Clock
 from depthcli.fusion import Fusion
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.stereo.refinement.speckle_filter import SpeckleFilter
-from depthcli.stereo.refinement.subpixel import Subpixel
+from depthcli.stereo.segments.steps import SegmentSteps
 from depthcli.stereo.volume import CostVolume, Evidence
 from depthcli.transparent.channels import GREY, learned_weights, mixed
+from depthcli.transparent.structure import cost_at, deviation, mean_cost, quieted
 
 _SINGLE = {"r": (1.0, 0.0, 0.0), "g": (0.0, 1.0, 0.0), "b": (0.0, 0.0, 1.0), "grey": GREY}
 
@@ -30,22 +31,30 @@ def _structure_measures() -> Fusion:
         "measures": ["gradient", "rank", "census", "zncc"],
         "exponent": 6,
         "aggregation": {"method": "constant_window", "window": 7},
-        "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
+    })  # fmt: skip
+
+
+def _planes() -> SegmentSteps:
+    return SegmentSteps.model_validate({
+        "window_radius": 0, "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
     })  # fmt: skip
 
 
 class Selection(BaseModel):
-    """Which matches are believed: mutual ones that the pixels around agree with, and that are no widened edges.
+    """Which pixels of the map are believed.
 
-    A match that differs from the sensor at its own pixel, but is what the sensor has nearby, says nothing: windows
-    widen the foreground by half their size. What remains either confirms the sensor or contradicts it.
+    What contradicts the sensor, or stands where it is blind, has to be cheaper by some margin: than the sensor's
+    disparity, or than the pixel's mean. What confirms it has to have structure, and the votes around. A pixel that
+    differs from the sensor, but is what the sensor has nearby, says nothing: windows widen the foreground by half
+    their size.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    left_right: float = Field(1.0, ge=0, description="largest difference of the two views' disparities, pixels")
-    consensus: float = Field(0.3, ge=0, le=1, description="least share of the votes around")
-    texture: float = Field(4.0, ge=0, description="least standard deviation of the color image in 9 x 9, grey levels")
+    margin: float = Field(0.15, ge=0, description="how much cheaper than the sensor's, in units of one measure")
+    blind_margin: float = Field(0.1, ge=0, description="how much cheaper than the mean where the sensor is blind")
+    consensus: float = Field(0.3, ge=0, le=1, description="least share of the votes around that confirm the sensor")
+    texture: float = Field(4.0, ge=0, description="least standard deviation of the color in 9 x 9 there, grey levels")
     speckle: int = Field(50, ge=0, description="smaller regions of like disparity are removed, pixels")
     widening: int = Field(5, ge=0, le=64, description="how far stereo may have widened a surface, pixels")
     tolerance: float = Field(1.5, ge=0, description="difference from the sensor that still confirms it, pixels")
@@ -59,7 +68,7 @@ class Matches:
     ----------
     dense : (H, W) float32, disparity of every pixel
     sparse : (H, W) float32, of those that are believed, NaN elsewhere
-    confidence : (H, W) float32 in [0, 1], share of the votes around
+    confidence : (H, W) float32 in [0, 1], share of the votes around, or of the margin where that is more
     weights : of the red, green and blue channel; of late fusion 1/3 each
     """
 
@@ -70,7 +79,7 @@ class Matches:
 
 
 class CrossModal(BaseModel):
-    """Color made like infrared, matched by fused structure measures, and only what is beyond doubt kept."""
+    """Color made like infrared; fused structure measures; planes over color segments; what is beyond doubt is kept."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -81,7 +90,15 @@ class CrossModal(BaseModel):
     max_disparity: int | None = Field(
         None, ge=1, le=16383, description="largest disparity, pixels; null: a quarter more than the sensor's largest"
     )
-    fusion: Fusion = Field(default_factory=_structure_measures, description="the matcher: a config of fuse")
+    fusion: Fusion = Field(
+        default_factory=_structure_measures, description="the costs: a config of fuse, up to its optimization"
+    )
+    structure: float = Field(
+        4.0, gt=0, description="standard deviation in 9 x 9 below which costs fade, of either image, grey levels"
+    )
+    planes: SegmentSteps = Field(
+        default_factory=_planes, description="the matcher: planes over color segments, a config of stereo's segments"
+    )
     selection: Selection = Field(default_factory=Selection, description="which matches are kept")
 
     def __call__(self, frame: RgbIrFrame, clock: Clock) -> tuple[SparseFrame, dict[str, float]]:
@@ -102,16 +119,19 @@ class CrossModal(BaseModel):
         if mirrored:
             color, infrared, depth = color[:, ::-1], infrared[:, ::-1], depth[:, ::-1]
         found = self.match(np.ascontiguousarray(color), np.ascontiguousarray(infrared), disparity_of_depth(depth, fb))
-        sparse, confidence = depth_of_disparity(found.sparse, fb), found.confidence
+        sparse, dense = (depth_of_disparity(values, fb) for values in (found.sparse, found.dense))
+        confidence = found.confidence
         if mirrored:
-            sparse, confidence = sparse[:, ::-1], confidence[:, ::-1]
+            sparse, dense, confidence = (values[:, ::-1] for values in (sparse, dense, confidence))
         if rectified is not None:
             sparse, confidence = rectified.back(sparse, confidence)
+            dense, _ = rectified.back(dense, dense)
         figures = {f"weight_{name}": weight for name, weight in zip("rgb", found.weights, strict=True)}
         figures["matched"] = float(np.mean(np.isfinite(sparse)))
         clock.stop("stereo")
         result = SparseFrame(frame.color, frame.depth, fb, sparse=np.ascontiguousarray(sparse, np.float32),
-                             sparse_confidence=np.ascontiguousarray(confidence, np.float32))  # fmt: skip
+                             sparse_confidence=np.ascontiguousarray(confidence, np.float32),
+                             dense=np.ascontiguousarray(dense, np.float32))  # fmt: skip
         return result, figures
 
     def match(self, color: NDArray[np.uint8], infrared: NDArray[np.uint8], sensor: NDArray[np.float32]) -> Matches:
@@ -136,20 +156,24 @@ class CrossModal(BaseModel):
         pairs = [StereoPair(mix, infrared) for mix in mixes]
         fused = [self.fusion.fuse(pair, top, {}) for pair in pairs]
         volume = fused[0].volume if len(fused) == 1 else _mean([part.volume for part in fused])
-        volume = self.fusion.optimization(volume, pairs[0])
-        left, right = winners(volume.costs)
-        votes = [part.ballot.shares(left.astype(np.int32)[None])[0] for part in fused]
+        volume = quieted(volume, mixes[0], infrared, self.structure)
+        seen = StereoPair(color, np.repeat(infrared[:, :, None], 3, axis=2))
+        dense = self.planes.from_volume(seen, volume, top, Clock()).disparity.values
+        votes = [part.ballot.shares(np.rint(dense).astype(np.int32)[None])[0] for part in fused]
         confidence = np.asarray(np.mean(votes, axis=0), np.float32)
-        evidence = Evidence(pairs[0], volume, right)
-        start = DisparityMap(left.astype(np.float32), np.zeros(pairs[0].shape, np.uint8))
-        dense = Subpixel()(start, evidence).values
-        keep = (left_right_difference(left, right) <= self.selection.left_right)
-        keep &= (confidence >= self.selection.consensus) & (_deviation(mixes[0]) >= self.selection.texture)
-        keep &= ~self._widened(dense, sensor)
-        chosen = DisparityMap(np.where(keep, dense, np.float32(np.nan)), start.status)
-        if self.selection.speckle:
-            chosen = SpeckleFilter(size=self.selection.speckle)(chosen, evidence)
-        return Matches(dense, chosen.values, confidence, weights)
+        rule = self.selection
+        known, agrees = np.isfinite(sensor), np.abs(dense - sensor) <= rule.tolerance
+        gain = np.where(known, cost_at(volume, sensor), mean_cost(volume)) - cost_at(volume, dense)
+        margin = np.where(known, rule.margin, rule.blind_margin)
+        confirmed = agrees & (confidence >= rule.consensus) & (deviation(mixes[0]) >= rule.texture)
+        keep = (confirmed | (~agrees & (gain > margin))) & ~self._widened(dense, sensor)
+        sure = np.where(agrees, 0, np.clip(gain / np.maximum(margin, 1e-6), 0, 1)).astype(np.float32)
+        status = np.zeros(dense.shape, np.uint8)
+        chosen = DisparityMap(np.where(keep, dense, np.float32(np.nan)), status)
+        if rule.speckle:
+            evidence = Evidence(pairs[0], volume, np.zeros(dense.shape, np.uint16))
+            chosen = SpeckleFilter(size=rule.speckle)(chosen, evidence)
+        return Matches(dense, chosen.values, np.maximum(confidence, sure), weights)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
@@ -186,9 +210,3 @@ def _mean(volumes: list[CostVolume]) -> CostVolume:
         weights += trust
     costs = np.rint(total / weights[:, :, None]).astype(np.uint16)
     return CostVolume(np.ascontiguousarray(costs), volumes[0].scale)
-
-
-def _deviation(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    wide = image.astype(np.float32)
-    mean = cv2.blur(wide, (9, 9))
-    return np.asarray(np.sqrt(np.maximum(cv2.blur(wide * wide, (9, 9)) - mean * mean, 0)), np.float32)

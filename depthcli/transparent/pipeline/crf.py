@@ -33,6 +33,9 @@ class Crf(TransparentPipeline):
     sensor_weight: float = Field(1.0, ge=0, description="cost of a label beside the sensor's value, a label")
     sample_weight: float = Field(2.0, ge=0, description="cost of a label beside a sample, a label")
     fit_weight: float = Field(1.0, ge=0, description="cost of a label beside the fit, a label; wants suspicion")
+    dense_weight: float = Field(
+        1.0, ge=0, description="cost of a label beside what stereo guesses everywhere, a label; where there is such"
+    )
     truncation: float = Field(6.0, gt=0, description="largest distance from evidence that costs more, labels")
     smooth_truncation: int = Field(8, ge=1, description="largest difference of two pixels that costs more, labels")
     bilateral_weight: float = Field(1.0, ge=0, description="pull between pixels of like place and color")
@@ -83,6 +86,10 @@ class Crf(TransparentPipeline):
         samples[evidence.samples.rows, evidence.samples.columns] = evidence.samples.values
         believed = np.where(evidence.suspect, np.float32(np.nan), evidence.sensor)
         votes = [(believed, self.sensor_weight), (samples, self.sample_weight), (evidence.fit, self.fit_weight)]
+        if frame.dense is not None and self.suspicion is not None:
+            # A guess is asked for only where the sensor does not answer, or is not believed.
+            guess = np.where(evidence.suspect | np.isnan(evidence.sensor), inverse(frame.dense), np.float32(np.nan))
+            votes.append((guess, self.dense_weight))
         first, step = self._scale([part for part, _ in votes])
         unary = np.zeros((int(region.sum()), self.labels), np.float32)
         label = np.arange(self.labels, dtype=np.float32)
