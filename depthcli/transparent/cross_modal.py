@@ -35,8 +35,17 @@ def _structure_measures() -> Fusion:
 
 
 def _planes() -> SegmentSteps:
+    """As the preset ``segments`` of ``stereo``, but nothing is cut: what has no structure is told by its outline."""
     return SegmentSteps.model_validate({
-        "window_radius": 0, "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
+        "window_radius": 0,
+        "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
+        "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "most": 150},
+        "energy": {
+            "data_term": "dedc", "data_weight": 10, "cost_weight": 10, "truncation": 2, "visibility": 10,
+            "smoothness": 45, "color_scale": 50,
+        },
+        "rounds": 2,
+        "refinement": ["subpixel"],
     })  # fmt: skip
 
 

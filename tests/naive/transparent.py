@@ -42,3 +42,16 @@ def robust_fit(rows, columns, values, image, at_row, at_column, noise, neighbors
     inside = np.abs(v - design @ plane) <= 3 * noise
     away = (w * inside * np.hypot(dx, dy)).sum() / ((w * inside).sum() + 1e-12)
     return plane[0], np.sqrt(noise**2 * variance + (steep * away) ** 2), (w * inside).sum() / w.sum()
+
+
+def quieted(costs, left, right):
+    """Costs drawn towards the pixel's mean by the smaller share of the two pixels they compare; rounded half up."""
+    height, width, depth = costs.shape
+    out = np.zeros(costs.shape, np.uint16)
+    for y in range(height):
+        for x in range(width):
+            mean = costs[y, x].astype(float).mean()
+            for d in range(depth):
+                share = min(left[y, x], right[y, x - d]) if d <= x else left[y, x]
+                out[y, x, d] = int(np.floor(mean + share * (costs[y, x, d] - mean) + 0.5))
+    return out

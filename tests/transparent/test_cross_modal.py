@@ -138,7 +138,8 @@ def test_every_way_to_mix_the_channels_matches(channels):
 
 def test_kept_matches_are_right_and_widened_edges_are_not_among_them():
     scene = make_transparent_scene(4, 240, 180, 30)
-    without = CrossModal(max_disparity=30, selection=Selection(widening=0, consensus=0, texture=0, speckle=0))
+    rule = Selection(margin=0, blind_margin=0, widening=0, consensus=0, texture=0, speckle=0)
+    without = CrossModal(max_disparity=30, selection=rule)
     kept, all_of = (
         stereo.match(scene.color, scene.infrared, scene.sensor).sparse
         for stereo in (CrossModal(max_disparity=30), without)
