@@ -20,9 +20,7 @@ def deviation(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(np.sqrt(np.maximum(cv2.blur(wide * wide, (9, 9)) - mean * mean, 0)), np.float32)
 
 
-def quieted(
-    volume: CostVolume, left: NDArray[np.uint8], right: NDArray[np.uint8], structure: float
-) -> CostVolume:
+def quieted(volume: CostVolume, left: NDArray[np.uint8], right: NDArray[np.uint8], structure: float) -> CostVolume:
     """Costs drawn towards the pixel's mean cost as far as one of the two windows lacks structure.
 
     Order, rank and correlation of a flat window are those of its noise, and a saturated one is like any other flat

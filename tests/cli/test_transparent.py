@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +12,8 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.maps import DepthStatus
 from depthcli.io.depth import read_depth
-from depthcli.io.disparity import read_pfm
-from depthcli.io.images import read_image
+from depthcli.io.disparity import read_pfm, write_pfm
+from depthcli.io.images import read_image, write_png
 from depthcli.io.pictures import read_status
 
 
@@ -47,8 +49,6 @@ def test_files_report_and_evaluation(made, tmp_path, capsys):
 
 
 def test_what_cannot_be_used_is_a_row_and_the_others_are_written(made, tmp_path, capsys):
-    import shutil
-
     folder = tmp_path / "in"
     shutil.copytree(made, folder)
     (folder / "glass_0" / "sparse.pfm").unlink()
@@ -66,8 +66,6 @@ def test_memory_is_respected(made, tmp_path, capsys):
 
 
 def test_other_sparse_depth_is_another_input(made, tmp_path, capsys):
-    import shutil
-
     folder = tmp_path / "in"
     shutil.copytree(made, folder)
     run = ["transparent", "nearest", "-i", str(folder), "-o", str(tmp_path / "run"), "-q"]
@@ -76,3 +74,47 @@ def test_other_sparse_depth_is_another_input(made, tmp_path, capsys):
     shutil.copy(made / "glass_1" / "sparse.pfm", folder / "glass_0" / "sparse.pfm")
     assert main([*run, "--overwrite"]) == 0
     assert (tmp_path / "run" / "glass_0" / "depth.pfm").read_bytes() != before
+
+
+def _broken(folder, made):
+    """Scenes beside a good one, each with one thing that cannot be used, and what is said of it by which preset."""
+    camera = {"K": [[100, 0, 64], [0, 100, 48], [0, 0, 1]], "size": [128, 96]}
+    rig = {"color": camera, "infrared": camera, "R": np.eye(3).tolist(), "t": [-0.08, 0, 0]}
+
+    def scene(name):
+        return Path(shutil.copytree(made / "glass_0", folder / name))
+
+    (scene("no_calibration") / "calib.json").unlink()
+    for name, changes in (
+        ("apart", {"R": [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]}),
+        ("singular", {"infrared": {"K": np.zeros((3, 3)).tolist()}}),
+    ):
+        (scene(name) / "calib.json").write_text(json.dumps(rig | changes))
+    for name, file in (("small_infrared", "ir.png"), ("small_color", "color.png")):
+        path = scene(name) / file
+        write_png(path, read_image(path)[:50, :60])
+    for name, file in (("blind", "depth.pfm"), ("no_samples", "sparse.pfm")):
+        write_pfm(scene(name) / file, np.full((96, 128), np.nan, np.float32))
+    scene("z_good")
+    size, blind = "60 x 50", "no pixel has a depth"
+    return {
+        "kinect": {
+            "apart": "nothing in common", "blind": blind, "no_calibration": "no calibration", "singular": "singular",
+            "small_color": size, "small_infrared": size,
+        },
+        "nearest": {"blind": blind, "no_samples": f"sparse.pfm: {blind}", "small_color": size},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("preset", ["kinect", "nearest"])
+def test_each_scene_that_cannot_be_used_is_one_line_and_the_others_are_written(made, tmp_path, capsys, preset):
+    folder, run = tmp_path / "in", tmp_path / "run"
+    said = _broken(folder, made)[preset]
+    assert main(["transparent", preset, "-i", str(folder), "-o", str(run), "--json"]) == 3
+    rows = {row["scene"]: row for row in json.loads(capsys.readouterr().out)["scenes"]}
+    assert {name for name, row in rows.items() if row["status"] == "failed"} == set(said)
+    for name, words in said.items():
+        assert words in rows[name]["error"]
+        assert "\n" not in rows[name]["error"]
+    assert {name for name in rows if (run / name / "depth.pfm").is_file()} == set(rows) - set(said)
+    assert "z_good" not in said
