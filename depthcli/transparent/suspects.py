@@ -53,7 +53,7 @@ class Suspicion(BaseModel):
         0.0, ge=0, description="error that neighboring samples may share, in standard deviations: no evidence below it"
     )
     contradiction: float = Field(
-        0.35,
+        0.3,
         gt=0,
         le=0.5,
         description="mean contradiction of the fit's samples that is no evidence; twice it: full",
