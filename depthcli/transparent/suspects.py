@@ -53,10 +53,7 @@ class Suspicion(BaseModel):
         0.0, ge=0, description="error that neighboring samples may share, in standard deviations: no evidence below it"
     )
     contradiction: float = Field(
-        0.3,
-        gt=0,
-        le=0.5,
-        description="mean contradiction of the fit's samples that is no evidence; twice it: full",
+        0.2, gt=0, le=0.5, description="mean contradiction of the fit's samples that is no evidence yet; twice it: full"
     )
     reach: float = Field(
         0.011, gt=0, description="distance from a sample at which its evidence fades to exp(-1/2), over the width"
