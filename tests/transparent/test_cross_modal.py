@@ -210,5 +210,5 @@ class TestRealScenes:
             values = disparity_of_depth(config.pipeline(frame).depth.values, 24.0)
             error = np.abs(values - scene.disparity)
             known = np.isfinite(scene.sensor) & ~scene.mask
-            assert np.nanmean(error[scene.mask]) < 1.3
+            assert np.nanmean(error[scene.mask]) < 0.8
             assert np.nanmean(error[known]) < 0.2
