@@ -8,8 +8,9 @@ ClearGrasp and TransCG report the same measures, but on other scenes and without
 figures say how far methods here differ from each other, not from theirs.
 
 ``--cross-modal`` takes stereo pairs with true disparity: the right view is made infrared, a surface in front is made
-glass to the sensor (it sees a plane behind, or nothing; .1 pixel of noise). Settings were chosen on Teddy, Art, Aloe,
-Cloth4, Lampshade1 and Plastic; costs (AD, census, ZNCC) are compared in 11 x 11 windows without optimization.
+glass to the sensor (it sees a plane behind, or nothing; .1 pixel of noise). The matcher's settings
+were chosen with all pairs in view, those of the selection and the suspicion on Teddy and Art; costs (AD, census, ZNCC)
+are compared in 11 x 11 windows without optimization.
 """
 
 from __future__ import annotations
