@@ -151,10 +151,8 @@ def run_items(
         rows: dict[str, dict[str, Any]] = {}
         tasks = []
         for number, item in enumerate(items):
-            files = {} if item.problem else work.files(config, item)
+            files, inputs = inputs_of(work, config, item)
             source = str(next(iter(files.values()), item.folder).absolute())
-            inputs = {role: record.file_digest(file) for role, file in files.items()}
-            inputs |= {} if item.problem else work.settings(config, item)
             task = Task(item, output / item.name, output / f"{_HIDDEN}{os.getpid()}" / str(number), run, inputs, source)
             known, before = record.read_record(task.target), earlier.get(item.name, {})
             if record.is_done(task.target, run, inputs, known):
@@ -193,6 +191,14 @@ def run_items(
     if writer.problem:
         raise IncompleteError(writer.problem)
     return [rows[item.name] for item in items]
+
+
+def inputs_of(work: Work, config: Any, item: Item) -> tuple[dict[str, Path], dict[str, str]]:
+    """Files that an item's result depends on; and their digests, with the settings that it depends on."""
+    if item.problem:
+        return {}, {}
+    files = work.files(config, item)
+    return files, {role: record.file_digest(file) for role, file in files.items()} | work.settings(config, item)
 
 
 def _still_there(task: Task, row: dict[str, Any]) -> dict[str, Any]:

@@ -59,7 +59,7 @@ class _Commands(TyperGroup):
             formatter.write_dl([(name, help_of(name)) for name in command_names()])
 
 
-app = typer.Typer(name="depthcli", cls=_Commands, no_args_is_help=True, **_SETTINGS)
+app = typer.Typer(name="depthcli", cls=_Commands, no_args_is_help=True, **_SETTINGS | {"add_completion": True})
 
 
 def _version(value: bool) -> None:

@@ -37,6 +37,7 @@ HOW = (
     Option("overwrite", bool, "Replace what an earlier run with another config left.", default=False),
 )
 _EVALUATE = Option("evaluate", bool, "Compare with the ground truth of the input folder.", default=False)
+_DRY = Option("dry_run", bool, "Only say what would be done: config, scenes, memory, what is done.", default=False)
 _HTML = Option("html", bool, "As --evaluate, with evaluation/report.html to look at in a browser.", default=False)
 
 
@@ -62,6 +63,8 @@ class BatchCommand(Command):
 
     def run_on(self, config: Any, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> int:
         """The batch itself, its table and report; the exit code."""
+        if values.get("dry_run"):
+            return self._say_plan(config, items, values, reporter)
         from depthcli.batch import record
         from depthcli.batch.runner import BUG, run_items
         from depthcli.batch.tables import run_table
@@ -81,6 +84,18 @@ class BatchCommand(Command):
         if any(row["error"].startswith(BUG) for row in failed):
             return 1
         return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0
+
+    def memory_of(self, config: Any, item: Any) -> int | None:
+        """Estimate of the peak working memory of an item, bytes, from headers alone; None where there is none."""
+        return None
+
+    def _say_plan(self, config: Any, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> int:
+        from depthcli.batch.plan import plan, plan_text
+        from depthcli.batch.record import to_json
+
+        document = plan(self, config, items, values["output"], self.memory_of)
+        reporter.data(to_json(document) if values["json"] else plan_text(document, config))
+        return 0
 
     def palette(self) -> Palette | None:
         """Colors of the status maps that it writes, or None."""
@@ -126,7 +141,7 @@ class ConfigCommand(BatchCommand):
     def options(self) -> tuple[Option, ...]:
         """What the kinds of item declare, between what all batches share."""
         own = {option.name: option for kind in self.kinds for option in kind.options}
-        return (_INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE, _HTML)
+        return (_INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE, _HTML, _DRY)
 
     @abstractmethod
     def config_model(self) -> type[BaseModel]:
@@ -135,7 +150,7 @@ class ConfigCommand(BatchCommand):
     def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
         """Compute every item, then evaluate where that is asked for; the exit code."""
         run_options(values)  # wrong ones are told before anything is looked at
-        config = self._config(values)
+        config = self.config(values)
         items = self.find(values, reporter)
         return self.run_on(config, items, values, reporter)
 
@@ -161,7 +176,8 @@ class ConfigCommand(BatchCommand):
         kinds = (" and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path) for kind in self.kinds)
         return ", or ".join(text for text in kinds if text)
 
-    def _config(self, values: Mapping[str, Any]) -> BaseModel:
+    def config(self, values: Mapping[str, Any]) -> BaseModel:
+        """The config that the command line means; ConfigError with all that is wrong."""
         from depthcli.batch.presets import find_config, find_preset
         from depthcli.core.config_file import load_config
 

@@ -34,6 +34,12 @@ class PairCommand(ConfigCommand):
     def peak_bytes(self, config: Any, shape: tuple[int, int], top: int) -> int:
         """Estimate of the peak working memory."""
 
+    def memory_of(self, config: Any, item: StereoItem) -> int:
+        """By the size of the left image; InputError where the search range is unknown."""
+        from depthcli.batch.plan import shape_of
+
+        return self.peak_bytes(config, shape_of(item.left), _top(config, item))
+
     def columns(self) -> tuple[Column, ...]:
         """Size of the map, share of pixels with a value, share that was measured rather than filled."""
         from depthcli.batch.tables import SIZE, Column, percent
@@ -74,9 +80,7 @@ class PairCommand(ConfigCommand):
 
         clock = Clock()
         pair = item.load()
-        top = config.max_disparity or item.max_disparity
-        if top is None:
-            raise InputError(f"{item.folder}: the search range is not known; say it with --max-disparity")
+        top = _top(config, item)
         self._check_memory(config, pair, top, memory)
         clock.stop("load")
         result = self.match(config, item, pair, top)
@@ -107,6 +111,13 @@ class PairCommand(ConfigCommand):
                 f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, "
                 f"{top + 1} disparities), {show_bytes(memory)} may be used; see --max-memory, --jobs, --max-disparity"
             )
+
+
+def _top(config: Any, item: StereoItem) -> int:
+    top: int | None = config.max_disparity or item.max_disparity
+    if top is None:
+        raise InputError(f"{item.folder}: the search range is not known; say it with --max-disparity")
+    return top
 
 
 def _partly_used(pair: StereoPair) -> bool:

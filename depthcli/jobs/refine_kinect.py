@@ -87,6 +87,13 @@ class RefineKinectCommand(ConfigCommand):
         scale = config.depth_scale or first.depth_scale
         return {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
 
+    def memory_of(self, config: Any, item: Item) -> int | None:
+        """By the size of the color image, of a sequence of the first one."""
+        from depthcli.batch.plan import shape_of
+
+        frame = item.frames[0] if isinstance(item, SequenceItem) else item
+        return config.pipeline.peak_bytes(shape_of(frame.color)) if isinstance(frame, RgbdItem) else None
+
     def columns(self) -> tuple[Column, ...]:
         """Size, and the shares of pixels that were kept, filled and corrected."""
         from depthcli.batch.tables import SIZE, Column, percent

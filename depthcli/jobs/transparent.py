@@ -44,6 +44,13 @@ class TransparentCommand(ConfigCommand):
         said = {"depth_scale": str(config.depth_scale or item.depth_scale)}
         return said | {"max_disparity": str(getattr(item, "max_disparity", None))}
 
+    def memory_of(self, config: Any, item: RgbdItem) -> int:
+        """By the size of the color image; of what follows the search for sparse depth."""
+        from depthcli.batch.plan import shape_of
+
+        need: int = config.pipeline.peak_bytes(shape_of(item.color))
+        return need
+
     def columns(self) -> tuple[Column, ...]:
         """Size, and the shares of pixels that were kept, filled, replaced, and have a sample that says the same."""
         from depthcli.batch.tables import SIZE, Column, percent

@@ -1,0 +1,76 @@
+"""What a run would do, without doing it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from depthcli.batch import record
+from depthcli.batch.resources import show_bytes
+from depthcli.batch.runner import Work, inputs_of
+from depthcli.batch.tables import aligned
+from depthcli.core.config_file import dump_config
+from depthcli.core.errors import InputError
+from depthcli.io.headers import image_size
+from depthcli.io.items import Item
+
+DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
+
+
+def plan(
+    work: Work, config: BaseModel, items: Sequence[Item], output: Path, memory: Callable[[Any, Any], int | None]
+) -> dict[str, Any]:
+    """What :func:`~depthcli.batch.runner.run_items` would do with the same arguments; nothing is written.
+
+    Parameters
+    ----------
+    memory : gives the estimate of an item's peak working memory, bytes, or None
+
+    Returns
+    -------
+    ``config``, ``refused`` (why the folder would be refused, or empty) and ``scenes``: a row an item
+    """
+    text = record.run_text(work.name, config)
+    run = record.digest(text.encode())
+    file = output / record.RUN_FILE
+    other = file.is_file() and file.read_text("utf-8", "replace") != text
+    rows = []
+    for item in items:
+        row: dict[str, Any] = {"scene": item.name, "status": BROKEN, "memory": None, "problem": item.problem}
+        if not item.problem:
+            known = record.read_record(output / item.name)
+            done = record.is_done(output / item.name, run, inputs_of(work, config, item)[1], known)
+            row["status"] = DONE if done else TO_DO
+            try:
+                row["memory"] = memory(config, item)
+            except InputError as error:
+                row |= {"status": BROKEN, "problem": str(error)}
+        rows.append(row)
+    refused = f"{output}: holds a run made with another config; it would want --overwrite" if other else ""
+    return {"command": work.name, "config": config.model_dump(mode="json", by_alias=True), "output": str(output),
+            "refused": refused, "scenes": rows}  # fmt: skip
+
+
+def plan_text(document: dict[str, Any], config: BaseModel) -> str:
+    """The same for people."""
+    rows = document["scenes"]
+    lines = [("scene", "status", "memory", "")]
+    for row in rows:
+        memory = show_bytes(row["memory"]) if row["memory"] is not None else "-"
+        lines.append((row["scene"], row["status"], memory, row["problem"]))
+    counts = ", ".join(
+        f"{sum(row['status'] == status for row in rows)} {status}"
+        for status in (DONE, TO_DO, BROKEN)
+        if any(row["status"] == status for row in rows)
+    )
+    notes = [f"{len(rows)} scenes: {counts}", *filter(None, [document["refused"]]), "nothing was computed"]
+    return "\n".join([dump_config(config), aligned(lines), "", *notes]) + "\n"
+
+
+def shape_of(file: Path) -> tuple[int, int]:
+    """(height, width) of an image, from its header."""
+    size = image_size(file)
+    return size.height, size.width
