@@ -8,12 +8,18 @@ import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.evaluation.protocols import Protocol
+from depthcli.evaluation.results import EvaluationReport, Result
+from depthcli.evaluation.scores import Measure, Score
 from depthcli.io.disparity import read_disparity
+from depthcli.io.items import Item
+from depthcli.io.walk import BrokenItem
 from depthcli.jobs.evaluate import evaluate
 from depthcli.report import colors
 from depthcli.report.page import Page
@@ -214,6 +220,52 @@ def test_packing(low: float, high: float):
     assert np.array_equal(unpack(thinned(packed, 2)), back[::2, ::2], equal_nan=True)
     bits = rng.integers(0, 256, (4, 6)).astype(np.uint8)
     assert np.array_equal(unpack(pack_bytes(bits)), bits)
+
+
+class Boxes(Protocol[Any, Any]):
+    """Volumes without a single number a voxel to show: errors alone."""
+
+    title, unit, kind, places = "boxes", "mm", Item, ("{scene}",)
+    headline = Measure("mean", "mm")
+
+    def truth(self, item: Item) -> Any:
+        return np.zeros((4, 6, 8))
+
+    def read(self, path: Path, item: Item, truth: Any) -> Any:
+        raise NotImplementedError
+
+    def nothing(self, truth: Any) -> Any:
+        return truth * np.nan
+
+    def regions(self, truth: Any) -> dict[str, Any]:
+        return {"all": np.ones(truth.shape, bool)}
+
+    def error(self, estimate: Any, truth: Any) -> Any:
+        return np.abs(estimate)
+
+    def wrong(self, estimate: Any, truth: Any) -> Any:
+        return np.abs(estimate) > 100
+
+    def scores(self, estimate: Any, truth: Any) -> list[Score]:
+        return [Score(self.headline, "all", float(np.mean(np.abs(estimate))), truth.size, 100.0)]
+
+
+def test_volumes_show_slices_of_their_errors(tmp_path: Path):
+    judge, item, page = Boxes(), BrokenItem(name="box", folder=tmp_path), Page(tmp_path)
+    volume = np.arange(4 * 6 * 8, dtype=float).reshape(4, 6, 8)
+    page.scene(judge, item, judge.truth(item))
+    result = Result("run", "box", "set", judge.name, scores=tuple(judge.scores(volume, judge.truth(item))))
+    page.map(result, tmp_path / "box", volume, judge.truth(item), {})
+    page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})
+    scene = json.loads(read(tmp_path).scripts["data-0"])
+    assert [view["name"] for view in scene["views"]] == [
+        f"axis {k}, slice {n // 2} of {n}" for k, n in enumerate((4, 6, 8))
+    ]
+    for view, plane in zip(scene["views"], (volume[2], volume[:, 3], volume[:, :, 4]), strict=True):
+        run = view["runs"]["run"]
+        assert (view["truth"], view["image"], run["values"]) == (None, None, None)
+        assert np.allclose(unpack(run["error"]), plane, atol=0.01)
+        assert np.array_equal(unpack(run["wrong"]), plane > 100)
 
 
 def test_volumes_are_cut_in_the_middle():
