@@ -96,7 +96,7 @@ def _times(section: Section, what: str) -> str:
         axes.xaxis.set_minor_formatter("")
         axes.set_xlabel("seconds a scene")
         axes.set_ylabel(_plain(what))
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 1.08 * axes.dataLim.ymax if axes.dataLim.ymax > 0 else 1)
         _legend(axes, len(section.runs))
     return out[0]
 
