@@ -35,8 +35,7 @@ def plan(
     """
     text = record.run_text(work.name, config)
     run = record.digest(text.encode())
-    file = output / record.RUN_FILE
-    other = file.is_file() and file.read_text("utf-8", "replace") != text
+    other = record.holds_another(output, text)
     rows = []
     for item in items:
         row: dict[str, Any] = {"scene": item.name, "status": BROKEN, "memory": None, "problem": item.problem}

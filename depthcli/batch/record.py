@@ -131,6 +131,16 @@ def open_run(folder: Path, text: str, overwrite: bool) -> str:
     return digest(text.encode())
 
 
+def saved_config(folder: Path) -> str:
+    """The text of a run folder's ``run.yaml``; empty where there is none, or none that can be read."""
+    return _read_text(folder / RUN_FILE)
+
+
+def holds_another(folder: Path, text: str) -> bool:
+    """The folder holds results of a run that ``text`` does not describe, so that :func:`open_run` refuses it."""
+    return os.path.lexists(folder / RUN_FILE) and saved_config(folder) != text and _any_done(folder)
+
+
 def _any_done(folder: Path) -> bool:
     return any(row["status"] == "done" for row in read_report(folder).values()) or any(folder.glob(f"*/{RECORD_FILE}"))
 

@@ -29,7 +29,6 @@ HTML = (
 )  # fmt: skip
 # Of a truth file that lies in no scene's folder and has no --protocol.
 _PLAIN = "middlebury_v2"
-_MOST_CONFIG = 100_000  # characters of a config that the page shows
 
 
 class EvaluateCommand(Command):
@@ -123,7 +122,7 @@ def evaluate(
     OutputError
         The results cannot be written.
     """
-    from depthcli.batch.record import to_csv, to_json
+    from depthcli.batch.record import saved_config, to_csv, to_json
     from depthcli.batch.reporter import Reporter
     from depthcli.evaluation.protocols import Settings, load
     from depthcli.evaluation.results import EvaluationReport, run_names
@@ -163,7 +162,7 @@ def evaluate(
         write_text(target / "scores.json", to_json(report.to_dict()))
         write_text(target / "report.md", report.markdown())
     if page is not None:
-        page.write(report, to_json(report.to_dict()), {run: _config_of(place) for run, place in job.runs.items()})
+        page.write(report, to_json(report.to_dict()), {run: saved_config(place) for run, place in job.runs.items()})
     for warning in report.warnings:
         reporter.info(f"warning: {warning}")
     for result in report.failed:
@@ -181,13 +180,6 @@ def new_page(command: Command, values: Mapping[str, Any], output: Path | None) -
     from depthcli.report.page import Page
 
     return Page(output, command.line(values), parse_bytes(values["html_budget"], "--html-budget"))
-
-
-def _config_of(run: Path) -> str:
-    from depthcli.batch.record import RUN_FILE
-
-    file = run / RUN_FILE
-    return file.read_text("utf-8", "replace")[:_MOST_CONFIG] if file.is_file() else ""
 
 
 def _items(truth: Path, kinds: Any, layout: str | None, scenes: Sequence[str], reporter: Reporter) -> list[Item]:

@@ -28,6 +28,7 @@ ASSETS = "assets"
 BUDGET = 50_000_000
 """Bytes that the scenes' pictures may take in the page itself."""
 
+_MOST_CONFIG = 100_000  # characters of a config
 _MOST_TABLES = 40_000  # cells of the tables of one section
 
 
@@ -100,7 +101,8 @@ class Page:
         }
         text = _template().render(
             style=_file("page.css"), scripts=[_file("page.js"), _file("viewer.js")],
-            report=report, command=self.command, configs=configs, factor=factor, assets=ASSETS,
+            report=report, command=self.command,
+            configs={run: text[:_MOST_CONFIG] for run, text in configs.items()}, factor=factor, assets=ASSETS,
             sections=[_Shown.of(section) for section in report.sections], overview=tables.overview(report),
             others=_other_tables(report), scenes=[_thumbs(report, entry) for entry in self._entries], data=data,
             page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=_swatches(),
