@@ -204,6 +204,11 @@ class EvaluationReport:
         """Suspicions, one line each."""
         return [f"{r.run}: {r.scene}: {r.warning}" for r in self.results if r.warning]
 
+    @property
+    def scenes(self) -> int:
+        """Number of scenes."""
+        return len({result.scene for result in self.results})
+
     @cached_property
     def sections(self) -> list[Section]:
         """Data sets and protocols that have scores."""

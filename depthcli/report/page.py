@@ -68,8 +68,8 @@ class Page:
 
     def map(self, result: Result, path: Path, estimate: Any, truth: Any, confidences: dict[str, Any]) -> None:
         """One run's map of the scene."""
-        assert self._scene is not None
-        self._scene.add(result, path, estimate, truth, confidences)
+        if self._scene is not None:
+            self._scene.add(result, path, estimate, truth, confidences)
 
     def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
         """Write ``report.html``.
@@ -146,7 +146,7 @@ class _Shown:
 
     Attributes
     ----------
-    section, summary : as in every report
+    section, summary, tables : as in every report
     order : names of the runs, the best first
     bars : run -> length of the bar of its figure, percent
     verdict : who is best and by how much, or None where there is nothing to compare
@@ -157,6 +157,7 @@ class _Shown:
 
     section: Section
     summary: Table
+    tables: list[Table]
     order: list[str]
     bars: dict[str, float]
     verdict: dict[str, Any] | None
@@ -188,11 +189,16 @@ class _Shown:
             for caption, svg in plots(section).items()
         }
         return cls(
-            section, tables.summary(section), order,
+            section, tables.summary(section), _few(section.protocol.tables(section)[1:]), order,
             {run: 0.0 if math.isnan(v) else 100 * v / longest for run, v in zip(runs, figures, strict=True)},
             _verdict(section, [runs[i] for i in best], signed), pairs,
             [(measure.heading, mask, by_scene(section, measure, mask)) for measure, mask in chosen], images,
         )  # fmt: skip
+
+
+def _few(found: list[Table]) -> list[Table]:
+    """The tables, where they are not too many to be read."""
+    return found if sum(len(table.rows) * len(table.header) for table in found) <= _MOST_TABLES else []
 
 
 def _verdict(section: Section, order: list[str], signed: Mapping[str, list[float]]) -> dict[str, Any] | None:

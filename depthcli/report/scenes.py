@@ -54,14 +54,15 @@ class Scene:
     _small: dict[str, _Small] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, judge: Protocol[Any, Any], item: Item, truth: Any) -> Scene:
-        """A scene without runs yet."""
+    def of(cls, judge: Protocol[Any, Any], item: Item, truth: Any) -> Scene | None:
+        """A scene without runs yet; None where there is nothing to look at."""
+        found = _regions(judge, truth)
+        if found is None:
+            return None
+        known, hidden = found
         scene = cls(item.name, judge, judge.image(item))
-        regions = judge.regions(truth)
-        known = np.logical_or.reduce(list(regions.values()))
-        seen = regions.get(judge.visible)
-        hidden = np.zeros_like(known) if seen is None else known & ~seen
-        true = judge.true_values(truth)
+        points = judge.true_values(truth)
+        true = None if points is None else judge.laid_out(points, truth)
         low, high = _range(None if true is None else true[known])
         scene.data = {"name": item.name, "protocol": judge.name, "quantity": judge.quantity, "unit": judge.unit,
                       "low": low, "high": high, "hidden": bool(hidden.any()), "status": {}, "views": []}  # fmt: skip
@@ -88,13 +89,16 @@ class Scene:
 
     def add(self, result: Result, path: Any, estimate: Any, truth: Any, confidences: dict[str, NDArray[Any]]) -> None:
         """One run's map."""
-        judge, regions = self.judge, self.judge.regions(truth)
-        known = np.logical_or.reduce(list(regions.values()))
-        seen = regions.get(judge.visible)
-        hidden = np.zeros_like(known) if seen is None else known & ~seen
-        error = np.where(known, judge.error(estimate, truth), np.nan)
-        wrong = judge.wrong(estimate, truth) & known
-        values, true = judge.values(estimate, truth), judge.true_values(truth)
+        judge, found = self.judge, _regions(self.judge, truth)
+        assert found is not None
+        known, hidden = found
+
+        def laid(points: NDArray[Any] | None) -> Any:
+            return None if points is None else judge.laid_out(points, truth)
+
+        error = np.where(known, laid(judge.error(estimate, truth)), np.nan)
+        wrong = laid(judge.wrong(estimate, truth)) & known
+        values, true = laid(judge.values(estimate, truth)), laid(judge.true_values(truth))
         follows = values is not None and true is not None and _same(error, np.abs(values - true), known)
         status = self._status(path, known.shape)
         for view, (_, cut) in zip(self.data["views"], cuts(known.shape), strict=True):
@@ -104,7 +108,7 @@ class Scene:
                 "error": None if follows else pack(error[cut], 0.0, _largest(error)),
                 "wrong": pack_bytes(wrong[cut]),
                 "status": None if status is None else pack_bytes(status[cut]),
-                "confidence": {name: _pack_confidence(plane[cut]) for name, plane in confidences.items()},
+                "confidence": {name: _pack_confidence(laid(plane)[cut]) for name, plane in confidences.items()},
             }
             view["runs"][result.run] = run
         cut = cuts(known.shape)[0][1]
@@ -149,6 +153,16 @@ class Scene:
             words, color = status_words(value, self.judge.palette), status_color(value, self.judge.palette)
             self.data["status"][str(value)] = {"words": words, "color": color}
         return status
+
+
+def _regions(judge: Protocol[Any, Any], truth: Any) -> tuple[NDArray[np.bool_], NDArray[np.bool_]] | None:
+    """Pixels whose truth is known, and those of them that are occluded; None where they lie on no grid."""
+    regions = judge.regions(truth)
+    known = np.logical_or.reduce(list(regions.values()))
+    seen = regions.get(judge.visible)
+    hidden = np.zeros_like(known) if seen is None else known & ~seen
+    laid = judge.laid_out(known, truth), judge.laid_out(hidden, truth)
+    return None if laid[0] is None or laid[1] is None else (laid[0], laid[1])
 
 
 def smaller(data: dict[str, Any], factor: int) -> dict[str, Any]:

@@ -268,6 +268,45 @@ def test_volumes_show_slices_of_their_errors(tmp_path: Path):
         assert np.array_equal(unpack(run["wrong"]), plane > 100)
 
 
+class Points(Boxes):
+    """The same at some voxels: a list of points, on a grid or on none."""
+
+    places_of = np.zeros((4, 6, 8), bool)
+    places_of[1:3, 2:, ::2] = True
+    on_grid = True
+
+    def truth(self, item: Item) -> Any:
+        return np.zeros(np.count_nonzero(self.places_of))
+
+    def laid_out(self, points: Any, truth: Any) -> Any:
+        if not self.on_grid:
+            return None
+        full = np.full(self.places_of.shape, False if points.dtype == bool else np.nan)
+        full[self.places_of] = points
+        return full
+
+
+@pytest.mark.parametrize("on_grid", [True, False])
+def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
+    judge, item, page = Points(), BrokenItem(name="box", folder=tmp_path), Page(tmp_path)
+    judge.on_grid = on_grid
+    truth = judge.truth(item)
+    points = np.arange(truth.size, dtype=float) * 4
+    result = Result("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
+    page.scene(judge, item, truth)
+    page.map(result, tmp_path / "box", points, truth, {"c": points})
+    page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})
+    reader = read(tmp_path)
+    assert ("data-0" in reader.scripts) == on_grid
+    assert "1 run, 1 scene of" in reader.text
+    if on_grid:
+        view = json.loads(reader.scripts["data-0"])["views"][0]
+        assert np.array_equal(unpack(view["region"]) > 0, Points.places_of[2])
+        error = unpack(view["runs"]["run"]["error"])
+        assert np.allclose(error[Points.places_of[2]], points[truth.size // 2 :], atol=0.01)
+        assert np.array_equal(unpack(view["runs"]["run"]["wrong"]), np.nan_to_num(error) > 100)
+
+
 def test_volumes_are_cut_in_the_middle():
     volume = np.arange(4 * 6 * 8).reshape(4, 6, 8)
     assert [volume[index].shape for _, index in cuts(volume.shape)] == [(6, 8), (4, 8), (4, 6)]

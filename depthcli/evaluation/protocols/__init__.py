@@ -168,6 +168,13 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """The same of the truth."""
         return None
 
+    def laid_out(self, points: NDArray[Any], truth: Truth) -> NDArray[Any] | None:
+        """An array of the masks' shape as an image or volume to look at (outside of the points NaN, or False).
+
+        None: the points lie on no grid, there is nothing to look at.
+        """
+        return points if points.ndim > 1 else None
+
     def image(self, item: Item) -> NDArray[np.uint8] | None:
         """(H, W, 3) RGB: the first of the item's input files, where that is a picture."""
         try:
