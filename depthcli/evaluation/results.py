@@ -153,10 +153,13 @@ class Section:
 
     def figure(self, run: str, common: bool = False) -> Score | None:
         """The one figure of a run: the headline over its scenes and the protocol's regions for it; None of no scene."""
+        masks = self.protocol.figure_masks(self.masks)
+        if len(masks) == 1:  # the mean of that region, which a protocol may take in its own way
+            return self.means(run, common).get((self.protocol.headline, masks[0]))
         pairs = [
             (score, self.protocol.weight(result.scene))
             for result in self.of(run, common)
-            for mask in self.protocol.figure_masks(self.masks)
+            for mask in masks
             if (score := result.by_key.get((self.protocol.headline, mask))) is not None
         ]
         return self.protocol.pool(*zip(*pairs, strict=True)) if pairs else None
