@@ -15,6 +15,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.evaluation.protocols import Protocol
+from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.results import EvaluationReport, Result
 from depthcli.evaluation.scores import Measure, Score
 from depthcli.io.disparity import read_disparity
@@ -327,3 +328,16 @@ def test_colors_are_told_apart():
     steps = np.diff(colors.scale().astype(int) @ np.array([2126, 7152, 722]))
     assert np.all(steps > -20_000)
     assert colors.scale()[-1].sum() > colors.scale()[0].sum() + 200
+
+
+def test_registration_errors_lie_in_their_volume():
+    inside = np.zeros((3, 4, 5), bool)
+    inside[1, 1:3] = True
+    judge, error = RegistrationProtocol(), np.arange(10, dtype=np.float32)
+    dense = PreparedTruth(error, None, inside, None)
+    volume = judge.laid_out(judge.true_values(dense), dense)
+    assert np.array_equal(volume[inside], error)
+    assert np.isnan(volume[~inside]).all()
+    assert np.array_equal(judge.laid_out(error > 3, dense), np.nan_to_num(volume) > 3)
+    landmarks = PreparedTruth(error, np.zeros((10, 3)), None, None)
+    assert judge.laid_out(error, landmarks) is None

@@ -59,6 +59,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
 
     title = "Registration confidence: expected against true error"
     unit = "mm"
+    quantity = "registration error"
     note = (
         "TRE: true error, mm; AUC: share of point pairs, one with an error above 3 mm, one below, in the right order; "
         "accuracy: of the classes < 3, 3-6, >= 6 mm; MAE: |expected - true|, mm; AUSE, AURG: mm; several pairs: pooled"
@@ -118,6 +119,22 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Points whose true error is above 3 mm."""
         wrong: NDArray[np.bool_] = truth.error > LIMITS[0]
         return wrong
+
+    def values(self, estimate: Errors, truth: PreparedTruth) -> Errors:
+        """(N,) expected errors, mm."""
+        return estimate
+
+    def true_values(self, truth: PreparedTruth) -> Errors:
+        """(N,) true errors, mm."""
+        return truth.error
+
+    def laid_out(self, points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any] | None:
+        """(Z, Y, X), where the truth is dense."""
+        if truth.inside is None:
+            return None
+        volume = np.full(truth.inside.shape, False if points.dtype == np.bool_ else np.nan)
+        volume[truth.inside] = points
+        return volume
 
     def scores(self, estimate: Errors, truth: PreparedTruth) -> list[Score]:
         """Every measure."""
