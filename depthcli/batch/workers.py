@@ -90,6 +90,8 @@ def compute(
         initargs=(work, config, options.threads_each(), options.memory_each(), begun, compiling),
     )
     try:
+        with _interrupts_blocked():
+            assert pool.active  # starts the pool: its threads, and all processes they ever make, inherit the mask
         while waiting or running:
             while waiting and len(running) < (1 if alone else jobs + 1):
                 task = waiting.pop()
@@ -124,6 +126,19 @@ def compute(
             del os.environ["NUMBA_NUM_THREADS"]
         else:
             os.environ["NUMBA_NUM_THREADS"] = before
+
+
+@contextlib.contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Ctrl-C reaches the whole process group: a worker that is still starting must not answer with a traceback."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class _Here:
