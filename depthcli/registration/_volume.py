@@ -72,3 +72,31 @@ def resample(
         first = np.take(volume, low, axis=axis)
         volume = first + weight * (np.take(volume, high, axis=axis) - first)
     return np.ascontiguousarray(volume, np.float32)
+
+
+def moved(volume: NDArray[np.float32], field: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Trilinear samples at x + field(x), borders repeated; ``field``: (3, Z, Y, X) voxels along z, y, x."""
+    out = np.empty(volume.shape, np.float32)
+    _moved(np.ascontiguousarray(volume), np.ascontiguousarray(field, np.float32), out)
+    return out
+
+
+@parallel_jit
+def _moved(volume: Any, field: Any, out: Any) -> None:
+    depth, height, width = volume.shape
+    for z in prange(depth):
+        for y in range(height):
+            for x in range(width):
+                pz = min(max(np.float32(z) + field[0, z, y, x], np.float32(0)), np.float32(depth - 1))
+                py = min(max(np.float32(y) + field[1, z, y, x], np.float32(0)), np.float32(height - 1))
+                px = min(max(np.float32(x) + field[2, z, y, x], np.float32(0)), np.float32(width - 1))
+                i, j, k = int(pz), int(py), int(px)
+                a, b, c = pz - np.float32(i), py - np.float32(j), px - np.float32(k)
+                up, down, right = min(i + 1, depth - 1), min(j + 1, height - 1), min(k + 1, width - 1)
+                one = volume[i, j, k] + c * (volume[i, j, right] - volume[i, j, k])
+                two = volume[i, down, k] + c * (volume[i, down, right] - volume[i, down, k])
+                three = volume[up, j, k] + c * (volume[up, j, right] - volume[up, j, k])
+                four = volume[up, down, k] + c * (volume[up, down, right] - volume[up, down, k])
+                near = one + b * (two - one)
+                far = three + b * (four - three)
+                out[z, y, x] = near + a * (far - near)

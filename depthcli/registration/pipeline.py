@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +14,23 @@ from depthcli.core.result import Clock, Result
 from depthcli.core.volumes import RegisteredPair
 from depthcli.kernels.jit import threads
 from depthcli.registration._volume import gaussian, resample
-from depthcli.registration.calibration import combine, monotone, structured
+from depthcli.registration.calibration import evidence, fit, misregister, monotone, random_error, structured
 from depthcli.registration.feature import Feature
 from depthcli.registration.feature.mind import Mind
 from depthcli.registration.search import MEASURES, SURER_IF_LARGER, Curves, Span, search, search_bytes
 
 IN_MILLIMETERS = ("eshift", "vshift", "shift")
 
+# Errors put in by calibration self: largest one in units of the pair's own, and correlation length, working voxels.
+_ERRORS = ((0.5, 4.0), (1.0, 6.0), (2.0, 9.0))
+_SAMPLES = 20_000
+
 
 @dataclass(kw_only=True)
 class RegistrationResult(Result):
     """What the search says about a registration.
 
-    Maps lie on the working grid: voxel (i, j, k) is at ``start + step * (i, j, k)`` voxels of the fixed volume.
+    Maps lie on the grid of what was measured: (i, j, k) is at ``start + step * (i, j, k)`` voxels of the fixed volume.
 
     Attributes
     ----------
@@ -63,14 +67,18 @@ class RegistrationConfidence(BaseModel):
     search: Span = Field("cube", description="displacements: the whole cube, three planes or three axes")
     radius: int = Field(5, ge=1, le=12, description="largest displacement searched, working voxels")
     half_window: int = Field(3, ge=0, le=6, description="half of the window that costs are averaged in, working voxels")
+    stride: int = Field(
+        2, ge=1, le=4, description="measure every n-th working voxel along each axis, interpolate between them"
+    )
     sharpness: int = Field(5, ge=1, le=20, description="of the likelihoods: 0.5 / k, k in deviations of a curve")
     levels: int = Field(
         1, ge=1, le=3, description="resolutions: every further one is half as fine and finds errors twice as large"
     )
     measure: str = Field("eshift", description="what orders the voxels; eshift gives one without unit its mm")
     calibration: Literal["none", "self"] = Field(
-        "none", description="self: several measures together, on scales taken from the pair itself"
+        "none", description="self: all measures together, fitted to errors that are put into the pair itself"
     )
+    seed: int = Field(0, ge=0, description="of the errors that calibration self puts in")
 
     @field_validator("measure")
     @classmethod
@@ -108,33 +116,80 @@ class RegistrationConfidence(BaseModel):
             inside = resample(pair.mask.astype(np.float32), *grid) >= 0.5
         iso = grid[1][2] * pair.spacing[2]
         clock.stop("resample")
-        fine: list[Curves] = []
-        coarse: list[Curves] = []
-        for level in range(self.levels):
-            spacing = iso * 2**level
-            for feature in self.features if level == 0 else self.features[:1]:
-                channels = feature(*(_halved(volume, level) for volume in (fixed, warped)))
-                clock.stop("features")
-                curves = search(
-                    *channels, spacing, self.radius, self.half_window if level == 0 else min(self.half_window, 2),
-                    self.sharpness, self.search, squared=self.measure == "aml0",
-                )  # fmt: skip
-                (fine if level == 0 else coarse).append(_enlarged(curves, fixed.shape, level))
-                clock.stop("search")
-        of_interest = inside if inside.any() else np.ones_like(inside)
-        structure = structured(fixed, of_interest)
-        error, displacement = self._error(fine, coarse, structure, iso)
-        clock.stop("calibration")
+        fine, coarse = self._searches(fixed, warped, iso, clock)
+        chosen = _every(inside, self.stride)
+        chosen = chosen if chosen.any() else np.ones_like(chosen)
+        if self.calibration == "self":
+            error, displacement = self._learned(fixed, warped, chosen, fine, coarse, iso, clock)
+        else:
+            error, displacement = self._error(fine, coarse, structured(_every(fixed, self.stride), chosen), iso)
+            clock.stop("calibration")
         last = (coarse or fine)[-1]
         figures = {
             "iso": round(float(iso), 6),
-            "border": round(float(last.border[of_interest].mean()), 6),
-            "mean_error": round(float(error[of_interest].mean(dtype=np.float64)), 6),
+            "border": round(float(last.border[chosen].mean()), 6),
+            "mean_error": round(float(error[chosen].mean(dtype=np.float64)), 6),
         }
+        step = tuple(s * (self.stride if n > 1 else 1) for s, n in zip(grid[1], grid[0], strict=True))
         return RegistrationResult(
             expected_error=error, certainty=np.exp(-error / np.float32(3)), shift=displacement, measures=fine[0].maps,
-            step=grid[1], start=grid[2], seconds=clock.seconds, figures=figures,
+            step=(step[0], step[1], step[2]), start=grid[2], seconds=clock.seconds, figures=figures,
         )  # fmt: skip
+
+    def _searches(
+        self, fixed: NDArray[np.float32], warped: NDArray[np.float32], iso: float, clock: Clock
+    ) -> tuple[list[Curves], list[Curves]]:
+        """The search with every feature, and with the first one at every coarser resolution."""
+        fine: list[Curves] = []
+        coarse: list[Curves] = []
+        measured = _every(fixed, self.stride).shape
+        for level in range(self.levels):
+            for feature in self.features if level == 0 else self.features[:1]:
+                channels = feature(*(_halved(volume, level) for volume in (fixed, warped)))
+                clock.stop("features")
+                half = self.half_window if level == 0 else min(self.half_window, 2)
+                curves = search(
+                    *channels, iso * 2**level, self.radius, half, self.sharpness, self.search,
+                    squared=self.measure == "aml0", stride=min(self.stride, 2 * half + 1),
+                )  # fmt: skip
+                (fine if level == 0 else coarse).append(_enlarged(curves, measured, level))
+                clock.stop("search")
+        return fine, coarse
+
+    def _learned(
+        self,
+        fixed: NDArray[np.float32],
+        warped: NDArray[np.float32],
+        chosen: NDArray[np.bool_],
+        fine: list[Curves],
+        coarse: list[Curves],
+        iso: float,
+        clock: Clock,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Expected error (mm) and displacement by a model fitted to errors put into the pair itself."""
+        maps, displacement = evidence(fine, coarse, iso, self.stride)
+        structure = structured(_every(fixed, self.stride), chosen)
+        usual = float(np.quantile(maps["smooth_2"].ravel()[structure], 0.9))
+        reach = self.radius * iso * 2 ** (self.levels - 1)
+        step = [1 / self.stride if n > 1 else 1.0 for n in fixed.shape]
+        whole = (fixed.shape[0], fixed.shape[1], fixed.shape[2])
+        correction = np.stack([resample(part, whole, step, (0.0, 0.0, 0.0)) for part in displacement / np.float32(iso)])
+        places = np.flatnonzero(chosen)
+        rng = np.random.default_rng(self.seed)
+        tables: list[dict[str, NDArray[np.float32]]] = []
+        known: list[NDArray[np.float32]] = []
+        for times, wave in _ERRORS:
+            largest = min(max(times * usual, iso), reach)
+            moved, error = misregister(warped, correction, random_error(rng, fixed.shape, largest / iso, wave))
+            clock.stop("calibration")
+            found, _ = evidence(*self._searches(fixed, moved, iso, clock), iso, self.stride)
+            some = rng.choice(places, min(len(places), _SAMPLES), replace=False)
+            tables.append({name: values.ravel()[some] for name, values in found.items()})
+            known.append((_every(error, self.stride).ravel()[some] * np.float32(iso)).astype(np.float32))
+        table = {name: np.concatenate([each[name] for each in tables]) for name in maps}
+        error = fit(table, np.concatenate(known))(maps)
+        clock.stop("calibration")
+        return error, displacement
 
     def grid(
         self, shape: tuple[int, int, int], spacing: tuple[float, float, float]
@@ -162,8 +217,13 @@ class RegistrationConfidence(BaseModel):
         """Estimate of the peak working memory, beside the two volumes."""
         sizes = self.grid(shape, spacing)[0]
         voxels = math.prod(sizes)
-        kept = (len(self.features) + self.levels - 1) * 14 * 4 * voxels
-        return kept + 12 * 4 * 3 * voxels + search_bytes(sizes, 12, self.radius, self.half_window, threads())
+        measured = math.prod(-(-n // self.stride) if n > 1 else 1 for n in sizes)
+        kept = (len(self.features) + self.levels - 1) * 15 * 4 * measured
+        if self.calibration == "self":
+            kept = 3 * kept + 12 * 4 * voxels
+        return kept + 12 * 4 * 3 * voxels + search_bytes(
+            sizes, 12, self.radius, self.half_window, self.stride, threads()
+        )  # fmt: skip
 
     def _on_grid(
         self,
@@ -191,8 +251,6 @@ class RegistrationConfidence(BaseModel):
             share = _rising(far / np.float32(reach), 0.6, 1.2) * _rising(error / np.float32(reach), 0.8, 1.1)
             error = error + share * (far - error)
             displacement = displacement + share * (curves.displacement - displacement)
-        if self.calibration == "self":
-            return monotone(combine(fine, coarse, structure), error, structure), displacement
         if self.measure not in IN_MILLIMETERS:
             sign = np.float32(-1 if self.measure in SURER_IF_LARGER else 1)
             score = _mean([sign * curves.maps[self.measure] for curves in fine])
@@ -211,6 +269,11 @@ def _mean(arrays: list[NDArray[np.float32]]) -> NDArray[np.float32]:
     for array in arrays[1:]:
         total += array
     return total / np.float32(len(arrays))
+
+
+def _every(volume: NDArray[Any], stride: int) -> NDArray[Any]:
+    """Every ``stride``-th voxel along the axes of more than one."""
+    return volume[tuple(slice(None, None, stride if n > 1 else 1) for n in volume.shape)]
 
 
 def _halved(volume: NDArray[np.float32], times: int) -> NDArray[np.float32]:

@@ -139,11 +139,13 @@ def search(
     return Curves({name: maps[name] for name in MEASURES if name in maps}, displacement, variance, planes["border"] > 0)
 
 
-def search_bytes(shape: tuple[int, int, int], channels: int, radius: int, half_window: int, workers: int) -> int:
+def search_bytes(
+    shape: tuple[int, int, int], channels: int, radius: int, half_window: int, stride: int, workers: int
+) -> int:
     """Memory of :func:`search`, beside its inputs."""
-    voxels = int(np.prod(shape))
+    voxels = int(np.prod([-(-n // stride) for n in shape]))
     padded = sum(channels * int(np.prod([n + 2 * r for n in shape])) for r in (half_window, half_window + radius))
-    return padded + 22 * 4 * voxels + workers * _SCRATCH
+    return 2 * padded + 22 * 4 * voxels + workers * _SCRATCH
 
 
 def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:
