@@ -2,7 +2,7 @@
 """Chapter 7: how well confidence and expected error of registrations say where they are wrong, in tables.
 
     scripts/registration_experiments.py PAIRS [--only real synthetic search parameters baselines shifts speed]
-                                        [--pairs GLOB ...] [--data DATA]
+                                        [--presets NAME ...] [--pairs GLOB ...] [--data DATA]
 
 PAIRS is what ``scripts/register_pairs.py`` wrote. ``real``: every measure and ``self`` at the landmarks of registered
 pairs, Spearman, AUC above 3 mm, mean absolute error of expected against true; ``synthetic``: the fixed volumes moved by
@@ -73,12 +73,12 @@ def measures(result: RegistrationResult, places: NDArray[np.float64]) -> Iterabl
         yield name, (-1 if name in SURER_IF_LARGER else 1) * at_points(result, values, places)
 
 
-def real(items: list[VolumePairItem]) -> list[Table]:
+def real(items: list[VolumePairItem], presets: Iterable[str]) -> list[Table]:
     rows = []
     for item in items:
         loaded, truth = item.load(), item.truth()
         places = loaded.grid.to_index(truth.points)
-        for preset in ("mind", "intensity", "coarse", "self"):
+        for preset in presets:
             result = config(preset)(loaded.pair)
             if preset == "mind":
                 for name, values in measures(result, places):
@@ -264,13 +264,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", metavar="PAIRS", type=Path)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--presets", nargs="+", default=["mind", "intensity", "coarse", "self"], help="of `real`")
     parser.add_argument("--pairs", nargs="+", default=["*"])
     parser.add_argument("--data", type=Path, help="with it, baselines register again")
     options = parser.parse_args()
     found = find_items(options.folder, (VolumePairItem,), None, tuple(options.pairs))
     items = [item for item in found if isinstance(item, VolumePairItem) and item.has_truth]
     makers: dict[str, Callable[[], list[Table]]] = {
-        "real": lambda: real(items),
+        "real": lambda: real(items, options.presets),
         "synthetic": lambda: synthetic(items),
         "search": lambda: varied(items, "Fast searches", [(), ("search=planes",), ("search=axes", "sharpness=2")]),
         "parameters": lambda: parameters(items),

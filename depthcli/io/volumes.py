@@ -95,6 +95,21 @@ def linear(values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[
     return total.astype(np.float32)
 
 
+def block_means(values: NDArray[Any], blocks: tuple[int, int, int]) -> NDArray[np.float32]:
+    """(z, y, x) float32 means of blocks of voxels, smaller ones at the far borders; slice by slice."""
+    if max(blocks) == 1:
+        return values.astype(np.float32, copy=False)
+    starts = [np.arange(0, n, b) for n, b in zip(values.shape, blocks, strict=True)]
+    counts = [np.diff([*start, n]) for start, n in zip(starts, values.shape, strict=True)]
+    plane = counts[1][:, None] * counts[2][None, :]
+    out = np.empty([len(start) for start in starts], np.float32)
+    for k, first in enumerate(starts[0]):
+        total = values[first : first + blocks[0]].sum(axis=0, dtype=np.float64)
+        rows = np.add.reduceat(np.add.reduceat(total, starts[1], axis=0), starts[2], axis=1)
+        out[k] = rows / (plane * counts[0][k])
+    return out
+
+
 def suffix_of(path: Path) -> str:
     """Ending of a file, with both parts of ``.nii.gz``."""
     return ".nii.gz" if path.name.lower().endswith(".nii.gz") else path.suffix.lower()
@@ -167,14 +182,14 @@ def _volume(image: Any, vector: bool) -> Volume:
     wanted = 3 if vector else 1
     if parts != wanted:
         raise InputError(f"{parts} values a voxel, want {wanted}")
-    values = sitk.GetArrayFromImage(image)
+    values = sitk.GetArrayViewFromImage(image)
     if values.size == 0:
         raise InputError("no voxels")
     spacing = image.GetSpacing()
     if not all(np.isfinite(s) and s > 0 for s in spacing):
         raise InputError(f"a spacing of {spacing}")
     grid = Grid(tuple(image.GetSize()), tuple(spacing), tuple(image.GetOrigin()), tuple(image.GetDirection()))
-    return Volume(np.ascontiguousarray(values, np.float32), grid)
+    return Volume(np.array(values, np.float32, order="C"), grid)
 
 
 @contextlib.contextmanager

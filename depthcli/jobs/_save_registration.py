@@ -38,8 +38,9 @@ def save_registration(
     suffix : ending of the volumes
     """
     grid = loaded.grid
-    back = [1 / step for step in result.step]
-    first_place = [-start / step for start, step in zip(result.start, result.step, strict=True)]
+    starts, steps = loaded.on_grid(result.start, result.step)
+    back = [1 / step for step in steps]
+    first_place = [-start / step for start, step in zip(starts, steps, strict=True)]
 
     def slab(values: NDArray[np.float32], first: int, last: int) -> NDArray[np.float32]:
         start = (first_place[0] + first * back[0], first_place[1], first_place[2])
@@ -61,7 +62,8 @@ def save_registration(
 def _rows(
     result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.float64], error: NDArray[np.float32] | None
 ) -> list[dict[str, Any]]:
-    places = (loaded.grid.to_index(points) - np.array(result.start)) / np.array(result.step)
+    starts, steps = loaded.on_grid(result.start, result.step)
+    places = (loaded.grid.to_index(points) - np.array(starts)) / np.array(steps)
     expected, certainty = linear(result.expected_error, places), linear(result.certainty, places)
     shift = np.stack([linear(result.shift[axis], places) for axis in (2, 1, 0)], axis=-1) @ loaded.grid.axes.T
     rows = []

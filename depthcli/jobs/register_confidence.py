@@ -56,10 +56,12 @@ class RegisterConfidenceCommand(ConfigCommand):
         from depthcli.jobs._save_registration import save_registration
 
         clock = Clock()
-        loaded = item.load(config.field)
+        loaded = item.load(config.field, config.max_voxels)
         points = item.landmarks(loaded.grid)
         shape = loaded.pair.shape
-        need = config.peak_bytes(shape, loaded.pair.spacing) + 2 * loaded.pair.fixed.nbytes
+        # Beside the search: the pair. Before it: one whole volume as it is read, 2 bytes a voxel and 4 as numbers.
+        whole = loaded.grid.size[0] * loaded.grid.size[1] * loaded.grid.size[2]
+        need = max(config.peak_bytes(shape, loaded.pair.spacing) + 2 * loaded.pair.fixed.nbytes, 6 * whole)
         if need > memory:
             raise InputError(
                 f"needs about {show_bytes(need)} of memory ({' x '.join(map(str, loaded.grid.size))} voxels), "
@@ -73,7 +75,8 @@ class RegisterConfidenceCommand(ConfigCommand):
         error = item.truth(config.field).error if known else None
         save_registration(result, loaded, points, error, folder, written_suffix(item.fixed))
         clock.stop("save")
-        facts = {"width": shape[2], "height": shape[1], "slices": shape[0], **result.figures}
+        width, height, slices = loaded.grid.size
+        facts = {"width": width, "height": height, "slices": slices, **result.figures}
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
         return Outcome(facts, seconds, _warnings(result.figures["border"]))
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from depthcli.core.result import Clock, Result
 from depthcli.core.volumes import RegisteredPair
 from depthcli.kernels.jit import threads
-from depthcli.registration._volume import gaussian, resample
+from depthcli.registration._volume import gaussian, moved, resample
 from depthcli.registration.calibration import evidence, fit, misregister, monotone, random_error, structured
 from depthcli.registration.feature import Feature
 from depthcli.registration.feature.mind import Mind
@@ -22,8 +22,9 @@ from depthcli.registration.search import MEASURES, SURER_IF_LARGER, Curves, Span
 IN_MILLIMETERS = ("eshift", "vshift", "shift")
 
 # Errors put in by calibration self: largest one in units of the pair's own, and correlation length, working voxels.
-_ERRORS = ((0.5, 4.0), (1.0, 6.0), (2.0, 9.0))
+_ERRORS = ((0.5, 3.0), (1.0, 6.0), (2.0, 4.0), (2.0, 9.0))
 _SAMPLES = 20_000
+_LEAST = 1000
 
 
 @dataclass(kw_only=True)
@@ -59,7 +60,7 @@ class RegistrationConfidence(BaseModel):
         None, gt=0, le=100, description="side of a working voxel, mm; null: as many voxels as the fixed volume has"
     )
     max_voxels: int = Field(
-        8_000_000, ge=1000, le=100_000_000, description="where null makes more voxels than this, they are larger"
+        6_000_000, ge=1000, le=100_000_000, description="where null makes more voxels than this, they are larger"
     )
     intensity_range: tuple[float, float] | None = Field(
         None, description="intensities are clamped to this first; null: CT numbers (below -500) to -1000 .. 400"
@@ -166,7 +167,11 @@ class RegistrationConfidence(BaseModel):
         iso: float,
         clock: Clock,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Expected error (mm) and displacement by a model fitted to errors put into the pair itself."""
+        """Expected error (mm) and displacement, by a model fitted to errors put into the pair itself.
+
+        The errors that are put in are smoother than those that a registration leaves, and teach the model to trust
+        its surroundings; what the search says of the place itself does not. The answer is their geometric mean.
+        """
         maps, displacement = evidence(fine, coarse, iso, self.stride)
         structure = structured(_every(fixed, self.stride), chosen)
         usual = float(np.quantile(maps["smooth_2"].ravel()[structure], 0.9))
@@ -174,22 +179,31 @@ class RegistrationConfidence(BaseModel):
         step = [1 / self.stride if n > 1 else 1.0 for n in fixed.shape]
         whole = (fixed.shape[0], fixed.shape[1], fixed.shape[2])
         correction = np.stack([resample(part, whole, step, (0.0, 0.0, 0.0)) for part in displacement / np.float32(iso)])
-        places = np.flatnonzero(chosen)
+        # Once more from there: places that the search still does not call aligned cannot teach what an error is.
+        clock.stop("calibration")
+        aligned = self._searches(fixed, moved(warped, correction), iso, clock)
+        found, rest = evidence(*aligned, iso, self.stride)
+        further = np.stack([resample(part, whole, step, (0.0, 0.0, 0.0)) for part in rest / np.float32(iso)])
+        correction = further + np.stack([moved(part, further) for part in correction])
+        places = np.flatnonzero(chosen & (found["smooth_2"] <= iso))
+        if len(places) < _LEAST:
+            places = np.flatnonzero(chosen)
         rng = np.random.default_rng(self.seed)
         tables: list[dict[str, NDArray[np.float32]]] = []
         known: list[NDArray[np.float32]] = []
         for times, wave in _ERRORS:
             largest = min(max(times * usual, iso), reach)
-            moved, error = misregister(warped, correction, random_error(rng, fixed.shape, largest / iso, wave))
+            displaced, error = misregister(warped, correction, random_error(rng, fixed.shape, largest / iso, wave))
             clock.stop("calibration")
-            found, _ = evidence(*self._searches(fixed, moved, iso, clock), iso, self.stride)
+            found, _ = evidence(*self._searches(fixed, displaced, iso, clock), iso, self.stride)
             some = rng.choice(places, min(len(places), _SAMPLES), replace=False)
             tables.append({name: values.ravel()[some] for name, values in found.items()})
             known.append((_every(error, self.stride).ravel()[some] * np.float32(iso)).astype(np.float32))
         table = {name: np.concatenate([each[name] for each in tables]) for name in maps}
-        error = fit(table, np.concatenate(known))(maps)
+        learned = fit(table, np.concatenate(known))(maps)
+        own, _ = self._error(fine, coarse, structure, iso)
         clock.stop("calibration")
-        return error, displacement
+        return np.sqrt(learned * own), displacement
 
     def grid(
         self, shape: tuple[int, int, int], spacing: tuple[float, float, float]
@@ -218,12 +232,14 @@ class RegistrationConfidence(BaseModel):
         sizes = self.grid(shape, spacing)[0]
         voxels = math.prod(sizes)
         measured = math.prod(-(-n // self.stride) if n > 1 else 1 for n in sizes)
+        channels = max(feature.channels for feature in self.features)
+        # Both volumes on the working grid, a feature while it is made or searched with, and all maps.
+        making = 4 * voxels * (channels + 4) + channels * voxels
+        searching = search_bytes(sizes, channels, self.radius, self.half_window, self.stride, threads())
         kept = (len(self.features) + self.levels - 1) * 15 * 4 * measured
         if self.calibration == "self":
             kept = 3 * kept + 12 * 4 * voxels
-        return kept + 12 * 4 * 3 * voxels + search_bytes(
-            sizes, 12, self.radius, self.half_window, self.stride, threads()
-        )  # fmt: skip
+        return 8 * voxels + max(making, searching + 2 * channels * voxels) + kept
 
     def _on_grid(
         self,

@@ -145,7 +145,7 @@ def search_bytes(
     """Memory of :func:`search`, beside its inputs."""
     voxels = int(np.prod([-(-n // stride) for n in shape]))
     padded = sum(channels * int(np.prod([n + 2 * r for n in shape])) for r in (half_window, half_window + radius))
-    return 2 * padded + 22 * 4 * voxels + workers * _SCRATCH
+    return 3 * padded // 2 + 22 * 4 * voxels + workers * _SCRATCH
 
 
 def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:

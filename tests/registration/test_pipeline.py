@@ -19,7 +19,7 @@ def texture(shape, seed=0, sigma=1.2):
 
 
 def config(**fields):
-    return RegisterConfidenceConfig(**{"radius": 4, "half_window": 2, **fields})
+    return RegisterConfidenceConfig(**{"radius": 4, "half_window": 2, "stride": 1, **fields})
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +51,32 @@ def test_confidence_falls_and_error_follows_a_uniform_shift():
 @pytest.mark.parametrize("calibration", ["none", "self"])
 def test_orders_a_smooth_error(deformed, calibration):
     pair, true = deformed
-    result = config(calibration=calibration, levels=2)(pair)
-    chosen = np.flatnonzero(pair.mask)[::7]
-    found, known = result.expected_error.ravel()[chosen], true.ravel()[chosen]
+    result = config(calibration=calibration, levels=2, stride=2)(pair)
+    every = (slice(None, None, 2),) * 3
+    found, known = result.expected_error[pair.mask[every]], true[every][pair.mask[every]]
+    assert result.step == (2, 2, 2)
     assert correlation(ranks(found), ranks(known)) > 0.75
     assert np.abs(found - known).mean() < 0.6 * known.mean()
+
+
+def test_stride_only_leaves_places_out(deformed):
+    pair, _ = deformed
+    every, some = (config(stride=stride)(pair) for stride in (1, 3))
+    assert np.array_equal(some.expected_error, every.expected_error[::3, ::3, ::3])
+    assert np.array_equal(some.shift, every.shift[:, ::3, ::3, ::3])
+
+
+def test_learning_from_errors_put_in_halves_the_mean_error_of_the_expectation():
+    pair = make_deformed_pair(5, (36, 48, 48), 3.0, noise=60)
+    true = np.linalg.norm(pair.residual, axis=-1)[::2, ::2, ::2]
+    inside = pair.mask[::2, ::2, ::2]
+    volumes = RegisteredPair(pair.fixed, pair.warped, (1.0, 1.0, 1.0), pair.mask)
+    plain, learned = (config(calibration=name, stride=2)(volumes).expected_error for name in ("none", "self"))
+    off = [np.abs(found - true)[inside].mean() for found in (plain, learned)]
+    assert off[1] < 0.6 * off[0]
+    assert correlation(ranks(learned[inside]), ranks(true[inside])) > correlation(
+        ranks(plain[inside]), ranks(true[inside])
+    )
 
 
 def test_a_coarser_level_sees_beyond_the_radius():
@@ -90,7 +111,7 @@ def test_anisotropic_voxels_become_cubes():
 def test_inputs_are_left_alone_and_the_result_is_the_same(deformed):
     pair, _ = deformed
     before = pair.fixed.copy(), pair.warped.copy()
-    one, other = config(calibration="self")(pair), config(calibration="self")(pair)
+    one, other = (config(calibration="self", stride=3)(pair) for _ in range(2))
     assert np.array_equal(one.expected_error, other.expected_error) and np.array_equal(one.shift, other.shift)
     assert np.array_equal(pair.fixed, before[0]) and np.array_equal(pair.warped, before[1])
 

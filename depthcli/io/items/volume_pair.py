@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -23,10 +23,22 @@ _USUAL_NAMES = ("fixed", "fixed.nii")
 
 @dataclass(frozen=True)
 class LoadedPair:
-    """A registered pair in memory, with the grid that it lies on."""
+    """A registered pair in memory.
+
+    Attributes
+    ----------
+    grid : the fixed volume's
+    blocks : how many of its voxels (z, y, x) a voxel of ``pair`` is the mean of
+    """
 
     pair: RegisteredPair
     grid: Grid
+    blocks: tuple[int, int, int] = (1, 1, 1)
+
+    def on_grid(self, start: Sequence[float], step: Sequence[float]) -> tuple[list[float], list[float]]:
+        """``start`` and ``step`` of maps in voxels of ``pair`` as those in voxels of the fixed volume."""
+        begin = [(n - 1) / 2 + n * a for n, a in zip(self.blocks, start, strict=True)]
+        return begin, [n * a for n, a in zip(self.blocks, step, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -111,42 +123,51 @@ class VolumePairItem(Item):
         landmarks = self.landmarks_fixed is not None and self.landmarks_moving is not None
         return self.error_true is not None or (landmarks and (self.transform or self.displacement) is not None)
 
-    def load(self, convention: str = "auto") -> LoadedPair:
+    def load(self, convention: str = "auto", most: int | None = None) -> LoadedPair:
         """Both volumes on the fixed grid, and the mask.
+
+        Parameters
+        ----------
+        convention : of the displacement file
+        most : where there are more voxels than this, means of blocks of them, so that two whole volumes are never in
+            memory; blocks are no larger than the cubes that so many voxels of the volume would be
 
         Raises
         ------
         InputError
             Files that cannot be used, grids that differ, values that are no numbers inside the mask.
         """
-        import numpy as np
-
         from depthcli.core.volumes import RegisteredPair
-        from depthcli.io.volumes import read_volume
+        from depthcli.io.volumes import block_means, read_volume
 
         self.check()
         fixed = read_volume(self.fixed)
+        grid = fixed.grid
+        blocks = _blocks(grid, most)
         inside = None
         if self.mask is not None:
             mask = read_volume(self.mask)
-            self._same_grid(self.mask, mask.grid, fixed.grid)
+            self._same_grid(self.mask, mask.grid, grid)
             inside = mask.values > 0
             if not inside.any():
                 raise InputError(f"{self.mask}: no voxel is set")
+            del mask
+        first = block_means(self._usable(fixed.values, inside, self.fixed), blocks)
         if self.moving_warped is not None:
+            del fixed
             warped = read_volume(self.moving_warped)
-            self._same_grid(self.moving_warped, warped.grid, fixed.grid)
+            self._same_grid(self.moving_warped, warped.grid, grid)
             moved, source = warped.values, self.moving_warped
         elif self.moving is not None:
             moved, source = self._warp(fixed, convention), self.moving
+            del fixed
         else:
             raise InputError(f"{self.folder}: neither moving_warped.* nor moving.* with its transform")
-        values = [self._numbers(fixed.values, inside, self.fixed), self._numbers(moved, inside, source)]
-        for file, volume in zip((self.fixed, source), values, strict=True):
-            if np.ptp(volume) == 0:
-                raise InputError(f"{file}: all voxels are {volume.flat[0]:g}; nothing to compare")
-        z, y, x = fixed.grid.spacing[::-1]
-        return LoadedPair(RegisteredPair(values[0], values[1], (z, y, x), inside), fixed.grid)
+        second = block_means(self._usable(moved, inside, source), blocks)
+        if inside is not None and max(blocks) > 1:
+            inside = block_means(inside, blocks) >= 0.5
+        z, y, x = (s * n for s, n in zip(grid.spacing[::-1], blocks, strict=True))
+        return LoadedPair(RegisteredPair(first, second, (z, y, x), inside), grid, blocks)
 
     def truth(self, convention: str = "auto") -> RegistrationTruth:
         """True errors: dense where there is such a file, or at the landmarks |T(p) - q|.
@@ -225,16 +246,20 @@ class VolumePairItem(Item):
         return values
 
     @staticmethod
-    def _numbers(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, file: Path) -> NDArray[np.float32]:
+    def _usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, file: Path) -> NDArray[np.float32]:
+        """The same values with numbers everywhere; InputError where some are missing inside, or all are alike."""
         import numpy as np
 
-        bad = ~np.isfinite(values)
-        if not bad.any():
-            return values
-        count = int(np.count_nonzero(bad if inside is None else bad & inside))
-        if count:
-            raise InputError(f"{file}: {count} voxels are no numbers; leave them out with a mask")
-        return np.where(bad, values[~bad].min(), values)
+        # Sums of slices are finite where all of their values are, and take no memory.
+        if not np.isfinite(values.sum(axis=(1, 2), dtype=np.float64)).all():
+            bad = ~np.isfinite(values)
+            count = int(np.count_nonzero(bad if inside is None else bad & inside))
+            if count:
+                raise InputError(f"{file}: {count} voxels are no numbers; leave them out with a mask")
+            values = np.where(bad, values[~bad].min(), values)
+        if np.ptp(values) == 0:
+            raise InputError(f"{file}: all voxels are {values.flat[0]:g}; nothing to compare")
+        return values
 
     @staticmethod
     def _same_grid(file: Path, grid: Grid, fixed: Grid) -> None:
@@ -244,3 +269,18 @@ class VolumePairItem(Item):
         if have == want:
             have, want = (f"spacing {each.spacing} from {each.origin}" for each in (grid, fixed))
         raise InputError(f"{file}: another grid than the fixed volume's ({have}, want {want})")
+
+
+def _blocks(grid: Grid, most: int | None) -> tuple[int, int, int]:
+    """Voxels (z, y, x) that are taken together so that about ``most`` cubes, or few more, are left."""
+    count = grid.size[0] * grid.size[1] * grid.size[2]
+    if most is None or count <= most:
+        return (1, 1, 1)
+    axes = [a for a in range(3) if grid.shape[a] > 1]
+    spacing = grid.spacing[::-1]
+    extent = 1.0
+    for a in axes:
+        extent *= grid.shape[a] * spacing[a]
+    side = float((extent / most) ** (1 / len(axes)))
+    z, y, x = (max(1, int(side / spacing[a] + 1e-6)) if a in axes else 1 for a in range(3))
+    return z, y, x

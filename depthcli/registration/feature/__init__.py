@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from depthcli.core.method import Method, method_of
 
 class VolumeFeature(Method):
     """Turns two volumes into channels of whole numbers, so that sums of differences are exact."""
+
+    channels: ClassVar[int]
+    """How many at most, for estimates of memory."""
 
     @abstractmethod
     def __call__(

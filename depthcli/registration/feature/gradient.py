@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -13,6 +15,8 @@ from depthcli.registration.feature._levels import levels
 
 class Gradient(VolumeFeature):
     """Central differences of the smoothed volumes: blind to slow changes of brightness."""
+
+    channels: ClassVar[int] = 3
 
     sigma: float = Field(1.0, ge=0, le=4, description="smoothing before the differences, voxels")
     outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -12,6 +14,8 @@ from depthcli.registration.feature._levels import levels
 
 class Intensity(VolumeFeature):
     """The values themselves, on 256 levels between common percentiles."""
+
+    channels: ClassVar[int] = 1
 
     outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
 

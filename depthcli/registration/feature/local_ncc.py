@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -13,6 +15,8 @@ from depthcli.registration.feature._levels import levels
 
 class LocalNcc(VolumeFeature):
     """(I - mean) / deviation in a Gaussian window: their absolute difference falls as local correlation rises."""
+
+    channels: ClassVar[int] = 1
 
     sigma: float = Field(2.0, gt=0.5, le=8, description="Gaussian window of mean and deviation, voxels")
     floor: float = Field(0.05, gt=0, le=1, description="least deviation, share of the volume's own")

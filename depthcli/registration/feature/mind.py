@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -12,6 +14,8 @@ from depthcli.registration.feature._self_similarity import descriptor, steps
 
 class Mind(VolumeFeature):
     """How unlike a voxel's patch is its six neighbors': survives other contrasts, and other modalities."""
+
+    channels: ClassVar[int] = 6
 
     sigma: float = Field(0.8, gt=0.2, le=4, description="Gaussian weight of a patch, voxels")
     distance: int = Field(1, ge=1, le=4, description="distance of the neighbors, voxels")
