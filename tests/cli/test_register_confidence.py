@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import shutil
 import warnings
@@ -128,17 +129,29 @@ def spoil(folder, what):
             SimpleITK.JoinSeries([SimpleITK.GetImageFromArray(values)] * 2), str(folder / "fixed.nii.gz")
         )
         return "4-D"
+    if what == "field":
+        (folder / "moving_warped.nii.gz").rename(folder / "moving.nii.gz")
+        np.savez(folder / "displacement.npz", np.zeros((56, 56, 39, 3), np.float32))
+        return "a field of 56 x 56 x 39 voxels, but the fixed volume has 56 x 56 x 40"
+    if what == "spacing":
+        header = bytearray(gzip.decompress((folder / "fixed.nii.gz").read_bytes()))
+        header[80:84] = bytes(4)  # pixdim[1]
+        (folder / "fixed.nii.gz").write_bytes(gzip.compress(bytes(header)))
+        return "a spacing of 0"
     data = (folder / "moving_warped.nii.gz").read_bytes()
     (folder / "moving_warped.nii.gz").write_bytes(data[: len(data) // 2])
     return "cut off"
 
 
-@pytest.mark.parametrize("what", ["grid", "size", "mask", "empty mask", "nan", "flat", "landmark", "4-D", "truncated"])
+@pytest.mark.parametrize(
+    "what",
+    ["grid", "size", "mask", "empty mask", "nan", "flat", "landmark", "4-D", "field", "spacing", "truncated"],
+)
 def test_bad_input_is_one_line_and_spoils_no_other(pairs, tmp_path, capsys, what):
     shutil.copytree(pairs, tmp_path / "pairs")
     said = spoil(tmp_path / "pairs" / "pair_1", what)
-    status = main(["register-confidence", "mind", "-i", str(tmp_path / "pairs"), "-o", str(tmp_path / "run"), *SMALL])
-    assert status == 3
+    command = ["register-confidence", "axes", "-i", str(tmp_path / "pairs"), "-o", str(tmp_path / "run"), *SMALL]
+    assert main(command) == 3
     lines = [line for line in capsys.readouterr().err.splitlines() if "pair_1" in line]
     assert len(lines) == 1 and said in lines[0]
     assert (tmp_path / "run" / "pair_0" / "confidence.nii.gz").is_file()
@@ -164,6 +177,26 @@ def test_a_mask_leaves_nan_out(pairs, tmp_path):
 def test_options_that_do_not_fit(tmp_path, capsys, options, said):
     assert main(["register-confidence", "mind", *options, "-o", str(tmp_path / "run")]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_large_volumes_are_read_as_means_of_blocks(pairs, tmp_path):
+    command = ["register-confidence", "mind", "-i", str(pairs), "--scenes", "pair_0", *SMALL]
+    for name, more in (("whole", []), ("blocks", ["--set", "max_voxels=9000"])):
+        assert main([*command, "-o", str(tmp_path / name), *more]) == 0
+    whole, blocks = (read_volume(tmp_path / n / "pair_0" / "expected_error.nii.gz") for n in ("whole", "blocks"))
+    assert blocks.grid.same_as(whole.grid)
+    inside = read_volume(pairs / "pair_0" / "mask.nii.gz").values > 0
+    assert np.corrcoef(whole.values[inside], blocks.values[inside])[0, 1] > 0.4
+
+
+def test_same_bytes_of_self_with_other_threads_and_jobs(pairs, tmp_path):
+    sets = ["--set", "stride=3", "--set", "levels=1", "--set", "features=[mind]", "--set", "max_voxels=20000"]
+    command = ["register-confidence", "self", "-i", str(pairs), *SMALL, *sets]
+    for name, more in (("one", ["--threads", "1"]), ("two", ["--jobs", "2"])):
+        assert main([*command, "-o", str(tmp_path / name), *more]) == 0
+    for file in ("confidence.nii.gz", "expected_error.nii.gz", "shift.nii.gz", "preview.png"):
+        one, two = (tmp_path / name / "pair_0" / file for name in ("one", "two"))
+        assert one.read_bytes() == two.read_bytes()
 
 
 def test_too_little_memory_is_said(pairs, tmp_path, capsys):

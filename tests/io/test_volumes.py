@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from depthcli.core.errors import InputError
+from depthcli.core.volumes import RegisteredPair
+from depthcli.io.items.volume_pair import LoadedPair
 from depthcli.io.volume_files import write_array, written_suffix
-from depthcli.io.volumes import Grid, linear, read_volume
+from depthcli.io.volumes import Grid, block_means, linear, read_volume
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -70,6 +72,30 @@ def test_linear_at_voxels_between_and_outside():
     places = np.array([[1, 2, 3], [1.5, 2, 3], [-4, 2, 3], [9, 9, 9]], float)
     expected = [values[1, 2, 3], (values[1, 2, 3] + values[2, 2, 3]) / 2, values[0, 2, 3], values[3, 4, 5]]
     np.testing.assert_allclose(linear(values, places), expected, rtol=1e-6)
+
+
+def test_block_means():
+    values = np.random.default_rng(3).standard_normal((5, 6, 7)).astype(np.float32)
+    found = block_means(values, (2, 1, 3))
+    assert found.shape == (3, 6, 3) and found.dtype == np.float32
+    for z, y, x in np.ndindex(3, 6, 3):
+        assert found[z, y, x] == pytest.approx(values[2 * z : 2 * z + 2, y, 3 * x : 3 * x + 3].mean(), abs=1e-6)
+    assert block_means(values, (1, 1, 1)) is values
+
+
+def test_maps_of_blocks_lie_where_the_blocks_are():
+    """The mean of a block of a ramp is the ramp at the block's center."""
+    shape, blocks = (4, 6, 9), (2, 1, 3)
+    ramps = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij")).astype(np.float32)
+    means = [block_means(ramp, blocks) for ramp in ramps]
+    pair = RegisteredPair(means[0], means[1], (2.0, 1.0, 3.0))
+    start, step = LoadedPair(pair, Grid(shape[::-1], (1.0, 1.0, 1.0)), blocks).on_grid((0.5, 0, 1), (0.5, 2, 1))
+    for axis, (first, by) in enumerate(((0.5, 0.5), (0, 2), (1, 1))):
+        line = means[axis][tuple(slice(None) if a == axis else 0 for a in range(3))]
+        places = first + by * np.arange(2)
+        np.testing.assert_allclose(
+            np.interp(places, np.arange(len(line)), line), start[axis] + step[axis] * np.arange(2)
+        )
 
 
 def refused(path, match):
