@@ -12,7 +12,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 # Order of the planes written by `search_tiles`.
 PLANES = (
     "eshift", "square", "shift_z", "shift_y", "shift_x", "mlm0", "aml0", "shift", "rank0", "cur0", "cost0", "msm",
-    "border",
+    "border", "mlm", "aml",
 )  # fmt: skip
 
 
@@ -235,6 +235,8 @@ def _measure_row(
         out[10, i] = base[i] * scale
         out[11, i] = -lowest[i] * scale
         out[12, i] = np.float32(edge[best])
+        out[13, i] = np.float32(0.0) if flat else np.float32(1.0) / soft[i]
+        out[14, i] = np.float32(0.0) if flat else np.float32(1.0) / max(hard[i], np.float32(1e-30))
 
 
 @parallel_jit
@@ -255,7 +257,7 @@ def search_tiles(
     shift, scale : bits dropped and what one unit stands for
     power : 0.5 / k; few : no value above 85; squared : AML0 is wanted
     sums : empty array of the type that holds the sum of a window's layer
-    scratch : (workers, tz, ty, K, tx or more) uint16; out : (13, nz, ny, nx) float32, in the order of PLANES
+    scratch : (workers, tz, ty, K, tx or more) uint16; out : (15, nz, ny, nx) float32, in the order of PLANES
     """
     workers = scratch.shape[0]
     extent = out.shape
@@ -278,7 +280,7 @@ def search_tiles(
         layers = np.empty((2 * half[0] + 1, tile[1], width), sums.dtype)
         volumes = np.empty((tile[1], width), np.uint32)
         work = np.empty((11, width), np.float32)
-        measured = np.empty((13, width), np.float32)
+        measured = np.empty((15, width), np.float32)
         for t in range(w, tiles.shape[0], workers):
             origin = tiles[t]
             for a in range(3):
@@ -296,6 +298,6 @@ def search_tiles(
                 for y in range(size[1]):
                     _measure_row(costs[z, y], offsets, lengths, edge, neighbors, power, scale, squared, work, measured)
                     # What lies behind the tile's end is measured with it, and not copied.
-                    for m in range(13):
+                    for m in range(15):
                         target = out[m, origin[0] + z, origin[1] + y, origin[2] : origin[2] + last]
                         target[:] = measured[m, :last]

@@ -151,7 +151,7 @@ class RegistrationConfidence(BaseModel):
                 half = self.half_window if level == 0 else min(self.half_window, 2)
                 curves = search(
                     *channels, iso * 2**level, self.radius, half, self.sharpness, self.search,
-                    squared=self.measure == "aml0", stride=min(self.stride, 2 * half + 1),
+                    squared=self.measure in ("aml0", "aml"), stride=min(self.stride, 2 * half + 1),
                 )  # fmt: skip
                 (fine if level == 0 else coarse).append(_enlarged(curves, measured, level))
                 clock.stop("search")
@@ -236,7 +236,7 @@ class RegistrationConfidence(BaseModel):
         # Both volumes on the working grid, a feature while it is made or searched with, and all maps.
         making = 4 * voxels * (channels + 4) + channels * voxels
         searching = search_bytes(sizes, channels, self.radius, self.half_window, self.stride, threads())
-        kept = (len(self.features) + self.levels - 1) * 15 * 4 * measured
+        kept = (len(self.features) + self.levels - 1) * 17 * 4 * measured
         if self.calibration == "self":
             kept = 3 * kept + 12 * 4 * voxels
         return 8 * voxels + max(making, searching + 2 * channels * voxels) + kept

@@ -23,9 +23,11 @@ MEASURES = {
     "rank0": "share of displacements that are cheaper than zero",
     "cur0": "Laplacian of the costs at zero",
     "cost0": "cost at zero: no search",
-    "msm": "minus the smallest cost",
+    "msm": "minus the smallest cost: stereo's measure, which does not know zero, like the next two",
+    "mlm": "likelihood of the cheapest displacement, k = 0.5",
+    "aml": "the same with squared cost differences",
 }
-SURER_IF_LARGER = frozenset({"mlm0", "aml0", "cur0", "msm"})
+SURER_IF_LARGER = frozenset({"mlm0", "aml0", "cur0", "msm", "mlm", "aml"})
 """Measures that grow with confidence; the others grow with the error."""
 
 FEW = 85
@@ -91,7 +93,7 @@ def search(
     half_window : h, voxels
     sharpness : 0.5 / k, k of the likelihoods of ``eshift`` and ``vshift`` in deviations of the curve
     span : which displacements: all, those in the three planes, or on the three axes
-    squared : compute ``aml0`` too, which costs as much again as all likelihoods together
+    squared : compute ``aml0`` and ``aml`` too, which costs as much again as all likelihoods together
     stride : measure every ``stride``-th voxel along each axis, from the first one on; at most 2 half_window + 1
     tile : places measured at once; changes time and memory, never the result
 
@@ -132,7 +134,7 @@ def search(
     )  # fmt: skip
     planes = dict(zip(PLANES, out, strict=True))
     displacement = out[2:5] * np.float32(spacing)
-    left_out = {"vshift"} if squared else {"vshift", "aml0"}
+    left_out = {"vshift"} if squared else {"vshift", "aml0", "aml"}
     maps = {name: planes[name] for name in MEASURES if name not in left_out}
     maps["vshift"] = np.sqrt((displacement**2).sum(axis=0))
     variance = np.maximum(planes["square"] - maps["vshift"] ** 2, 0)
@@ -145,7 +147,7 @@ def search_bytes(
     """Memory of :func:`search`, beside its inputs."""
     voxels = int(np.prod([-(-n // stride) for n in shape]))
     padded = sum(channels * int(np.prod([n + 2 * r for n in shape])) for r in (half_window, half_window + radius))
-    return 3 * padded // 2 + 22 * 4 * voxels + workers * _SCRATCH
+    return 3 * padded // 2 + 24 * 4 * voxels + workers * _SCRATCH
 
 
 def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:

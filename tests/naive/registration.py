@@ -37,7 +37,7 @@ def curves(fixed, warped, radius, half, span):
 
 def measures(costs, offsets, spacing, power):
     """What the formulas say, one curve at a time."""
-    names = ("eshift", "vshift", "shift", "mlm0", "aml0", "rank0", "cur0", "cost0", "msm")
+    names = ("eshift", "vshift", "shift", "mlm0", "aml0", "rank0", "cur0", "cost0", "msm", "mlm", "aml")
     out = {name: np.zeros(costs.shape[1:]) for name in names}
     offsets = np.array(offsets, float)
     lengths = np.linalg.norm(offsets, axis=1) * spacing
@@ -47,7 +47,7 @@ def measures(costs, offsets, spacing, power):
         s = c.std()
         t = 2 * (c - c.min()) / s if s > 1e-9 else None
         if t is None:
-            values = (0, 0, 0, 1, 1)
+            values, stereo = (0, 0, 0, 1, 1), (0, 0)
         else:
             sharp, soft, squared = np.exp(-power * t), np.exp(-t), np.exp(-t * t)
             q = sharp / sharp.sum()
@@ -58,7 +58,8 @@ def measures(costs, offsets, spacing, power):
                 soft[0] / soft.sum(),
                 squared[0] / squared.sum(),
             )
+            stereo = (1 / soft.sum(), 1 / squared.sum())
         rest = ((c < c[0]).mean(), (c[near] - c[0]).sum(), c[0], -c.min())
-        for name, value in zip(names, (*values, *rest), strict=True):
+        for name, value in zip(names, (*values, *rest, *stereo), strict=True):
             out[name][p] = value
     return out
