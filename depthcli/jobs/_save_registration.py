@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from depthcli.registration._volume import resample
 from depthcli.registration.pipeline import RegistrationResult
 
 _TOP = 10.0  # mm shown in full red
+_SIDE = 240  # pixels that the longest side of a slice has, about
 
 
 def save_registration(
@@ -80,19 +82,35 @@ def _rows(
 def _preview(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.uint8]:
     """Three orthogonal slices through the middle, one a row: fixed, warped, expected error over fixed."""
     shape = result.expected_error.shape
-    volumes = [resample(v, shape, result.step, result.start) for v in (loaded.pair.fixed, loaded.pair.warped)]
-    low, high = (float(v) for v in np.percentile(volumes[0], [1, 99]))
+    finer = max(1, round(_SIDE / max(shape)))
+    low, high = (float(v) for v in np.percentile(loaded.pair.fixed[:: max(1, shape[0] // 16)], [1, 99]))
     rows = []
     for axis in range(3):
         if axis == 0 or shape[0] > 1:
-            cut: list[Any] = [slice(None)] * 3
-            cut[axis] = shape[axis] // 2
-            chosen = tuple(cut)
-            grey = [np.clip((v[chosen] - low) / max(high - low, 1e-6) * 255, 0, 255).astype(np.uint8) for v in volumes]
+            middle = shape[axis] // 2
+            at = round(result.start[axis] + result.step[axis] * middle)
+            volumes = (loaded.pair.fixed, loaded.pair.warped)
+            cuts = [_enlarged(v, axis, at, result.step, result.start, shape, finer) for v in volumes]
+            grey = [np.clip((c - low) / max(high - low, 1e-6) * 255, 0, 255).astype(np.uint8) for c in cuts]
             plain = [np.repeat(g[..., None], 3, axis=2) for g in grey]
-            code = np.clip(result.expected_error[chosen] / _TOP * 255, 0, 255).astype(np.uint8)
+            error = _enlarged(result.expected_error, axis, middle, (1, 1, 1), (0, 0, 0), shape, finer)
+            code = np.clip(error / _TOP * 255, 0, 255).astype(np.uint8)
             color = cv2.applyColorMap(code, cv2.COLORMAP_TURBO)[..., ::-1].reshape(plain[0].shape)
             over = (0.5 * plain[0] + 0.5 * color).astype(np.uint8)
             rows.append(np.concatenate([*plain, over], axis=1))
     width = max(row.shape[1] for row in rows)
     return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows], axis=0)
+
+
+def _enlarged(
+    volume: NDArray[np.float32], axis: int, at: int, step: Sequence[float], start: Sequence[float],
+    shape: tuple[int, ...], finer: int,
+) -> NDArray[np.float32]:  # fmt: skip
+    """Slice ``at`` of a volume at the places ``start + step * i`` along the other axes, ``finer`` times as many."""
+    cut = np.take(volume, [min(at, volume.shape[axis] - 1)], axis=axis)
+    others = [a != axis for a in range(3)]
+    sizes = [finer * n if other else 1 for n, other in zip(shape, others, strict=True)]
+    steps = [s / finer for s in step]
+    starts = [a - s * (finer - 1) / (2 * finer) for a, s in zip(start, step, strict=True)]
+    whole = (sizes[0], sizes[1], sizes[2])
+    return resample(cut, whole, steps, starts).reshape([n for n, other in zip(sizes, others, strict=True) if other])
