@@ -189,16 +189,6 @@ def test_large_volumes_are_read_as_means_of_blocks(pairs, tmp_path):
     assert np.corrcoef(whole.values[inside], blocks.values[inside])[0, 1] > 0.4
 
 
-def test_same_bytes_of_self_with_other_threads_and_jobs(pairs, tmp_path):
-    sets = ["--set", "stride=3", "--set", "levels=1", "--set", "features=[mind]", "--set", "max_voxels=20000"]
-    command = ["register-confidence", "self", "-i", str(pairs), *SMALL, *sets]
-    for name, more in (("one", ["--threads", "1"]), ("two", ["--jobs", "2"])):
-        assert main([*command, "-o", str(tmp_path / name), *more]) == 0
-    for file in ("confidence.nii.gz", "expected_error.nii.gz", "shift.nii.gz", "preview.png"):
-        one, two = (tmp_path / name / "pair_0" / file for name in ("one", "two"))
-        assert one.read_bytes() == two.read_bytes()
-
-
 def test_too_little_memory_is_said(pairs, tmp_path, capsys):
     command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(tmp_path / "run"), "--max-memory", "20MiB"]
     assert main([*command, "-q"]) == 3
