@@ -126,7 +126,7 @@ def evaluate(
     from depthcli.batch.reporter import Reporter
     from depthcli.evaluation.protocols import Settings, load
     from depthcli.evaluation.results import EvaluationReport, run_names
-    from depthcli.io.atomic import write_text
+    from depthcli.io.atomic import remove_leftovers, write_text
     from depthcli.jobs._scoring import Scoring
 
     reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), Path(truth)
@@ -144,6 +144,8 @@ def evaluate(
     if len(items) > 1 and any(place.is_file() for place in places):
         raise InputError(f"a single map wants a single scene, {truth} has {len(items)}: give a file, or --scenes")
     target = None if output is None else Path(output)
+    if target is not None:
+        remove_leftovers(target)
     job = Scoring(dict(zip(run_names(places), places, strict=True)), truth, target, judge, settings, page)
     results: list[Result] = []
     with reporter:
