@@ -35,6 +35,7 @@ SMALL = {
     "transparent": ["--width", "128", "--height", "96", "--share", "0.1"],
     "register-confidence": ["-n", "1"],
 }
+QUICK = {"register-confidence": ["--set", "max_voxels=40000"]}
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +85,8 @@ def test_shown_with_every_field_it_is_the_same_config(command: str, name: str, c
 
 @pytest.mark.parametrize(("command", "name"), PRESETS)
 def test_it_runs_on_a_toy_scene(made: Callable[[str], Path], tmp_path: Path, command: str, name: str):
-    assert main([command, name, "-i", str(made(command)), "-o", str(tmp_path / "r"), "-q"]) == 0
+    arguments = [command, name, "-i", str(made(command)), "-o", str(tmp_path / "r"), "-q", *QUICK.get(command, [])]
+    assert main(arguments) == 0
     report = json.loads((tmp_path / "r" / "report.json").read_text())
     assert report["done"] >= 1
     if command in ("stereo", "fuse"):
@@ -107,7 +109,8 @@ def test_same_bytes_at_any_number_of_threads(made, tmp_path: Path, monkeypatch, 
 
         monkeypatch.setattr("depthcli.batch.workers.use_threads", use)
         output = tmp_path / str(opencv)
-        assert main([command, name, "-i", str(made(command)), "-o", str(output), "-q"]) == 0
+        arguments = [command, name, "-i", str(made(command)), "-o", str(output), "-q", *QUICK.get(command, [])]
+        assert main(arguments) == 0
         files = [path for path in output.rglob("*") if path.is_file() and not path.name.startswith("report.")]
         found.append({path.relative_to(output): path.read_bytes() for path in files})
     assert len(found[0]) > 2
