@@ -83,10 +83,11 @@ from numba.core import cgutils  # noqa: E402
 from numba.core.caching import FunctionCache, IndexDataCacheFile  # noqa: E402
 from numba.core.codegen import JITCPUCodegen  # noqa: E402
 from numba.core.compiler import CompileResult  # noqa: E402
+from numba.extending import models, overload, register_model  # noqa: E402
 
 __all__ = [
-    "CompileWatch", "cache_folder", "cgutils", "compile_seconds", "float32", "int32", "intrinsic", "jit",
-    "parallel_jit", "prange", "set_threads", "threads", "types",
+    "CompileWatch", "cache_folder", "cgutils", "compile_seconds", "float32", "int32", "intrinsic", "jit", "models",
+    "overload", "parallel_jit", "prange", "register_model", "set_threads", "threads", "types",
 ]  # fmt: skip
 
 

@@ -116,25 +116,30 @@ class Lattice:
     def filter(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Blur (N, C) float32 ``values``; the Gaussian's value at distance 0 is about ``1 + 2^-d``."""
         width = values.shape[1]
-        partial = memory.empty((self.vertex.size, width), np.float32)
-        near: NDArray[np.float32] = memory.empty((self.vertices + 1, width), np.float32)
-        far: NDArray[np.float32] = memory.empty((self.vertices + 1, width), np.float32)
+        partial = memory.empty((self.vertex.size * width,), np.float32)
+        near: NDArray[np.float32] = memory.empty(((self.vertices + 1) * width,), np.float32)
+        far: NDArray[np.float32] = memory.empty(((self.vertices + 1) * width,), np.float32)
         result = np.empty(values.shape, np.float32)
-        spread(values, self.slots, self.weights, self.first_slot, BAND, partial)
-        blur(self, partial, near, far)
-        read(near, self.slots, self.vertex, self.weights, result)
+        spread(values, self.slots, self.weights, self.first_slot, BAND, partial.reshape(-1, width))
+        blur(self, width, partial, near, far)
+        read(near.reshape(-1, width), self.slots, self.vertex, self.weights, result)
         return result
 
 
-def blur(lattice: Lattice, partial: NDArray[np.float32], near: NDArray[np.float32], far: NDArray[np.float32]) -> None:
-    """Add the slots (T, C) up into vertices and blur those; the result is in (V + 1, C) ``near``, its last row 0."""
+def blur(
+    lattice: Lattice, width: int, partial: NDArray[np.float32], near: NDArray[np.float32], far: NDArray[np.float32]
+) -> None:
+    """Add the slots (T rows of ``width``) up into vertices and blur those.
+
+    The result is in ``near``, V + 1 rows, the last one 0.
+    """
     steps = len(lattice.neighbors)
     source, target = (near, far) if steps % 2 == 0 else (far, near)
-    source[-1] = 0
-    target[-1] = 0
-    _gather(partial, lattice.order, lattice.first, source)
+    source[-width:] = 0
+    target[-width:] = 0
+    _gather(partial, lattice.order, lattice.first, source, width)
     for axis in range(steps):
-        _blur(source, lattice.neighbors[axis], target)
+        _blur(source, lattice.neighbors[axis, 0], lattice.neighbors[axis, 1], target, width)
         source, target = target, source
 
 
@@ -377,23 +382,24 @@ def _reached(slots: Any, vertex: Any, neighbors: Any, start: int, stop: int, tur
 
 
 @parallel_jit
-def _gather(partial: Any, order: Any, first: Any, values: Any) -> None:
+def _gather(partial: Any, order: Any, first: Any, values: Any, width: int) -> None:
+    # Indices without a sign: numba tests others for being negative, a test that stops SIMD.
     for v in prange(first.size - 1):
-        target = values[v]
-        source = partial[order[first[v]]]
-        for k in range(target.size):
-            target[k] = source[k]
+        to = np.uint64(v * width)
+        at = np.uint64(order[first[v]] * width)
+        for k in range(width):
+            values[to + np.uint64(k)] = partial[at + np.uint64(k)]
         for s in range(first[v] + 1, first[v + 1]):
-            source = partial[order[s]]
-            for k in range(target.size):
-                target[k] += source[k]
+            at = np.uint64(order[s] * width)
+            for k in range(width):
+                values[to + np.uint64(k)] += partial[at + np.uint64(k)]
 
 
 @parallel_jit
-def _blur(source: Any, neighbors: Any, target: Any) -> None:
+def _blur(source: Any, left: Any, right: Any, target: Any, width: int) -> None:
     half = np.float32(0.5)
-    for v in prange(neighbors.shape[1]):
-        center, left, right = source[v], source[neighbors[0, v]], source[neighbors[1, v]]
-        out = target[v]
-        for k in range(out.size):
-            out[k] = center[k] + half * (left[k] + right[k])
+    for v in prange(left.size):
+        at, low, high = np.uint64(v * width), np.uint64(left[v] * width), np.uint64(right[v] * width)
+        for k in range(width):
+            ends = source[low + np.uint64(k)] + source[high + np.uint64(k)]
+            target[at + np.uint64(k)] = source[at + np.uint64(k)] + half * ends
