@@ -135,17 +135,18 @@ class _Field:
     def of(cls, kernels: Sequence[GaussianKernel], count: int, labels: int) -> _Field:
         lattices = tuple(Lattice.of(kernel.features) for kernel in kernels)
         corners = sum(lattice.slots.shape[1] for lattice in lattices)
-        slots, weights = np.empty((count, corners), np.int32), np.empty((count, corners), np.float32)
+        slots: NDArray[np.int32] = memory.empty((count, corners), np.int32)
+        weights: NDArray[np.float32] = memory.empty((count, corners), np.float32)
         own = np.zeros(count, np.float32)
         column = slot = vertex = 0
         for kernel, lattice in zip(kernels, lattices, strict=True):
             density = lattice.filter(np.ones((count, 1), np.float32))[:, 0]
-            scale = np.sqrt(np.float32(kernel.weight) / density)
-            own += lattice.own_share(density) * scale * scale
-            ours = slice(column, column + lattice.slots.shape[1])
-            np.multiply(lattice.weights, scale[:, None], out=weights[:, ours])
-            np.add(lattice.slots, np.int32(slot), out=slots[:, ours])
-            column = ours.stop
+            share = lattice.own_share(density)
+            _join(
+                lattice.slots, lattice.weights, density, share, np.float32(kernel.weight), np.int32(slot), column,
+                slots, weights, own,
+            )  # fmt: skip
+            column += lattice.slots.shape[1]
             slot += lattice.vertex.size
             vertex += lattice.vertices + 1
         before = np.cumsum([0] + [lattice.vertices + 1 for lattice in lattices[:-1]])
@@ -207,6 +208,20 @@ def _check(
 
 
 @parallel_jit
+def _join(
+    slots: Any, weights: Any, density: Any, share: Any, weight: Any, offset: Any, column: int, all_slots: Any,
+    all_weights: Any, own: Any,
+) -> None:  # fmt: skip
+    """Put the corners of one lattice beside those of others, from ``column`` on, and normalize them."""
+    for n in prange(own.size):
+        scale = np.sqrt(weight / density[n])
+        own[n] += share[n] * scale * scale
+        for c in range(slots.shape[1]):
+            all_slots[n, column + c] = slots[n, c] + offset
+            all_weights[n, column + c] = weights[n, c] * scale
+
+
+@parallel_jit
 def _first(
     unary: Any, q: Any, given: bool, labels: int, slots: Any, weights: Any, corners: int, bands: Any, width: int,
     partial: Any, finite: Any,
@@ -258,7 +273,9 @@ def _update(
         stop = min(count, (b + 1) * BAND)
         for first in range(b * BAND, stop, _TILE):
             size = min(_TILE, stop - first)
-            _read(near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride, spare)
+            _read(
+                near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride, spare
+            )  # fmt: skip
             if truncation:
                 # min(|k|, T) is T less a triangle, which is a window of length T over another one. T times the sum
                 # of all messages is the same for every label of a point, and makes no difference to its marginals.

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.lanes import LANES, load, splat, store
 
 BAND = 16384  # points that share one table of vertices: few enough for the cache, and the unit of parallel work
 MOST_DIMENSIONS = 8
+_TILE = 64  # points whose simplices are found together
 
 
 @dataclass(frozen=True)
@@ -62,15 +64,15 @@ class Lattice:
         count, d = features.shape
         if not 1 <= d <= MOST_DIMENSIONS:
             raise ValueError(f"want 1 to {MOST_DIMENSIONS} features a point, got {d}")
-        low = features.min(axis=0) if count else np.zeros(d, np.float32)
-        high = features.max(axis=0) if count else np.zeros(d, np.float32)
-        if not (np.isfinite(low).all() and np.isfinite(high).all()):
-            raise ValueError("features must be finite")
-        shifts = _bits(low.astype(np.float64), high.astype(np.float64))
         bands = -(-count // BAND)
-        slots = np.empty((count, d + 1), np.int32)
-        weights = np.empty((count, d + 1), np.float32)
-        keys: NDArray[np.uint64] = np.zeros((max(bands, 1), 1), np.uint64)
+        ends = np.zeros((2, bands, d), np.float32)
+        _extremes(features, BAND, ends)
+        if not np.isfinite(ends).all():
+            raise ValueError("features must be finite")
+        low, high = (ends[0].min(axis=0), ends[1].max(axis=0)) if count else np.zeros((2, d), np.float32)
+        shifts = _bits(low.astype(np.float64), high.astype(np.float64))
+        slots: NDArray[np.int32] = memory.empty((count, d + 1), np.int32)
+        weights: NDArray[np.float32] = memory.empty((count, d + 1), np.float32)
         sizes = np.zeros(bands, np.int64)
         most = 8192
         while True:  # a band that finds more vertices than there is room for says how many, and all begin again
@@ -80,14 +82,12 @@ class Lattice:
                 break
             most = int(sizes.max()) + 16
         first_slot = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        total = int(first_slot[-1])
-        vertex = np.empty(total, np.int32)
-        table, place, found = _merge(keys, sizes, vertex, slots, first_slot, BAND)
+        vertex, own = np.empty(int(first_slot[-1]), np.int32), np.empty(int(first_slot[-1]), np.uint64)
+        table, place, found = _merge(keys, sizes, vertex, own, first_slot)
+        _renumber(slots, first_slot, BAND)
         counts = np.bincount(vertex, minlength=found)
         order = np.argsort(vertex, kind="stable").astype(np.int32)
         first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        own = np.empty(found, np.uint64)
-        own[vertex] = np.concatenate([keys[b, : sizes[b]] for b in range(bands)]) if bands else own
         neighbors = np.empty((d + 1, 2, found), np.int32)
         _find_neighbors(own, table, place, shifts, neighbors)
         return cls(slots, weights, vertex, first_slot, order, first, neighbors)
@@ -184,81 +184,134 @@ def _find(table: Any, place: Any, key: Any) -> Any:
 
 
 @parallel_jit
+def _extremes(features: Any, band: int, ends: Any) -> None:
+    """Smallest and largest feature of every band; not finite where any is not."""
+    count, d = features.shape
+    for b in prange(ends.shape[1]):
+        for i in range(d):
+            low = high = features[b * band, i]
+            bad = False
+            for n in range(b * band, min(count, (b + 1) * band)):
+                f = features[n, i]
+                bad |= not abs(f) < np.float32(np.inf)
+                low, high = min(low, f), max(high, f)
+            ends[0, b, i] = np.float32(np.nan) if bad else low
+            ends[1, b, i] = high
+
+
+@jit
+def _steps(shifts: Any) -> Any:
+    """What a key changes by along every axis, and what more where the last coordinate begins again."""
+    d = shifts.shape[0]
+    steps = np.ones(d + 1, np.uint64)
+    wrap = -np.uint64(d + 1)
+    for i in range(d):
+        steps[i] -= np.uint64(1) << np.uint64(shifts[i, 1])
+        wrap += np.uint64(1) << np.uint64(shifts[i, 1])
+    return steps, wrap
+
+
+@parallel_jit
 def _embed(features: Any, scales: Any, shifts: Any, band: int, slots: Any, weights: Any, keys: Any, sizes: Any) -> None:
     """Simplex and barycentric weights of every point; slots are numbered from 0 in every band.
 
     ``sizes`` gets the number of vertices of each band, also where ``keys`` has no room for them.
     """
     count, d = features.shape
+    size = d + 1
     for b in prange(sizes.size):
         capacity = 4096
         while capacity < 2 * keys.shape[1]:
             capacity *= 2
         table = np.empty(capacity, np.uint64)
         place = np.full(capacity, -1, np.int32)
-        elevated = np.empty(d + 1, np.float64)
-        base = np.empty(d + 1, np.int64)
-        rank = np.empty(d + 1, np.int64)
-        share = np.empty(d + 2, np.float64)
+        steps, _ = _steps(shifts)
+        # Coordinate by coordinate, so that points are worked on side by side.
+        elevated, base = np.zeros((size, _TILE), np.float64), np.zeros((size, _TILE), np.float64)
+        rest, rank = np.zeros((size, _TILE), np.float64), np.zeros((size, _TILE), np.float64)
+        total = np.zeros(_TILE, np.float64)
+        at, inner = np.empty(size, np.int64), np.empty(size, np.float64)
         found = 0
-        for n in range(b * band, min(count, (b + 1) * band)):
-            total = 0.0
+        stop = min(count, (b + 1) * band)
+        for first in range(b * band, stop, _TILE):
+            points = min(_TILE, stop - first)
+            total[:] = 0.0
             for j in range(d, 0, -1):
-                f = np.float64(features[n, j - 1]) * scales[j - 1]
-                elevated[j] = total - j * f
-                total += f
+                up = elevated[j]
+                for p in range(points):
+                    f = np.float64(features[first + p, j - 1]) * scales[j - 1]
+                    up[p] = total[p] - j * f
+                    total[p] += f
             elevated[0] = total
-            # The nearest point whose coordinates are multiples of d + 1; where their sum is not 0, some move on.
-            off = 0
-            for i in range(d + 1):
-                base[i] = np.int64(np.floor(elevated[i] / (d + 1) + 0.5))
-                off += base[i]
-                rank[i] = 0
-            for i in range(d):
-                rest = elevated[i] - base[i] * (d + 1)
-                for j in range(i + 1, d + 1):
-                    if rest < elevated[j] - base[j] * (d + 1):
-                        rank[i] += 1
+            _nearest(elevated, base, rest, rank, total)
+            for p in range(points):
+                key = np.uint64(0)
+                for i in range(size):
+                    r = np.int64(rank[i, p])
+                    at[r] = i
+                    inner[r] = rest[i, p]
+                    if i < d:
+                        key += np.uint64(np.int64(base[i, p]) + shifts[i, 0]) << np.uint64(shifts[i, 1])
+                n = first + p
+                for r in range(size):
+                    if r == 0:
+                        share = inner[d] + (1.0 - inner[0])
                     else:
-                        rank[j] += 1
-            for i in range(d + 1):
-                rank[i] += off
-                if rank[i] < 0:
-                    rank[i] += d + 1
-                    base[i] += 1
-                elif rank[i] > d:
-                    rank[i] -= d + 1
-                    base[i] -= 1
-            share[:] = 0.0
-            for i in range(d + 1):
-                rest = elevated[i] / (d + 1) - base[i]
-                share[d - rank[i]] += rest
-                share[d + 1 - rank[i]] -= rest
-            share[0] += 1.0 + share[d + 1]
-            for r in range(d + 1):
-                key = np.uint64(r)
-                for i in range(d):
-                    q = base[i] - (1 if rank[i] > d - r else 0) + shifts[i, 0]
-                    key |= np.uint64(q) << np.uint64(shifts[i, 1])
-                at = _find(table, place, key)
-                if place[at] < 0:
-                    if 2 * found >= capacity:
-                        # Only the count matters now: it tells how much room the next try needs.
+                        share = inner[d - r] - inner[size - r]
+                        key += steps[at[size - r]]
+                    weights[n, r] = np.float32(share)
+                    cell = _find(table, place, key)
+                    if place[cell] < 0:
+                        if 2 * found >= capacity:
+                            # Only the count matters now: it tells how much room the next try needs.
+                            found += 1
+                            continue
+                        table[cell] = key
+                        place[cell] = found
+                        if found < keys.shape[1]:
+                            keys[b, found] = key
                         found += 1
-                        continue
-                    table[at] = key
-                    place[at] = found
-                    if found < keys.shape[1]:
-                        keys[b, found] = key
-                    found += 1
-                slots[n, r] = place[at]
-                weights[n, r] = np.float32(share[r])
+                    slots[n, r] = place[cell]
         sizes[b] = found
 
 
 @jit
-def _merge(keys: Any, sizes: Any, vertex: Any, slots: Any, first_slot: Any, band: int) -> Any:
-    """Number the vertices of all bands; slots become indices into ``vertex``. Hash table and number of vertices."""
+def _nearest(elevated: Any, base: Any, rest: Any, rank: Any, off: Any) -> None:
+    """The vertex of remainder 0 of every point's simplex: ``base`` times d + 1, and what is left, in order of rank.
+
+    It is the nearest point whose coordinates are multiples of d + 1; where their sum is not 0, some move on.
+    ``rest`` is in units of d + 1, ``off`` scratch.
+    """
+    size = elevated.shape[0]
+    part, most = 1.0 / size, np.float64(size - 1)
+    off[:] = 0.0
+    for i in range(size):
+        from_, whole, left = elevated[i], base[i], rest[i]
+        for p in range(off.size):
+            whole[p] = np.floor(from_[p] * part + 0.5)
+            left[p] = from_[p] * part - whole[p]
+            off[p] += whole[p]
+        rank[i] = off * 0.0
+    for i in range(size):
+        for j in range(i + 1, size):
+            one, other, ranks, others = rest[i], rest[j], rank[i], rank[j]
+            for p in range(off.size):
+                less = 1.0 if one[p] < other[p] else 0.0
+                ranks[p] += less
+                others[p] += 1.0 - less
+    for i in range(size):
+        whole, left, ranks = base[i], rest[i], rank[i]
+        for p in range(off.size):
+            r = ranks[p] + off[p]
+            turn = (1.0 if r < 0.0 else 0.0) - (1.0 if r > most else 0.0)
+            ranks[p] = r + turn * (most + 1.0)
+            whole[p] += turn
+            left[p] -= turn
+
+
+@jit
+def _merge(keys: Any, sizes: Any, vertex: Any, own: Any, first_slot: Any) -> Any:
+    """Number the vertices of all bands; hash table, and number of vertices, whose keys ``own`` begins with."""
     total = first_slot[-1]
     capacity = 1024
     while capacity < 2 * total:
@@ -272,38 +325,33 @@ def _merge(keys: Any, sizes: Any, vertex: Any, slots: Any, first_slot: Any, band
             if place[at] < 0:
                 table[at] = keys[b, k]
                 place[at] = found
+                own[found] = keys[b, k]
                 found += 1
             vertex[first_slot[b] + k] = place[at]
-        rows = slots[b * band : (b + 1) * band]
-        for i in range(rows.shape[0]):
-            for j in range(rows.shape[1]):
-                rows[i, j] += np.int32(first_slot[b])
     return table, place, found
+
+
+@parallel_jit
+def _renumber(slots: Any, first_slot: Any, band: int) -> None:
+    """Slots of a band become indices into all of them."""
+    for b in prange(first_slot.size - 1):
+        for n in range(b * band, min(slots.shape[0], (b + 1) * band)):
+            for r in range(slots.shape[1]):
+                slots[n, r] += np.int32(first_slot[b])
 
 
 @parallel_jit
 def _find_neighbors(own: Any, table: Any, place: Any, shifts: Any, neighbors: Any) -> None:
     axes, _, vertices = neighbors.shape
-    d = axes - 1
+    steps, wrap = _steps(shifts)
+    none = np.uint64(0)
     for v in prange(vertices):
-        q = np.empty(d, np.int64)
-        r: Any = np.int64(own[v] & np.uint64(15))
-        for side in range(2):
-            step = 1 - 2 * side
-            for axis in range(axes):
-                turn = r + step
-                carry = 0
-                if turn > d:
-                    turn, carry = 0, 1
-                elif turn < 0:
-                    turn, carry = d, -1
-                key = np.uint64(turn)
-                for i in range(d):
-                    q[i] = np.int64(own[v] >> np.uint64(shifts[i, 1]))
-                    if i + 1 < d:
-                        q[i] &= (np.int64(1) << (shifts[i + 1, 1] - shifts[i, 1])) - 1
-                    q[i] += carry - (step if i == axis else 0)
-                    key |= np.uint64(q[i]) << np.uint64(shifts[i, 1])
+        last = own[v] & np.uint64(15)
+        up = wrap if last == np.uint64(axes - 1) else none
+        down = wrap if last == none else none
+        for axis in range(axes):
+            for side in range(2):
+                key = own[v] - steps[axis] - down if side else own[v] + steps[axis] + up
                 at = _find(table, place, key)
                 neighbors[axis, side, v] = place[at] if place[at] >= 0 else vertices
 
@@ -315,12 +363,10 @@ def spread(values: Any, slots: Any, weights: Any, first_slot: Any, band: int, pa
     for b in prange(first_slot.size - 1):
         partial[first_slot[b] : first_slot[b + 1]] = np.float32(0.0)
         for n in range(b * band, min(count, (b + 1) * band)):
-            source = values[n]
             for c in range(corners):
-                w = weights[n, c]
-                target = partial[slots[n, c]]
-                for k in range(source.size):
-                    target[k] += w * source[k]
+                w, to = weights[n, c], slots[n, c]
+                for k in range(values.shape[1]):
+                    partial[to, k] += w * values[n, k]
 
 
 @parallel_jit
@@ -328,13 +374,12 @@ def read(values: Any, slots: Any, vertex: Any, weights: Any, result: Any) -> Non
     """(N, C) from (V + 1, C) vertices."""
     count, corners = slots.shape
     for n in prange(count):
-        target = result[n]
-        target[:] = np.float32(0.0)
+        for k in range(result.shape[1]):
+            result[n, k] = np.float32(0.0)
         for c in range(corners):
-            w = weights[n, c]
-            source = values[vertex[slots[n, c]]]
-            for k in range(target.size):
-                target[k] += w * source[k]
+            w, at = weights[n, c], vertex[slots[n, c]]
+            for k in range(result.shape[1]):
+                result[n, k] += w * values[at, k]
 
 
 @parallel_jit
@@ -383,23 +428,25 @@ def _reached(slots: Any, vertex: Any, neighbors: Any, start: int, stop: int, tur
 
 @parallel_jit
 def _gather(partial: Any, order: Any, first: Any, values: Any, width: int) -> None:
-    # Indices without a sign: numba tests others for being negative, a test that stops SIMD.
     for v in prange(first.size - 1):
-        to = np.uint64(v * width)
-        at = np.uint64(order[first[v]] * width)
-        for k in range(width):
-            values[to + np.uint64(k)] = partial[at + np.uint64(k)]
-        for s in range(first[v] + 1, first[v + 1]):
-            at = np.uint64(order[s] * width)
-            for k in range(width):
-                values[to + np.uint64(k)] += partial[at + np.uint64(k)]
+        to = v * width
+        for k in range(0, width - LANES + 1, LANES):
+            value = load(partial, order[first[v]] * width + k)
+            for s in range(first[v] + 1, first[v + 1]):
+                value += load(partial, order[s] * width + k)
+            store(values, to + k, value)
+        for k in range(width - width % LANES, width):
+            values[to + k] = partial[order[first[v]] * width + k]
+            for s in range(first[v] + 1, first[v + 1]):
+                values[to + k] += partial[order[s] * width + k]
 
 
 @parallel_jit
 def _blur(source: Any, left: Any, right: Any, target: Any, width: int) -> None:
     half = np.float32(0.5)
     for v in prange(left.size):
-        at, low, high = np.uint64(v * width), np.uint64(left[v] * width), np.uint64(right[v] * width)
-        for k in range(width):
-            ends = source[low + np.uint64(k)] + source[high + np.uint64(k)]
-            target[at + np.uint64(k)] = source[at + np.uint64(k)] + half * ends
+        at, low, high = v * width, left[v] * width, right[v] * width
+        for k in range(0, width - LANES + 1, LANES):
+            store(target, at + k, load(source, at + k) + splat(half) * (load(source, low + k) + load(source, high + k)))
+        for k in range(width - width % LANES, width):
+            target[at + k] = source[at + k] + half * (source[low + k] + source[high + k])
