@@ -26,7 +26,7 @@ _INTEGERS = ir.VectorType(_WORD, LANES)
 _FLAGS = ("reassoc", "contract", "arcp", "nsz")  # as in all kernels
 
 
-class _Lanes(types.Type):  # type: ignore[misc, name-defined]
+class _Lanes(types.Type):
     def __init__(self) -> None:
         super().__init__(name="Lanes")
 
@@ -35,7 +35,7 @@ _lanes = _Lanes()
 
 
 @register_model(_Lanes)
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc, name-defined]
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, _FLOATS)
 

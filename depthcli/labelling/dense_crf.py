@@ -195,9 +195,7 @@ def _check(
         raise ValueError(f"want 0 iterations or more, got {iterations}")
     for kernel in kernels:
         if kernel.features.ndim != 2 or len(kernel.features) != count or kernel.features.dtype != np.float32:
-            raise ValueError(
-                f"want features ({count}, d) float32, got {kernel.features.shape} {kernel.features.dtype}"
-            )
+            raise ValueError(f"want features ({count}, d) float32, got {kernel.features.shape} {kernel.features.dtype}")
         if not 0 <= kernel.weight < np.inf:
             raise ValueError(f"want a weight >= 0, got {kernel.weight}")
     if not isinstance(compatibility, TruncatedLinear) and compatibility.shape != (labels, labels):

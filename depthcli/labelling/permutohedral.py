@@ -247,9 +247,9 @@ def _embed(features: Any, scales: Any, shifts: Any, band: int, slots: Any, weigh
             for p in range(points):
                 key = np.uint64(0)
                 for i in range(size):
-                    r = np.int64(rank[i, p])
-                    at[r] = i
-                    inner[r] = rest[i, p]
+                    k = np.int64(rank[i, p])
+                    at[k] = i
+                    inner[k] = rest[i, p]
                     if i < d:
                         key += np.uint64(np.int64(base[i, p]) + shifts[i, 0]) << np.uint64(shifts[i, 1])
                 n = first + p

@@ -133,13 +133,13 @@ def test_points_of_different_bands_hear_each_other():
 
 
 @pytest.mark.parametrize("count", [0, 1, 63, 64, 65])
-@pytest.mark.parametrize("labels", [1, 2, 16, 33])
-def test_sizes_around_the_tiles(count, labels):
+@pytest.mark.parametrize(("labels", "truncation"), [(1, 2), (2, 2), (16, 2), (33, 5), (64, 8), (83, 30), (130, 200)])
+def test_sizes_around_the_tiles(count, labels, truncation):
     features, unary = _features(17, count, 2, 2), _unary(18, count, labels)
-    ours = mean_field(unary, [GaussianKernel(features, 1.0)], TruncatedLinear(2))
+    ours = mean_field(unary, [GaussianKernel(features, 1.0)], TruncatedLinear(truncation))
     assert ours.shape == (count, labels)
     if count:
-        expected = naive.mean_field(unary, [naive.kernel_matrix(features)], [1.0], _linear(labels, 2), 5)
+        expected = naive.mean_field(unary, [naive.kernel_matrix(features)], [1.0], _linear(labels, truncation), 5)
         assert np.abs(ours - expected).max() < 0.03
 
 
