@@ -13,6 +13,7 @@ from depthcli.labelling.grid_cut import STEPS, edge_ends, grid_cut
 from depthcli.transparent.robust_fit import Samples
 
 _CLIPPED = 4.0  # standard deviations that one sample may add to a region's evidence
+_EXPECTED = 4.0  # samples that a piece of a region should hold, by its area, before one alone is too few
 
 
 def noise_of(samples: Samples, sensor: NDArray[np.float32]) -> float:
@@ -97,7 +98,8 @@ class Suspicion(BaseModel):
             return np.zeros(sensor.shape, np.bool_)
         score = self._score(sensor, fit, sigma, confidence, contradiction, samples, noise)
         region = grid_cut(score, self._weights(image))
-        return self._contradicted(region, sensor, samples, noise) & np.isfinite(sensor)
+        region = self._contradicted(region, sensor, samples, noise) & np.isfinite(sensor)
+        return _witnessed(region, samples)
 
     def beyond(self, deviations: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """What is left of differences, in standard deviations, without the error that samples may share."""
@@ -145,3 +147,17 @@ class Suspicion(BaseModel):
         keep[0] = False
         kept: NDArray[np.bool_] = keep[labels]
         return kept
+
+
+def _witnessed(region: NDArray[np.bool_], samples: Samples) -> NDArray[np.bool_]:
+    """Without the pieces that hold one sample or none where, by their area, several were to be expected.
+
+    Pixels that the sensor does not know join such a piece to others; its own evidence may be a single wrong sample.
+    """
+    count, labels, facts, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+    number = np.bincount(labels[samples.rows, samples.columns], minlength=count)
+    expected = facts[:, cv2.CC_STAT_AREA] * (samples.values.size / region.size)
+    keep = (number > 1) | (expected < _EXPECTED)
+    keep[0] = False
+    kept: NDArray[np.bool_] = keep[labels]
+    return kept

@@ -55,3 +55,18 @@ def quieted(costs, left, right):
                 share = min(left[y, x], right[y, x - d]) if d <= x else left[y, x]
                 out[y, x, d] = int(np.floor(mean + share * (costs[y, x, d] - mean) + 0.5))
     return out
+
+
+def smoothed(values, image, wanted, radius, color_scale):
+    """Where wanted, the mean of the known values in a square, weighted by exp(-|dRGB|^2 / (2 scale^2))."""
+    height, width = values.shape
+    out = values.copy()
+    for y in range(height):
+        for x in range(width):
+            if not wanted[y, x] or np.isnan(values[y, x]):
+                continue
+            window = np.s_[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
+            color = ((image[window].astype(float) - image[y, x].astype(float)) ** 2).sum(axis=2)
+            weights = np.exp(-color / (2 * color_scale**2)) * np.isfinite(values[window])
+            out[y, x] = (weights * np.nan_to_num(values[window])).sum() / weights.sum()
+    return out

@@ -134,6 +134,8 @@ def test_a_region_without_contradicting_samples_is_no_suspect():
         np.append(samples.values, [1.5, 1.5, 1.5]).astype(np.float32),
     )
     assert rule(sensor, fit, *maps, there, 0.01, image)[:, 30:].mean() > 0.9
+    alone = there.chosen(np.arange(there.values.size) <= samples.values.size)
+    assert not rule(sensor, fit, *maps, alone, 0.01, image).any(), "one sample, where 150 were to be expected"
 
 
 def test_glass_never_brings_the_sensor_nearer():

@@ -11,6 +11,7 @@ from depthcli.kinect.result import RefinedDepth
 from depthcli.transparent.evidence import gather, outcome
 from depthcli.transparent.pipeline import TransparentPipeline
 from depthcli.transparent.robust_fit import RobustFit
+from depthcli.transparent.smoothing import Smoothing
 from depthcli.transparent.suspects import Suspicion
 
 
@@ -19,12 +20,14 @@ class Robust(TransparentPipeline):
 
     fit: RobustFit = Field(default_factory=RobustFit, description="planes through the samples")
     suspicion: Suspicion = Field(default_factory=Suspicion, description="where the sensor is not believed")
+    smoothing: Smoothing = Field(default_factory=Smoothing, description="of the planes, where they replace the sensor")
 
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
         evidence = gather(frame, self.fit, self.suspicion, clock)
         kept = np.isfinite(evidence.sensor) & ~evidence.suspect
-        values = np.where(kept, evidence.sensor, evidence.fit)
+        smooth = self.smoothing(evidence.fit, evidence.samples, frame.color, ~kept)
+        values = np.where(kept, evidence.sensor, smooth)
         sigma = np.where(kept, np.float32(evidence.noise), evidence.sigma)
         figures = {"samples": float(evidence.samples.values.size), "noise": evidence.noise}
         result = outcome(frame, values, sigma, evidence.suspect, evidence.sampled(values), clock, figures)
