@@ -58,9 +58,9 @@ def find_items(
         files = "; ".join(f"{each.name}: {each.wants.replace('`', '').partition(';')[0]}" for each in wanted)
         raise InputError(f"{folder}: no scenes found in it or two levels below (looked for {files})")
     found.sort(key=lambda item: item.name)
-    chosen = [item for item in found if any(_matches(item.name, pattern) for pattern in patterns)]
+    chosen = [item for item in found if matches_any(item.name, patterns)]
     for pattern in patterns:
-        if not any(_matches(item.name, pattern) for item in found):
+        if not any(matches_any(item.name, [pattern]) for item in found):
             there = ", ".join(item.name for item in found[:6])
             raise InputError(
                 f"{folder}: no scene matches {pattern!r}; there are: {there}{', ...' if len(found) > 6 else ''}"
@@ -70,15 +70,36 @@ def find_items(
 
 def item_with_file(file: Path) -> Item | None:
     """The item that ``file`` belongs to by the layout of its folder or of the one above (KITTI); None for none."""
-    path = file.absolute()
-    for place in path.parents[:2]:
-        try:
-            inside = [item for each in layouts() for item in each.items(Folder(place, place.name, ""))]
-        except InputError:
-            continue
-        if holding := [item for item in inside if path in vars(item).values()]:
-            return holding[0]
-    return None
+    return next(iter(items_with_files([file]).values()), None)
+
+
+def items_with_files(files: Iterable[Path]) -> dict[Path, Item]:
+    """File -> the item that it belongs to, as :func:`item_with_file`, of those that belong to one."""
+    known: dict[Path, dict[Path, Item]] = {}
+    found: dict[Path, Item] = {}
+    for file in files:
+        path = file.absolute()
+        for place in path.parents[:2]:
+            if place not in known:
+                known[place] = _files_in(place)
+            if path in known[place]:
+                found[file] = known[place][path]
+                break
+    return found
+
+
+def _files_in(place: Path) -> dict[Path, Item]:
+    """File -> item, of the items that lie in ``place`` by any layout."""
+    try:
+        inside = [item for each in layouts() for item in each.items(Folder(place, place.name, ""))]
+    except InputError:
+        return {}
+    found: dict[Path, Item] = {}
+    for item in inside:
+        for value in vars(item).values():
+            if isinstance(value, Path):
+                found.setdefault(value, item)
+    return found
 
 
 def _wanted(kinds: tuple[type[Item], ...] | None, layout: str | None) -> tuple[Layout, ...]:
@@ -123,8 +144,10 @@ def _subfolders(folder: Path) -> list[Path]:
         return []
 
 
-def _matches(name: str, pattern: str) -> bool:
-    return fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(name.rpartition("/")[2], pattern)
+def matches_any(name: str, patterns: Sequence[str]) -> bool:
+    """One of the shell patterns matches the name or its last part."""
+    last = name.rpartition("/")[2]
+    return any(fnmatch.fnmatchcase(name, each) or fnmatch.fnmatchcase(last, each) for each in patterns)
 
 
 class BrokenItem(Item):

@@ -62,6 +62,30 @@ def save_depth(
     _save_rest(result, folder)
 
 
+def save_metric_depth(
+    depth: NDArray[np.float32],
+    status: NDArray[np.uint8],
+    folder: Path,
+    scale: float,
+    cloud: tuple[Intrinsics, NDArray[np.uint8], NDArray[np.bool_]] | None = None,
+) -> None:
+    """Write the depth of a disparity map into the existing ``folder``.
+
+    Parameters
+    ----------
+    depth : (H, W) float32, meters, NaN = unknown
+    status : (H, W) uint8, bits of the disparity map
+    scale : codes a meter of ``depth.png``
+    cloud : camera, (H, W, 3) color and (H, W) bool of the pixels of a point cloud, or None for none
+    """
+    write_pfm(folder / "depth.pfm", depth)
+    write_depth_png(folder / "depth.png", depth, scale)
+    write_status(folder / "status.png", status, STATUS_PALETTE)
+    write_png(folder / "preview.png", preview_depth(depth))
+    if cloud is not None:
+        write_ply(folder / "points.ply", depth, *cloud)
+
+
 def _save_rest(result: Result, folder: Path) -> None:
     for name, confidence in result.confidence.items():
         write_pfm(folder / f"confidence_{name}.pfm", confidence)

@@ -57,6 +57,8 @@ class StereoItem(Item):
     objects : KITTI 2015 object map (> 0: foreground) or None
     max_disparity : largest disparity to search, inclusive, or None
     round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
+    calibration : file that says how disparities become depth, or None
+    cameras : numbers of the pair's cameras in a calibration of several (KITTI)
     """
 
     options: ClassVar[tuple[Option, ...]] = (
@@ -76,6 +78,8 @@ class StereoItem(Item):
     objects: Path | None = None
     max_disparity: int | None = None
     round_disparity: bool = False
+    calibration: Path | None = None
+    cameras: tuple[int, int] = (2, 3)
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:

@@ -17,10 +17,11 @@ class Kitti2015(Layout):
     """One folder a view and one a kind of truth; a frame has the same name in each."""
 
     kind = StereoItem
-    wants = "`image_2`, `image_3`, `disp_noc_0`, `disp_occ_0`, `obj_map`"
+    wants = "`image_2`, `image_3`, `disp_noc_0`, `disp_occ_0`, `obj_map`, `calib_cam_to_cam`"
     protocol: ClassVar[str] = "kitti_2015"
     views: ClassVar[tuple[tuple[str, str], ...]] = (("image_2", "image_3"),)
     truths: ClassVar[tuple[str, str, str]] = ("disp_occ_0", "disp_noc_0", "obj_map")
+    calibrations: ClassVar[str] = "calib_cam_to_cam"
 
     def items(self, folder: Folder) -> list[Item]:
         views = next((pair for pair in self.views if folder.has(pair[0])), None)
@@ -29,6 +30,7 @@ class Kitti2015(Layout):
         found: list[Item] = []
         for left in sorted(folder.path.joinpath(views[0]).glob("*_10.png")):
             right, occ, noc, objects = (_beside(folder, where, left) for where in (views[1], *self.truths))
+            frame = left.with_name(left.stem.partition("_")[0] + ".txt")
             found.append(
                 StereoItem(
                     name=folder.prefix + left.stem,
@@ -43,6 +45,8 @@ class Kitti2015(Layout):
                     disparity_scale=_KITTI_SCALE,
                     objects=objects,
                     max_disparity=_RANGE,
+                    calibration=_beside(folder, self.calibrations, frame),
+                    cameras=(0, 1) if views[0] == "image_0" else (2, 3),
                 )
             )
         return found

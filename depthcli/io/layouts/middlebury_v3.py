@@ -47,6 +47,7 @@ class MiddleburyV3(Layout):
                 masks={} if mask is None else {"nonocc": mask},
                 max_disparity=None if top is None else int(top),
                 round_disparity=calib.get("isint", 0) == 1,
+                calibration=folder.one("calib", (".txt",)),
             )
         ]
 

@@ -14,8 +14,8 @@ class Scenes(Layout):
 
     kind = StereoItem
     wants = (
-        "`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), `meta.json` "
-        "(`max_disparity`, `disp_scale`, `protocol`)"
+        "`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), `calib.txt` "
+        "(as `middlebury-v3`), `meta.json` (`max_disparity`, `disp_scale`, `protocol`)"
     )
 
     def items(self, folder: Folder) -> list[Item]:
@@ -45,5 +45,6 @@ class Scenes(Layout):
                 objects=folder.one("objects", IMAGE_SUFFIXES),
                 max_disparity=folder.whole(meta, "max_disparity"),
                 round_disparity=meta.get("isint") is True,
+                calibration=folder.one("calib", (".txt",)),
             )
         ]

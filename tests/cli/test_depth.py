@@ -1,0 +1,188 @@
+"""From disparities to meters: ``depthcli depth`` against the formulas and OpenCV's reprojection."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.core.errors import InputError
+from depthcli.core.maps import Status
+from depthcli.io.calibration import read_geometry, write_geometry
+from depthcli.io.depth import read_depth
+from depthcli.io.disparity import read_pfm, write_disparity_png, write_pfm
+from depthcli.io.images import write_png
+from depthcli.io.pictures import read_status
+
+V3 = """cam0=[713.189 0 56.021; 0 713.189 38.263; 0 0 1]
+cam1=[713.189 0 87.361; 0 713.189 38.263; 0 0 1]
+doffs=31.34
+baseline=178.089
+width=96
+height=64
+ndisp=12
+"""
+KITTI = """P0: 700 0 600 0 0 700 170 0 0 0 1 0
+P1: 700 0 600 -371 0 700 170 0 0 0 1 0
+P2: 710 0 610 42.6 0 710 172 0 0 0 1 0
+P3: 710 0 612 -340.8 0 710 172 0 0 0 1 0
+"""
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def matched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A folder of two scenes of the layout middlebury-v3 and a run on them, with a confidence map and filled pixels."""
+    place = tmp_path_factory.mktemp("depth")
+    size = ("--width", "96", "--height", "64", "--max-disparity", "12", "-n", "2")
+    assert run("sample", "-o", place / "made", *size, "-q") == 0
+    for scene in sorted((place / "made").glob("*/left.png")):
+        folder = place / "scenes" / scene.parent.name
+        folder.mkdir(parents=True)
+        (folder / "im0.png").write_bytes(scene.read_bytes())
+        (folder / "im1.png").write_bytes(scene.with_name("right.png").read_bytes())
+        (folder / "calib.txt").write_text(V3)
+    extra = ("--set", "confidence=[apkr, msm]")
+    assert run("stereo", "fast", "-i", place / "scenes", "-o", place / "run", *extra, "-q") == 0
+    return place / "scenes", place / "run"
+
+
+def vertices(path: Path) -> np.ndarray:
+    """(N, 3) positions and colors of a cloud, as its header describes them."""
+    head, _, data = path.read_bytes().partition(b"end_header\n")
+    assert b"format binary_little_endian" in head
+    table = np.frombuffer(data, [("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    assert f"element vertex {len(table)}\n".encode() in head
+    return table
+
+
+def test_depth_is_that_of_the_formula_and_of_opencv(matched: tuple[Path, Path], tmp_path: Path):
+    scenes, made = matched
+    assert run("depth", made, "-o", tmp_path / "d", "--ply", "--mask", "all", "-q") == 0
+    scene = "planes_0"
+    disparity = read_pfm(made / scene / "disp_left.pfm")
+    known = np.isfinite(disparity)
+    depth = read_pfm(tmp_path / "d" / scene / "depth.pfm")
+    np.testing.assert_allclose(depth[known], 0.178089 * 713.189 / (disparity[known] + 31.34), rtol=1e-6)
+    assert not np.isfinite(depth[~known]).any()
+    q = np.float64([[1, 0, 0, -56.021], [0, 1, 0, -38.263], [0, 0, 0, 713.189], [0, 0, 1 / 0.178089, 31.34 / 0.178089]])
+    points = cv2.reprojectImageTo3D(disparity, q)
+    cloud = vertices(tmp_path / "d" / scene / "points.ply")
+    np.testing.assert_allclose(cloud["xyz"], points[known], rtol=1e-4, atol=1e-6)
+    color = cv2.imread(str(scenes / scene / "im0.png"))[..., ::-1]
+    np.testing.assert_array_equal(cloud["rgb"], color[known])
+    codes = cv2.imread(str(tmp_path / "d" / scene / "depth.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(codes[known], np.rint(depth[known].astype(np.float64) * 1000))
+    np.testing.assert_allclose(read_depth(tmp_path / "d" / scene / "depth.png")[known], depth[known], atol=0.0006)
+    row = json.loads((tmp_path / "d" / "report.json").read_text())["scenes"][1]
+    assert (row["focal"], row["doffs"], row["points"]) == (713.189, 31.34, int(known.sum()))
+
+
+def test_masks(matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    _, made = matched
+    one = (made, "--ply", "--scenes", "planes_0", "-q")
+    disparity = read_pfm(made / "planes_0" / "disp_left.pfm")
+    measured = np.isfinite(disparity) & ((read_status(made / "planes_0" / "status.png") & Status.FILLED) == 0)
+    assert 0.3 < measured.mean() < 1
+    # By default the maps hold everything, the cloud what was measured.
+    assert run("depth", *one, "-o", tmp_path / "a") == 0
+    assert np.isfinite(read_pfm(tmp_path / "a/planes_0/depth.pfm")).sum() == np.isfinite(disparity).sum()
+    assert len(vertices(tmp_path / "a/planes_0/points.ply")) == measured.sum()
+    np.testing.assert_array_equal(
+        read_status(tmp_path / "a/planes_0/status.png"), read_status(made / "planes_0/status.png")
+    )
+    assert run("depth", *one, "-o", tmp_path / "b", "--mask", "measured") == 0
+    np.testing.assert_array_equal(np.isfinite(read_pfm(tmp_path / "b/planes_0/depth.pfm")), measured)
+    assert run("depth", *one, "-o", tmp_path / "c", "--mask", "confident:0.6:apkr") == 0
+    kept = np.isfinite(read_pfm(tmp_path / "c/planes_0/depth.pfm"))
+    assert not (kept & ~measured).any()
+    assert abs(kept.sum() / measured.sum() - 0.6) < 0.02
+    confidence = read_pfm(made / "planes_0" / "confidence_apkr.pfm")
+    assert confidence[kept].min() > confidence[measured & ~kept].max()
+    assert run("depth", *one, "-o", tmp_path / "e", "--mask", "confident:0.6") == 3
+    assert "which confidence map? the run has: apkr, msm" in capsys.readouterr().err
+    assert run("depth", *one, "-o", tmp_path / "f", "--mask", "sure") == 2
+
+
+def test_where_the_calibration_comes_from(matched: tuple[Path, Path], tmp_path: Path, capsys):
+    _, made = matched
+    one = (made, "--scenes", "planes_0", "-q")
+    by_hand = ("--focal", "713.189", "--baseline", "0.178089", "--doffs", "31.34")
+    (tmp_path / "calib.txt").write_text(V3)
+    for name, how in (("a", ()), ("b", by_hand), ("c", ("--calibration", tmp_path / "calib.txt"))):
+        assert run("depth", *one, *how, "-o", tmp_path / name) == 0
+    maps = [(tmp_path / name / "planes_0/depth.pfm").read_bytes() for name in "abc"]
+    assert maps[0] == maps[1] == maps[2]
+    # Another calibration is another result; a wrong one is the scene's failure.
+    (tmp_path / "calib.txt").write_text(V3.replace("178.089", "89"))
+    assert run("depth", *one, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "c") == 0
+    assert (tmp_path / "c/planes_0/depth.pfm").read_bytes() != maps[0]
+    (tmp_path / "calib.txt").write_text(V3.replace("178.089", "wide"))
+    assert run("depth", *one, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "c", "--overwrite") == 3
+    assert "calib.txt: baseline: want 1 number (got 'wide')" in capsys.readouterr().err
+    assert run("depth", *one, "--focal", "700", "-o", tmp_path / "d") == 2
+    assert run("depth", *one, *by_hand, "--calibration", tmp_path / "calib.txt", "-o", tmp_path / "d") == 2
+
+
+def test_a_single_map_of_far_things(tmp_path: Path, capsys):
+    values = np.full((20, 30), 0.5, np.float32)
+    values[:, :10] = 20
+    values[0, 0] = np.nan
+    write_pfm(tmp_path / "map.pfm", values)
+    write_disparity_png(tmp_path / "map.png", values)
+    write_png(tmp_path / "left.png", np.full((20, 30), 90, np.uint8))
+    (tmp_path / "calib.txt").write_text(KITTI)
+    known = ("--calibration", tmp_path / "calib.txt", "--left", tmp_path / "left.png", "--ply")
+    for name in ("map.pfm", "map.png"):
+        assert run("depth", tmp_path / name, *known, "-o", tmp_path / name[-3:]) == 0
+        depth = read_pfm(tmp_path / name[-3:] / "map/depth.pfm")
+        np.testing.assert_allclose(depth[5, [0, 20]], [710 * 0.54 / 22, 710 * 0.54 / 2.5], rtol=1e-6)
+        codes = cv2.imread(str(tmp_path / name[-3:] / "map/depth.png"), cv2.IMREAD_UNCHANGED)
+        assert codes[0, 0] == 0
+        assert codes[5, 20] == 0
+        assert "67 % of the depths are beyond the 65.53 m" in capsys.readouterr().err
+    assert run("depth", tmp_path / "map.pfm", *known, "-o", tmp_path / "k", "--depth-scale", "256") == 0
+    assert "beyond" not in capsys.readouterr().err
+
+
+def test_the_run_has_moved(matched: tuple[Path, Path], tmp_path: Path, capsys):
+    scenes, made = matched
+    copy = tmp_path / "run"
+    copy.mkdir()
+    (copy / "planes_0").mkdir()
+    for name in ("disp_left.pfm", "status.png"):
+        (copy / "planes_0" / name).write_bytes((made / "planes_0" / name).read_bytes())
+    assert run("depth", copy, "-o", tmp_path / "a", "-q") == 3
+    assert "no calibration beside the images; say --calibration" in capsys.readouterr().err
+    assert run("depth", copy, "-o", tmp_path / "b", "-i", scenes, "--ply", "-q") == 0
+    assert run("depth", tmp_path / "absent", "-o", tmp_path / "c") == 2
+    assert run("depth", scenes, "-o", tmp_path / "c") == 2
+
+
+def test_kitti_by_camera(tmp_path: Path):
+    (tmp_path / "calib.txt").write_text(KITTI)
+    grey, color = read_geometry(tmp_path / "calib.txt", (0, 1)), read_geometry(tmp_path / "calib.txt")
+    assert (grey.fb, grey.offset) == (pytest.approx(371), 0)
+    assert (color.fb, color.offset, color.left.cx) == (pytest.approx(383.4), 2, 610)
+    with pytest.raises(InputError, match="left and right exchanged"):
+        read_geometry(tmp_path / "calib.txt", (3, 2))
+    half = color.for_size(500, 100)
+    assert half.size == (500, 100)  # KITTI's projections say no size: taken as they are
+    write_geometry(tmp_path / "own.txt", half, 63)
+    again = read_geometry(tmp_path / "own.txt")
+    assert again.fb == pytest.approx(half.fb)
+    assert (again.offset, again.size) == (2, (500, 100))
+    scaled = again.for_size(250, 50)
+    assert scaled.left.fx == pytest.approx(355)
+    assert scaled.offset == 1
+    # A point's depth stays when its image is halved.
+    np.testing.assert_allclose(scaled.depth(np.float32([[4.0]])), again.depth(np.float32([[8.0]])))
+    with pytest.raises(InputError, match="calibrated for 500 x 100"):
+        again.for_size(250, 100)
