@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from depthcli.fusion.pipeline import Fusion
-from depthcli.stereo.config import MaxDisparity
+from depthcli.stereo.config import MaxDisparity, MinDisparity, check_range
 
 
 class FuseConfig(Fusion):
     """The fields of fusion and the search range, side by side."""
 
     max_disparity: MaxDisparity = None
+    min_disparity: MinDisparity = None
     run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
+
+    @model_validator(mode="after")
+    def _has_a_range(self) -> FuseConfig:
+        check_range(self)
+        return self

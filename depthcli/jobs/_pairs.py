@@ -15,10 +15,13 @@ if TYPE_CHECKING:
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
     from depthcli.core.frames import StereoPair
+    from depthcli.core.maps import DisparityMap
     from depthcli.io.pictures import Palette
+    from depthcli.stereo.search_range import SearchRange
     from depthcli.stereo.volume import StereoResult
 
 _FEW = 0.5  # share of measured pixels below which a map says so
+_AT_END = 0.05  # share of measured pixels at an end of the search range above which it does
 
 
 class PairCommand(ConfigCommand):
@@ -34,11 +37,16 @@ class PairCommand(ConfigCommand):
     def peak_bytes(self, config: Any, shape: tuple[int, int], top: int) -> int:
         """Estimate of the peak working memory."""
 
-    def memory_of(self, config: Any, item: StereoItem) -> int:
-        """By the size of the left image; InputError where the search range is unknown."""
+    def memory_of(self, config: Any, item: StereoItem) -> int | None:
+        """By the size of the left image; None where key points tell the range; InputError where nothing does."""
         from depthcli.batch.plan import shape_of
 
-        return self.peak_bytes(config, shape_of(item.left), _top(config, item))
+        low, top = asked_range(config, item)
+        if top is None:
+            raise _no_range(item)
+        return (
+            self.peak_bytes(config, shape_of(item.left), top - low) if isinstance(low, int) and top != "auto" else None
+        )
 
     def columns(self) -> tuple[Column, ...]:
         """Size of the map, share of pixels with a value, share that was measured rather than filled."""
@@ -61,7 +69,8 @@ class PairCommand(ConfigCommand):
 
     def settings(self, config: Any, item: StereoItem) -> dict[str, str]:
         """The search range, which may come from a file beside the images."""
-        return {"max_disparity": str(config.max_disparity or item.max_disparity)}
+        low, top = asked_range(config, item)
+        return {"max_disparity": str(top), **({} if low == 0 else {"min_disparity": str(low)})}
 
     def compute(self, config: Any, item: StereoItem, folder: Path, memory: int) -> Outcome:
         """Match one pair.
@@ -80,10 +89,13 @@ class PairCommand(ConfigCommand):
 
         clock = Clock()
         pair = item.load()
-        top = _top(config, item)
-        self._check_memory(config, pair, top, memory)
         clock.stop("load")
-        result = self.match(config, item, pair, top)
+        search, said = _search_range(config, item, pair)
+        clock.stop("range")
+        shifted = search.shift(pair)
+        self._check_memory(config, shifted, search.last, memory)
+        clock.stop("load")
+        result = search.restore(self.match(config, item, shifted, search.last), pair.shape[1])
         clock.stop("other")
         clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
         status = result.disparity.status
@@ -91,16 +103,20 @@ class PairCommand(ConfigCommand):
         facts = {
             "width": pair.shape[1],
             "height": pair.shape[0],
-            "max_disparity": top,
+            "max_disparity": search.top,
+            **({"min_disparity": search.low} if search.low or said else {}),
+            **said,
             "density": round(result.disparity.density, 6),
             "measured": round(measured, 6),
             **({"bits": pair.bits} if _partly_used(pair) else {}),
             **{name: float(value) for name, value in result.figures.items()},
         }
-        save_stereo(result, folder, top)
+        save_stereo(result, folder, search.low, search.top)
         clock.stop("save")
+        if "range_matches" not in said:
+            del clock.seconds["range"]
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
-        return Outcome(facts, seconds, _warnings(pair, measured))
+        return Outcome(facts, seconds, [*_warnings(pair, measured), *_range_warnings(result.disparity, search, said)])
 
     def _check_memory(self, config: Any, pair: StereoPair, top: int, memory: int) -> None:
         from depthcli.batch.resources import show_bytes
@@ -113,11 +129,49 @@ class PairCommand(ConfigCommand):
             )
 
 
-def _top(config: Any, item: StereoItem) -> int:
-    top: int | None = config.max_disparity or item.max_disparity
+def asked_range(config: Any, item: StereoItem) -> tuple[int | str, int | str | None]:
+    """Ends of the range as they were said, the upper one None where it was not."""
+    low = item.min_disparity if config.min_disparity is None else config.min_disparity
+    return low, item.max_disparity if config.max_disparity is None else config.max_disparity
+
+
+def _no_range(item: StereoItem) -> InputError:
+    return InputError(f"{item.folder}: the search range is not known; say it with --max-disparity, or auto")
+
+
+def _search_range(config: Any, item: StereoItem, pair: StereoPair) -> tuple[SearchRange, dict[str, int]]:
+    """The range, and where key points were asked for it what they said."""
+    from depthcli.stereo.search_range import SearchRange, range_of_key_points
+
+    low, top = asked_range(config, item)
     if top is None:
-        raise InputError(f"{item.folder}: the search range is not known; say it with --max-disparity")
-    return top
+        raise _no_range(item)
+    said = {}
+    if "auto" in (low, top):
+        found, matches = range_of_key_points(pair)
+        said = {"range_matches": matches, "range_low": found.low, "range_top": found.top}
+        low, top = (found.low if low == "auto" else low), (found.top if top == "auto" else top)
+    assert isinstance(low, int) and isinstance(top, int)
+    if top <= low:
+        raise InputError(f"{item.folder}: disparities from {low} to {top} are to be searched, which are none")
+    return SearchRange(low, top), said
+
+
+def _range_warnings(disparity: DisparityMap, search: SearchRange, said: dict[str, int]) -> list[str]:
+    """Of pixels at the range's ends, and of files that cannot hold it."""
+    found = []
+    for share, end, option in zip(
+        search.share_at_ends(disparity), (search.low, search.top), ("--min-disparity", "--max-disparity"), strict=True
+    ):
+        if share > _AT_END:
+            found.append(
+                f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
+            )
+    if said and search.low > said["range_low"] and said["range_low"] < 0:
+        found.append(f"key points have disparities down to {said['range_low']}; see --min-disparity")
+    if search.low < 0:
+        found.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
+    return found
 
 
 def _partly_used(pair: StereoPair) -> bool:

@@ -26,13 +26,17 @@ from depthcli.kinect.result import RefinedDepth
 from depthcli.stereo.volume import StereoResult
 
 
-def save_stereo(result: StereoResult, folder: Path, max_disparity: int) -> None:
-    """Write everything a stereo pipeline gave into the existing ``folder``."""
+def save_stereo(result: StereoResult, folder: Path, low: int, top: int) -> None:
+    """Write everything a stereo pipeline gave for the disparities ``low`` .. ``top`` into the existing ``folder``.
+
+    The PNG has no code for what is negative: those pixels have no value there.
+    """
     values = result.disparity.values
     write_pfm(folder / "disp_left.pfm", values)
-    write_disparity_png(folder / "disp_left.png", values)
+    shown = np.where(values < 0, np.float32(np.nan), values) if low < 0 else values
+    write_disparity_png(folder / "disp_left.png", shown)
     write_status(folder / "status.png", result.disparity.status, STATUS_PALETTE)
-    write_png(folder / "preview.png", preview(values, max_disparity))
+    write_png(folder / "preview.png", preview(values - np.float32(low), top - low))
     _save_rest(result, folder)
 
 

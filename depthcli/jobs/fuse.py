@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from depthcli.core.errors import InputError
 from depthcli.io.items.stereo import StereoItem
-from depthcli.jobs._pairs import PairCommand
+from depthcli.jobs._pairs import PairCommand, asked_range
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -32,6 +33,8 @@ class FuseCommand(PairCommand):
         """Fuse, then finish as ``stereo`` does."""
         from depthcli.io.cost_volume import read_cost_volume
 
+        if self._volumes(config, item) and asked_range(config, item)[0] != 0:
+            raise InputError(f"{item.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
         volumes = {name: read_cost_volume(file) for name, file in self._volumes(config, item).items()}
         result: StereoResult = config(pair, top, volumes)
         return result

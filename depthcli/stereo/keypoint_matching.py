@@ -43,27 +43,28 @@ def match_rectified(
     ratio: float = 0.7,
     max_distance: float = 0.2,
     max_scale_ratio: float = 1.1,
+    min_disparity: float = 0.0,
 ) -> Matches:
     """Mutual nearest neighbors in descriptor space along epipolar lines (eq. 2.1) that pass the ratio test.
 
-    Candidates lie less than ``max_row_difference`` rows apart, have a disparity in [0, ``max_disparity``]
-    and the same sign of the Laplacian, and about the same scale: in a rectified pair a patch keeps its
-    height. (On Cones 9 % of the matches with scales within 5 % are wrong; beyond 10 % it is 8 in 10.)
+    Candidates lie less than ``max_row_difference`` rows apart, have a disparity in [``min_disparity``,
+    ``max_disparity``] and the same sign of the Laplacian, and about the same scale: in a rectified pair a patch
+    keeps its height. (On Cones 9 % of the matches with scales within 5 % are wrong; beyond 10 % it is 8 in 10.)
     The ratio test compares with the best candidate elsewhere on the line, at least two pixels away: two
     responses to one blob do not make it ambiguous.
 
     Parameters
     ----------
     left, right : key points of the two images, of one detector
-    max_disparity : pixels
+    max_disparity, min_disparity : pixels
     max_row_difference : pixels
     ratio : a match must be nearer than this times the second candidate, from both sides; 1 = no test
     max_distance : farther descriptors never match; two unit vectors are at most 2 apart
     max_scale_ratio : the larger scale of a match over the smaller, at most
     """
     limits = (max_row_difference, ratio, max_scale_ratio)
-    nearest, distance = _search(left, right, 0.0, max_disparity, *limits)
-    back, _ = _search(right, left, -max_disparity, 0.0, *limits)
+    nearest, distance = _search(left, right, min_disparity, max_disparity, *limits)
+    back, _ = _search(right, left, -max_disparity, -min_disparity, *limits)
     one = np.flatnonzero((nearest >= 0) & (distance <= max_distance)).astype(np.int32)
     one = one[back[nearest[one]] == one]
     other = nearest[one]

@@ -83,9 +83,10 @@ class MiddleburyV3(DisparityProtocol):
             factor = truth.disparity.shape[1] // estimate.shape[1]
             # The range of the smaller image, rounded up to whole pixels, at the truth's size.
             top = np.float32(factor * math.ceil(truth.max_disparity / factor))
-            fitted[fitted > top * _ABSURD] = np.nan
+            fitted[fitted > max(abs(float(top)), 1.0) * _ABSURD] = np.nan
             fitted = np.minimum(fitted, top)
-        fitted = np.maximum(fitted, np.float32(0))
+        least = np.nanmin(truth.disparity, initial=np.float32(0))  # of pairs that are cropped or converge
+        fitted = np.maximum(fitted, least)
         return np.floor(fitted + np.float32(0.5)) if truth.round_disparity else fitted
 
     def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:

@@ -56,6 +56,7 @@ class StereoItem(Item):
     masks : name -> file; a pixel counts where the value is 255
     objects : KITTI 2015 object map (> 0: foreground) or None
     max_disparity : largest disparity to search, inclusive, or None
+    min_disparity : smallest disparity to search
     round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
     calibration : file that says how disparities become depth, or None
     cameras : numbers of the pair's cameras in a calibration of several (KITTI)
@@ -64,8 +65,11 @@ class StereoItem(Item):
     options: ClassVar[tuple[Option, ...]] = (
         Option("left", Path, "Left image, instead of --input.", "FILE"),
         Option("right", Path, "Right image, instead of --input.", "FILE"),
-        Option("max_disparity", int, "Largest disparity searched.", "PIXELS", sets="max_disparity"),
-    )
+        Option("max_disparity", str, "Largest disparity searched; auto: by key points.", "PIXELS|auto",
+               sets="max_disparity"),
+        Option("min_disparity", str, "Smallest disparity searched, also negative; default 0.", "PIXELS|auto",
+               sets="min_disparity"),
+    )  # fmt: skip
 
     left: Path
     right: Path | None = None
@@ -77,6 +81,7 @@ class StereoItem(Item):
     masks: dict[str, Path] = field(default_factory=dict)
     objects: Path | None = None
     max_disparity: int | None = None
+    min_disparity: int = 0
     round_disparity: bool = False
     calibration: Path | None = None
     cameras: tuple[int, int] = (2, 3)

@@ -92,6 +92,14 @@ class Folder:
             raise InputError(f"{self.path / 'meta.json'}: {key}: want a whole number (got {value!r})")
         return None if value is None else int(value)
 
+    def integer(self, meta: dict[str, Any], key: str, most: int = 1 << 20) -> int | None:
+        """A whole number of either sign of ``meta.json``, or None where it has none."""
+        value = meta.get(key)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)
+                                  or value != value // 1 or abs(value) > most):  # fmt: skip
+            raise InputError(f"{self.path / 'meta.json'}: {key}: want a whole number (got {value!r})")
+        return None if value is None else int(value)
+
     def text(self, meta: dict[str, Any], key: str, default: str) -> str:
         """A word of ``meta.json``, or ``default``."""
         value = meta.get(key, default)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from depthcli.core.errors import InputError
 from depthcli.io.disparity import MAP_SUFFIXES
 from depthcli.io.images import IMAGE_SUFFIXES
 from depthcli.io.items import Item
@@ -15,7 +16,7 @@ class Scenes(Layout):
     kind = StereoItem
     wants = (
         "`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), `calib.txt` "
-        "(as `middlebury-v3`), `meta.json` (`max_disparity`, `disp_scale`, `protocol`)"
+        "(as `middlebury-v3`), `meta.json` (`max_disparity`, `min_disparity`, `disp_scale`, `protocol`)"
     )
 
     def items(self, folder: Folder) -> list[Item]:
@@ -27,6 +28,9 @@ class Scenes(Layout):
         if left is None or (right is None and truth is None):
             problem = f"{folder.path}: only one image of the pair, no {'right' if left else 'left'}.*"
         meta = folder.meta()
+        low, top = folder.integer(meta, "min_disparity") or 0, folder.integer(meta, "max_disparity")
+        if top is not None and top <= low:
+            raise InputError(f"{folder.path / 'meta.json'}: max_disparity: want a number above {low} (got {top})")
         masks = folder.starting("mask_", IMAGE_SUFFIXES)
         return [
             StereoItem(
@@ -43,7 +47,8 @@ class Scenes(Layout):
                 disparity_scale=folder.positive(meta, "disp_scale"),
                 masks={name: file for name, file in masks.items() if not name.endswith("_right")},
                 objects=folder.one("objects", IMAGE_SUFFIXES),
-                max_disparity=folder.whole(meta, "max_disparity"),
+                max_disparity=top,
+                min_disparity=low,
                 round_disparity=meta.get("isint") is True,
                 calibration=folder.one("calib", (".txt",)),
             )
