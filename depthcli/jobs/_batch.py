@@ -20,12 +20,13 @@ if TYPE_CHECKING:
     from depthcli.batch.tables import Column
     from depthcli.io.pictures import Palette
 
-_INPUT = Option("input", Path, "Folder of scenes.", "DIR", short="-i")
+INPUT = Option("input", Path, "Folder of scenes.", "DIR", short="-i")
 OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True)
 LAYOUT = Option("layout", str, "Layout of the folder, where it is not recognized.", "NAME")
 SCENES = Option("scenes", str, "Only scenes whose name matches; repeatable.", "GLOB", many=True)
+NAME = Option("name", str, "Name of a single scene; default: its file's or folder's.", "NAME")
 _SELECT = (
-    Option("name", str, "Name of a single scene; default: its file's or folder's.", "NAME"),
+    NAME,
     LAYOUT,
     SCENES,
     Option("set", str, "Override one key; repeatable.", "KEY=VALUE", many=True),
@@ -141,7 +142,7 @@ class ConfigCommand(BatchCommand):
     def options(self) -> tuple[Option, ...]:
         """What the kinds of item declare, between what all batches share."""
         own = {option.name: option for kind in self.kinds for option in kind.options}
-        return (_INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE, _HTML, _DRY)
+        return (INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE, _HTML, _DRY)
 
     @abstractmethod
     def config_model(self) -> type[BaseModel]:
@@ -156,25 +157,7 @@ class ConfigCommand(BatchCommand):
 
     def find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Item]:
         """The items that the command line means."""
-        from depthcli.io.walk import find_items
-
-        single = next((item for kind in self.kinds if (item := kind.single(values)) is not None), None)
-        if single is not None:
-            if values["input"] is not None:
-                raise ConfigError(f"--input and {self._single_options()} exclude each other")
-            if _evaluates(values):
-                raise ConfigError("--evaluate wants --input: a single scene has no ground truth")
-            return [single if values["name"] is None else _renamed(single, values["name"])]
-        if values["input"] is None:
-            raise ConfigError(f"want --input DIR, or {self._single_options()}")
-        if values["name"] is not None:
-            raise ConfigError(f"--name is for a single scene, given by {self._single_options()}")
-        patterns = values["scenes"] or ["*"]
-        return find_items(values["input"], self.kinds, values["layout"], patterns, reporter.info)
-
-    def _single_options(self) -> str:
-        kinds = (" and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path) for kind in self.kinds)
-        return ", or ".join(text for text in kinds if text)
+        return find_scenes(self.kinds, values, reporter)
 
     def config(self, values: Mapping[str, Any]) -> BaseModel:
         """The config that the command line means; ConfigError with all that is wrong."""
@@ -191,6 +174,37 @@ class ConfigCommand(BatchCommand):
             settings,
             lambda name: find_preset(self.name, name),
         )
+
+
+def find_scenes(kinds: tuple[type[Item], ...], values: Mapping[str, Any], reporter: Reporter) -> list[Item]:
+    """The items that ``--input``, or the files of a single one, mean.
+
+    Raises
+    ------
+    ConfigError
+        Neither or both are given.
+    InputError
+        As :func:`depthcli.io.walk.find_items`.
+    """
+    from depthcli.io.walk import find_items
+
+    single = next((item for kind in kinds if (item := kind.single(values)) is not None), None)
+    if single is not None:
+        if values["input"] is not None:
+            raise ConfigError(f"--input and {_single_options(kinds)} exclude each other")
+        if _evaluates(values):
+            raise ConfigError("--evaluate wants --input: a single scene has no ground truth")
+        return [single if values["name"] is None else _renamed(single, values["name"])]
+    if values["input"] is None:
+        raise ConfigError(f"want --input DIR, or {_single_options(kinds)}")
+    if values["name"] is not None:
+        raise ConfigError(f"--name is for a single scene, given by {_single_options(kinds)}")
+    return find_items(values["input"], kinds, values["layout"], values["scenes"] or ["*"], reporter.info)
+
+
+def _single_options(kinds: tuple[type[Item], ...]) -> str:
+    texts = (" and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path) for kind in kinds)
+    return ", or ".join(text for text in texts if text)
 
 
 def run_options(values: Mapping[str, Any]) -> Any:

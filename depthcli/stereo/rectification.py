@@ -1,0 +1,176 @@
+"""Rows of two views made to correspond: matches between any two views, and rectification without a calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+
+Points = NDArray[np.float64]
+"""(N, 2) x and y, pixels."""
+
+_MOST_PIXELS = 2_000_000  # larger images are matched at this size
+_MOST_POINTS = 6000
+_RATIO = 0.75  # a match must be nearer than this times the second candidate
+_FEWEST = 20
+_MOST_ROWS = 1.0  # median row error, pixels, that a pair rectified without calibration may keep
+_STEPS = 60
+_FOCALS = (1.0, 1.5, 0.7, 2.5)  # of the longer side: where the search begins
+_PRIOR = 0.1  # pixels a radian, and a unit of log f: what cannot be told stays as it is
+_FIRST = 0.02  # of the width: the smallest disparity of the matches afterwards
+
+
+def match_views(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Points, Points]:
+    """Matched key points (SIFT, mutual nearest neighbors, ratio test) of two (H, W) uint8 views; some are wrong."""
+    found = []
+    for image in (left, right):
+        height, width = image.shape
+        shrink = min(1.0, (_MOST_PIXELS / (height * width)) ** 0.5)
+        small = image
+        if shrink < 1:
+            small = np.asarray(cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA), np.uint8)
+        points, descriptors = cv2.SIFT.create(nfeatures=_MOST_POINTS).detectAndCompute(small, None)
+        places = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
+        scale = np.array([width / small.shape[1], height / small.shape[0]])
+        found.append(((places + 0.5) * scale - 0.5, descriptors))
+    (one, of_one), (other, of_other) = found
+    if len(one) < 2 or len(other) < 2:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    matcher = cv2.BFMatcher()
+    back = {match.queryIdx: match.trainIdx for match in matcher.match(of_other, of_one)}
+    kept = [
+        (best.queryIdx, best.trainIdx)
+        for best, second in matcher.knnMatch(of_one, of_other, k=2)
+        if best.distance < _RATIO * second.distance and back.get(best.trainIdx) == best.queryIdx
+    ]
+    pairs = np.array(sorted(kept), np.int64).reshape(-1, 2)
+    return one[pairs[:, 0]], other[pairs[:, 1]]
+
+
+def row_error(left: Points, right: Points) -> float:
+    """Median difference of the rows of matched points, pixels; NaN without any."""
+    return float(np.median(np.abs(left[:, 1] - right[:, 1]))) if len(left) else float("nan")
+
+
+@dataclass(frozen=True)
+class RectifyingHomographies:
+    """How both views are warped to ``size``, (width, height); (3, 3) each."""
+
+    left: NDArray[np.float64]
+    right: NDArray[np.float64]
+    size: tuple[int, int]
+
+    def images(self, left: NDArray[Any], right: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
+        """Both warped images, and (H, W) bool of the pixels that both hold."""
+        views, seen = [], np.ones(self.size[::-1], bool)
+        for image, homography in ((left, self.left), (right, self.right)):
+            views.append(cv2.warpPerspective(image, homography, self.size, flags=cv2.INTER_CUBIC))
+            full = np.full(image.shape[:2], 255, np.uint8)
+            seen &= cv2.warpPerspective(full, homography, self.size, flags=cv2.INTER_NEAREST) > 0
+        return views[0], views[1], seen
+
+    def points(self, left: Points, right: Points) -> tuple[Points, Points]:
+        """(N, 2) pixels of both views where they come to lie."""
+        return _moved(self.left, left), _moved(self.right, right)
+
+
+def rectify_uncalibrated(left: Points, right: Points, size: tuple[int, int]) -> RectifyingHomographies:
+    """Turn both cameras, whose focal length is not known, so that matched points lie in the same rows.
+
+    The homographies are those of two turned pin-hole cameras of one focal length, so that the images keep their
+    shape (quasi-Euclidean rectification, Fusiello and Irsara, ICPR 2008); of the matches only those count that
+    a fundamental matrix explains (MAGSAC). Afterwards the right view is moved along the rows so that disparities
+    begin a little above 0.
+
+    Parameters
+    ----------
+    left, right : matched pixels, some of them wrong
+    size : (width, height) of both views
+
+    Raises
+    ------
+    InputError
+        Too few matches, or half of them stay more than a pixel apart.
+    """
+    if len(left) < _FEWEST:
+        raise InputError(f"only {len(left)} key points match, at least {_FEWEST} are needed to rectify a pair")
+    _, inside = cv2.findFundamentalMat(left, right, cv2.USAC_MAGSAC, 1.0, 0.999, 10_000)
+    chosen = np.zeros(len(left), bool) if inside is None else inside.ravel() > 0
+    if chosen.sum() < _FEWEST:
+        raise InputError(f"no geometry of two views explains the {len(left)} matched key points")
+    best: tuple[float, RectifyingHomographies] | None = None
+    for focal in _FOCALS:
+        found = _fitted(left[chosen], right[chosen], size, focal * max(size))
+        error = row_error(*found.points(left, right))
+        if best is None or error < 0.9 * best[0]:
+            best = (error, found)
+    assert best is not None
+    error, found = best
+    if not error <= _MOST_ROWS:
+        raise InputError(
+            f"the rows of half of the {len(left)} matched key points stay more than {error:.1f} px apart, at most "
+            f"{_MOST_ROWS:g} px may be left; calibrate the cameras"
+        )
+    return found
+
+
+def _fitted(left: Points, right: Points, size: tuple[int, int], focal: float) -> RectifyingHomographies:
+    """Levenberg-Marquardt over two and three angles and the focal length, with Huber's weights."""
+    parameters, damping = np.zeros(6), 1e-3
+    weigh = np.sqrt(len(left)) * _PRIOR
+
+    def residual(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        one, other = (_moved(h, p) for h, p in zip(_turned(values, size, focal), (left, right), strict=True))
+        rows = one[:, 1] - other[:, 1]
+        rows *= 1 / np.sqrt(np.maximum(np.abs(rows), 1.0))
+        return np.concatenate([rows, weigh * values])
+
+    here = residual(parameters)
+    for _ in range(_STEPS):
+        columns = [(residual(parameters + step) - residual(parameters - step)) / 2e-6 for step in 1e-6 * np.eye(6)]
+        jacobian = np.stack(columns, axis=1)
+        normal = jacobian.T @ jacobian
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -jacobian.T @ here)
+        trial = residual(parameters + step)
+        if trial @ trial < here @ here:
+            parameters, here, damping = parameters + step, trial, damping / 10
+            if np.abs(step).max() < 1e-9:
+                break
+        else:
+            damping *= 10
+            if damping > 1e9:
+                break
+    one, other = _turned(parameters, size, focal)
+    middle = np.array([[(size[0] - 1) / 2, (size[1] - 1) / 2]])
+    shift = middle - _moved(one, middle)
+    ours, theirs = _moved(one, left), _moved(other, right)
+    first = float(np.quantile(ours[:, 0] - theirs[:, 0], 0.01)) - _FIRST * size[0]
+    return RectifyingHomographies(
+        _shift(shift[0, 0], shift[0, 1]) @ one, _shift(shift[0, 0] + first, shift[0, 1]) @ other, size
+    )
+
+
+def _turned(
+    values: NDArray[np.float64], size: tuple[int, int], focal: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    f = focal * np.exp(np.clip(values[5], -2, 2))
+    camera = np.array([[f, 0, (size[0] - 1) / 2], [0, f, (size[1] - 1) / 2], [0, 0, 1]])
+    inverse = np.linalg.inv(camera)
+    one = np.asarray(cv2.Rodrigues(np.array([0.0, values[0], values[1]]))[0], np.float64)
+    other = np.asarray(cv2.Rodrigues(values[2:5].copy())[0], np.float64)
+    return camera @ one @ inverse, camera @ other @ inverse
+
+
+def _shift(x: float, y: float) -> NDArray[np.float64]:
+    return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
+
+
+def _moved(homography: NDArray[np.float64], points: Points) -> Points:
+    if len(points) == 0:
+        return np.zeros((0, 2))
+    return np.asarray(cv2.perspectiveTransform(points[:, None], homography), np.float64)[:, 0]

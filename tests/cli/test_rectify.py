@@ -1,0 +1,323 @@
+"""Rigs with known cameras and a known room: rectified by every kind of calibration, matched, turned into meters."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.core.errors import InputError
+from depthcli.core.stereo_rig import Lens, StereoRig
+from depthcli.io.calibration import read_geometry
+from depthcli.io.disparity import read_pfm
+from depthcli.io.images import read_image, write_png
+from depthcli.io.pictures import read_status
+from depthcli.io.stereo_rig import read_stereo_rig
+from depthcli.stereo.rectification import match_views, rectify_uncalibrated, row_error
+
+SIZE = (240, 180)
+# Planes n . X = 1 in the left camera's frame, nearest last: a slanted wall, a board in front of it.
+WALL, BOARD = np.array([0.05, 0.02, 0.34]), np.array([0.0, 0.03, 0.55])
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(a) for a in arguments])
+
+
+def rotation(*degrees: float) -> np.ndarray:
+    return cv2.Rodrigues(np.radians(np.array(degrees)))[0]
+
+
+def rig(fisheye: bool = False, strength: float = 1.0) -> StereoRig:
+    lens = (0.02, -0.01, 0.003, -0.001) if fisheye else (-0.12, 0.03, 0.001, -0.0008, 0.0)
+    lenses = [
+        Lens(np.array([[f, 0, cx], [0, f + 1.5, cy], [0, 0, 1]]), lens, SIZE, fisheye)
+        for f, cx, cy in ((190.0, 121.0, 88.0), (194.0, 117.5, 91.0))
+    ]
+    turn = rotation(*(strength * np.array([1.6, -2.2, 1.1])))
+    return StereoRig(*lenses, turn, turn @ np.array([-0.14, 0.006 * strength, -0.004 * strength]))
+
+
+def seen(rays: np.ndarray, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) that rays from ``center`` meet, in the left camera's frame, and whether they are the board's."""
+    far, near = (center + rays * ((1 - center @ plane) / (rays @ plane))[:, None] for plane in (WALL, BOARD))
+    board = (np.abs(near[:, 0] + 0.05) < 0.35) & (np.abs(near[:, 1]) < 0.28)
+    return np.where(board[:, None], near, far), board
+
+
+def photo(lens: Lens, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """(H, W, 3) uint8: what a camera at x' = turn x + shift sees; the mean of nine rays a pixel."""
+    noise = np.random.default_rng(5).random((2, 1024, 1024, 3)).astype(np.float32)
+    noise = np.stack([cv2.GaussianBlur(each, (0, 0), 2.2) for each in noise])
+    noise = (noise - noise.min()) / (noise.max() - noise.min())
+    x, y = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
+    total = np.zeros((SIZE[1], SIZE[0], 3))
+    eye = np.hstack([np.eye(3), np.zeros((3, 1))])
+    for dx in (-1 / 3, 0, 1 / 3):
+        for dy in (-1 / 3, 0, 1 / 3):
+            plane = lens.straightened(np.stack([x.ravel() + dx, y.ravel() + dy], 1), np.eye(3), eye)
+            rays = np.hstack([plane, np.ones((len(plane), 1))]) @ turn  # of x = turn.T (x' - shift)
+            points, board = seen(rays, -turn.T @ shift)
+            u, v = (((points[:, k] * 160 + 512) % 1023).astype(np.float32).reshape(x.shape) for k in (0, 1))
+            pictures = [cv2.remap(each, u, v, cv2.INTER_LINEAR) for each in noise]
+            total += np.where(board.reshape(x.shape)[..., None], pictures[1], pictures[0])
+    return np.rint(total / 9 * 255).clip(0, 255).astype(np.uint8)
+
+
+class Shot(NamedTuple):
+    rig: StereoRig
+    left: Path
+    right: Path
+
+
+def shot(folder: Path, taken: StereoRig) -> Shot:
+    left = photo(taken.left, np.eye(3), np.zeros(3))
+    right = photo(taken.right, taken.rotation, taken.translation)
+    write_png(folder / "left.png", left)
+    write_png(folder / "right.png", right)
+    return Shot(taken, folder / "left.png", folder / "right.png")
+
+
+@pytest.fixture(scope="module")
+def pinhole(tmp_path_factory: pytest.TempPathFactory) -> Shot:
+    return shot(tmp_path_factory.mktemp("pinhole"), rig())
+
+
+@pytest.fixture(scope="module")
+def fish(tmp_path_factory: pytest.TempPathFactory) -> Shot:
+    return shot(tmp_path_factory.mktemp("fish"), rig(fisheye=True))
+
+
+def opencv(file: Path, taken: StereoRig, names: str = "K1 D1 K2 D2 R T", unit: float = 1.0) -> Path:
+    values = (
+        taken.left.matrix, taken.left.coefficients, taken.right.matrix, taken.right.coefficients, taken.rotation,
+        taken.translation[:, None] / unit,
+    )  # fmt: skip
+    storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_WRITE)
+    for name, value in zip(names.split(), values, strict=True):
+        storage.write(name, value)
+    storage.release()
+    return file
+
+
+def ros(folder: Path, taken: StereoRig) -> list[Path]:
+    found = taken.rectified(SIZE, SIZE)
+    files = []
+    for name, lens, turn, projection in (
+        ("left", taken.left, found.turn, found.projection),
+        ("right", taken.right, found.turn_right, found.projection_right),
+    ):
+        model = "equidistant" if lens.fisheye else "plumb_bob"
+        text = f"image_width: {SIZE[0]}\nimage_height: {SIZE[1]}\ncamera_name: {name}\ndistortion_model: {model}\n"
+        for key, value in (
+            ("camera_matrix", lens.matrix), ("distortion_coefficients", lens.coefficients[None]),
+            ("rectification_matrix", turn), ("projection_matrix", projection),
+        ):  # fmt: skip
+            rows, columns = value.shape
+            text += f"{key}:\n  rows: {rows}\n  cols: {columns}\n  data: {value.ravel().tolist()}\n"
+        files.append(folder / f"{name}.yaml")
+        files[-1].write_text(text)
+    return files
+
+
+def kalibr(file: Path, taken: StereoRig) -> Path:
+    text = ""
+    for name, lens in (("cam0", taken.left), ("cam1", taken.right)):
+        text += f"{name}:\n  camera_model: pinhole\n  distortion_model: {'equidistant' if lens.fisheye else 'radtan'}\n"
+        text += f"  distortion_coeffs: {list(lens.distortion[:4])}\n"
+        k = lens.matrix
+        text += (
+            f"  intrinsics: {[float(v) for v in (k[0, 0], k[1, 1], k[0, 2], k[1, 2])]}\n  resolution: {list(SIZE)}\n"
+        )
+    place = np.eye(4)
+    place[:3, :3], place[:3, 3] = taken.rotation, taken.translation
+    file.write_text(text + f"  T_cn_cnm1: {place.tolist()}\n")
+    return file
+
+
+def kitti(file: Path, taken: StereoRig) -> Path:
+    """Cameras 2 and 3, both turned against camera 0."""
+    turn, shift = rotation(3, -2, 1), np.array([0.06, 0.01, 0.02])
+    lines = []
+    for number, lens, r, t in (
+        (2, taken.left, turn, shift),
+        (3, taken.right, taken.rotation @ turn, taken.rotation @ shift + taken.translation),
+    ):
+        for key, value in (("S", np.array(SIZE)), ("K", lens.matrix), ("D", lens.coefficients), ("R", r), ("T", t)):
+            lines.append(f"{key}_0{number}: " + " ".join(f"{v:.15e}" for v in value.ravel()))
+    file.write_text("calib_time: 09-Jan-2012 13:57:47\ncorner_dist: 9.95e-02\n" + "\n".join(lines) + "\n")
+    return file
+
+
+def same_rig(one: StereoRig, other: StereoRig) -> None:
+    for a, b in ((one.left, other.left), (one.right, other.right)):
+        np.testing.assert_allclose(a.matrix, b.matrix, atol=1e-9)
+        np.testing.assert_allclose(np.resize(a.distortion, 4), np.resize(b.distortion, 4), atol=1e-12)
+        assert a.fisheye == b.fisheye
+    np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-9)
+    np.testing.assert_allclose(one.translation, other.translation, atol=1e-9)
+
+
+@pytest.mark.parametrize("fisheye", [False, True])
+def test_every_kind_of_file_gives_the_rig(fisheye: bool, tmp_path: Path):
+    taken = rig(fisheye)
+    for suffix in ("yml", "xml", "json"):
+        same_rig(read_stereo_rig([opencv(tmp_path / f"a.{suffix}", taken)], fisheye=fisheye), taken)
+    old = opencv(tmp_path / "old.yml", taken, "M1 D1 M2 D2 R T", 0.001)
+    same_rig(read_stereo_rig([old], "mm", fisheye), taken)
+    with pytest.raises(InputError, match="--unit mm"):
+        read_stereo_rig([old], fisheye=fisheye)
+    same_rig(read_stereo_rig(ros(tmp_path, taken)), taken)
+    same_rig(read_stereo_rig([kalibr(tmp_path / "chain.yaml", taken)]), taken)
+    if not fisheye:
+        same_rig(read_stereo_rig([kitti(tmp_path / "calib_cam_to_cam.txt", taken)]), taken)
+
+
+def check_depth(scenes: Path, taken: StereoRig, tmp_path: Path, alpha: float = 0.0) -> None:
+    """Match the rectified pair, turn it into meters, compare with where the rays meet the room."""
+    assert run("stereo", "fast", "-i", scenes, "-o", tmp_path / "run", "-q") == 0
+    assert run("depth", tmp_path / "run", "-o", tmp_path / "depth", "--mask", "measured", "-q") == 0
+    (scene,) = (path.parent.name for path in scenes.glob("*/left.png"))
+    depth = read_pfm(tmp_path / "depth" / scene / "depth.pfm")
+    found = taken.rectified(SIZE, SIZE, alpha)
+    k = found.geometry.left
+    x, y = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
+    rays = np.stack([(x - k.cx) / k.fx, (y - k.cy) / k.fy, np.ones_like(x)], 2).reshape(-1, 3) @ found.turn
+    points, _ = seen(rays, np.zeros(3))
+    true = (points @ found.turn.T)[:, 2].reshape(x.shape)
+    measured = np.isfinite(depth)
+    assert measured.mean() > 0.6
+    error = (depth - true)[measured] / true[measured]
+    # A pixel is 6 to 12 % of the depth here: no bias, and a sixth of a pixel at most half of the time.
+    assert abs(np.median(error)) < 0.004
+    assert np.median(np.abs(error)) < 0.015
+    assert np.mean(np.abs(error) < 0.04) > 0.93
+
+
+@pytest.mark.parametrize("kind", ["opencv", "ros", "kalibr", "kitti"])
+def test_a_rectified_pair_has_rows_that_correspond_and_the_right_depth(kind: str, pinhole: Shot, tmp_path: Path):
+    taken = pinhole.rig
+    files = {
+        "opencv": lambda: [opencv(tmp_path / "c.yml", taken)],
+        "ros": lambda: ros(tmp_path, taken),
+        "kalibr": lambda: [kalibr(tmp_path / "c.yaml", taken)],
+        "kitti": lambda: [kitti(tmp_path / "c.txt", taken)],
+    }[kind]()
+    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room")
+    how = [option for file in files for option in ("--calibration", file)]
+    assert run("rectify", *images, *how, "-o", tmp_path / "scenes", "-q") == 0
+    row = json.loads((tmp_path / "scenes/report.json").read_text())["scenes"][0]
+    assert row["matches"] > 100
+    assert row["row_error_before"] > 1.5
+    assert row["row_error"] < 0.25
+    assert row["overlap"] == 1
+    assert row["baseline"] == pytest.approx(np.linalg.norm(taken.translation))
+    assert sorted(p.name for p in (tmp_path / "scenes/room").iterdir()) == [
+        "calib.txt", "left.png", "meta.json", "record.json", "right.png",
+    ]  # fmt: skip
+    geometry = read_geometry(tmp_path / "scenes/room/calib.txt")
+    assert geometry.fb == pytest.approx(taken.rectified(SIZE, SIZE).geometry.fb)
+    if kind == "opencv":
+        check_depth(tmp_path / "scenes", taken, tmp_path)
+
+
+def test_fisheye_lenses(fish: Shot, tmp_path: Path):
+    calibration = opencv(tmp_path / "c.yml", fish.rig)
+    images = ("--left", fish.left, "--right", fish.right, "--name", "room", "--calibration", calibration)
+    assert run("rectify", *images, "--fisheye", "-o", tmp_path / "scenes", "-q") == 0
+    row = json.loads((tmp_path / "scenes/report.json").read_text())["scenes"][0]
+    assert row["row_error"] < 0.25 < 1.5 < row["row_error_before"]
+    check_depth(tmp_path / "scenes", fish.rig, tmp_path)
+
+
+def test_without_calibration(pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    straight = rig()
+    straight = StereoRig(*(Lens(lens.matrix, size=SIZE) for lens in (straight.left, straight.right)),
+                         straight.rotation, straight.translation)  # fmt: skip
+    taken = shot(tmp_path / "photos", straight)
+    images = ("--left", taken.left, "--right", taken.right, "--name", "room")
+    assert run("rectify", *images, "--uncalibrated", "-o", tmp_path / "scenes", "-q") == 0
+    row = json.loads((tmp_path / "scenes/report.json").read_text())["scenes"][0]
+    assert row["row_error"] < 0.3 < 1.5 < row["row_error_before"]
+    assert row["overlap"] > 0.75
+    assert not (tmp_path / "scenes/room/calib.txt").exists()
+    assert run("stereo", "fast", "-i", tmp_path / "scenes", "-o", tmp_path / "run", "-q") == 0
+    status = read_status(tmp_path / "run/room/status.png")
+    assert np.mean((status & 0b11111) == 0) > 0.7
+    # Two photos of different things, and photos without anything on them.
+    noise = np.random.default_rng(0).integers(0, 255, (180, 240), np.uint8)
+    write_png(tmp_path / "other.png", cv2.GaussianBlur(noise, (0, 0), 2) * np.uint8(3))
+    write_png(tmp_path / "flat.png", np.full((180, 240), 70, np.uint8))
+    for other in ("other.png", "flat.png"):
+        pair = ("--left", taken.left, "--right", tmp_path / other, "--name", other)
+        assert run("rectify", *pair, "--uncalibrated", "-o", tmp_path / "scenes", "-q") == 3
+        assert "key points" in capsys.readouterr().err
+        assert not (tmp_path / "scenes" / other).exists()
+
+
+def test_points_that_no_two_cameras_explain_are_refused():
+    """Half of the rows off by several pixels: no pair is made of them."""
+    rng = np.random.default_rng(1)
+    left = rng.uniform(0, 200, (300, 2))
+    right = left - np.stack([rng.uniform(5, 40, 300), np.zeros(300)], 1)
+    assert row_error(*rectify_uncalibrated(left, right, (200, 200)).points(left, right)) < 0.01
+    right[:180, 1] += rng.choice([-1, 1], 180) * rng.uniform(2, 9, 180)
+    with pytest.raises(InputError, match="at most 1 px may be left"):
+        rectify_uncalibrated(left, right, (200, 200))
+
+
+def test_wrong_calibrations(pinhole: Shot, tmp_path: Path, capsys):
+    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room", "-o", tmp_path / "out", "-q")
+    taken = pinhole.rig
+    swapped = StereoRig(taken.left, taken.right, taken.rotation, -taken.translation)
+    above = StereoRig(taken.left, taken.right, np.eye(3), np.array([0.0, 0.1, 0.0]))
+    small = StereoRig(Lens(taken.left.matrix, size=(320, 240)), taken.right, taken.rotation, taken.translation)
+    (tmp_path / "text.yml").write_text("nothing: here\n")
+    (tmp_path / "torn.yml").write_text("%YAML:1.0\n---\nK1: [1, 2\n")
+    (tmp_path / "part.yml").write_text("%YAML:1.0\n---\nalpha: 5\n")
+    for file, said in (
+        (opencv(tmp_path / "swapped.yml", swapped), "exchange the images"),
+        (opencv(tmp_path / "above.yml", above), "one above the other"),
+        (kalibr(tmp_path / "small.yaml", small), None),
+        (tmp_path / "text.yml", "of a kind that is known"),
+        (tmp_path / "torn.yml", "torn.yml: "),
+        (tmp_path / "part.yml", "no K1, D1, K2, D2, R, T"),
+        (ros(tmp_path, taken)[0], "give the left and the right one"),
+        (tmp_path / "absent.yml", "no such file"),
+    ):
+        code = run("rectify", *images, "--calibration", file)
+        err = capsys.readouterr().err
+        if said is not None:
+            assert code == 3
+            assert said in err
+    for options in ((), ("--calibration", "a", "--uncalibrated"), ("--calibration", "a", "--unit", "inch")):
+        assert run("rectify", *images, *options) == 2
+    # The rows of another rig's calibration do not fit: said, not refused.
+    bent = StereoRig(taken.left, taken.right, rotation(5, 0, 0) @ taken.rotation, taken.translation)
+    images = (*images[:-1], "--overwrite")
+    assert run("rectify", *images, "--calibration", opencv(tmp_path / "bent.yml", bent)) == 0
+    assert "is it the calibration of these images?" in capsys.readouterr().err
+
+
+def test_alpha_shows_everything(pinhole: Shot, tmp_path: Path):
+    calibration = opencv(tmp_path / "c.yml", pinhole.rig)
+    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room", "--calibration", calibration)
+    assert run("rectify", *images, "--alpha", "1", "-o", tmp_path / "scenes", "-q") == 0
+    row = json.loads((tmp_path / "scenes/report.json").read_text())["scenes"][0]
+    assert 0.6 < row["overlap"] < 0.99
+    assert row["row_error"] < 0.25
+    assert (read_image(tmp_path / "scenes/room/left.png") == 0).all(axis=2).mean() > 0.01
+
+
+def test_matches_of_views():
+    noise = np.random.default_rng(2).random((120, 160)).astype(np.float32)
+    image = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 2), None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    left, right = match_views(image[:, 10:], image[:, :150])
+    assert len(left) > 30
+    np.testing.assert_allclose(np.median(right - left, axis=0), [10, 0], atol=0.05)
+    assert np.isnan(row_error(*match_views(np.zeros((50, 50), np.uint8), image)))
