@@ -69,7 +69,7 @@ def read_pair(left: Path | str, right: Path | str, max_bytes: int | None = None)
     Raises
     ------
     InputError
-        As :func:`read_image` (``max_bytes`` is for each image), or the images differ in size, type or channels.
+        As :func:`read_image` (``max_bytes`` is for each image), or the images differ in size or type.
     """
     images, declared = [], []
     for path in (left, right):
@@ -77,12 +77,32 @@ def read_pair(left: Path | str, right: Path | str, max_bytes: int | None = None)
         with naming(path):
             images.append(decode_image(data, max_bytes))
             declared.append(declared_bits(data))
-    one, other = images
-    if one.shape != other.shape or one.dtype != other.dtype:
+    said = declared[0] if declared[0] == declared[1] else None
+    return pair_of(images[0], images[1], (Path(left), Path(right)), said)
+
+
+def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int | None = None) -> StereoPair:
+    """Two images as a pair; where one is grey and the other color, both become grey.
+
+    Parameters
+    ----------
+    paths : the files, for messages
+    declared : bits of the samples, where the files say them
+
+    Raises
+    ------
+    InputError
+        The images differ in size or type.
+    """
+    if left.shape[:2] != right.shape[:2] or left.dtype != right.dtype:
         raise InputError(
-            f"{shown(right)}: {_kind(other)}, but {shown(Path(left).name)} is {_kind(one)}; the pair must agree"
+            f"{shown(paths[1])}: {_kind(right)}, but {shown(paths[0].name)} is {_kind(left)}; the pair must agree"
         )
-    return StereoPair(one, other, sample_bits(one, other, declared=declared[0] if len(set(declared)) == 1 else None))
+    bits = sample_bits(left, right, declared=declared)
+    if left.ndim != right.ndim:
+        # Grey levels of one scale: luma of the color image, as it is stored.
+        left, right = (StereoPair(image, image).grey[0] for image in (left, right))
+    return StereoPair(left, right, bits)
 
 
 def sample_bits(*images: Image, declared: int | None = None) -> int:

@@ -57,13 +57,24 @@ def find_items(
     if not found:
         files = "; ".join(f"{each.name}: {each.wants.replace('`', '').partition(';')[0]}" for each in wanted)
         raise InputError(f"{folder}: no scenes found in it or two levels below (looked for {files})")
-    found.sort(key=lambda item: item.name)
+    return chosen_items(found, patterns, folder)
+
+
+def chosen_items(items: Sequence[Item], patterns: Sequence[str], place: Path | str) -> list[Item]:
+    """Those whose name matches one of the patterns, sorted by name.
+
+    Raises
+    ------
+    InputError
+        A pattern matches none of them; ``place`` is where they are.
+    """
+    found = sorted(items, key=lambda item: item.name)
     chosen = [item for item in found if matches_any(item.name, patterns)]
     for pattern in patterns:
         if not any(matches_any(item.name, [pattern]) for item in found):
             there = ", ".join(item.name for item in found[:6])
             raise InputError(
-                f"{folder}: no scene matches {pattern!r}; there are: {there}{', ...' if len(found) > 6 else ''}"
+                f"{place}: no scene matches {pattern!r}; there are: {there}{', ...' if len(found) > 6 else ''}"
             )
     return chosen
 

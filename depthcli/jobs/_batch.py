@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from depthcli.batch.tables import Column
     from depthcli.io.pictures import Palette
 
-INPUT = Option("input", Path, "Folder of scenes.", "DIR", short="-i")
+INPUT = Option("input", Path, "Folder of scenes, or a CSV file of pairs.", "DIR", short="-i")
 OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True)
 LAYOUT = Option("layout", str, "Layout of the folder, where it is not recognized.", "NAME")
 SCENES = Option("scenes", str, "Only scenes whose name matches; repeatable.", "GLOB", many=True)
@@ -186,20 +186,39 @@ def find_scenes(kinds: tuple[type[Item], ...], values: Mapping[str, Any], report
     InputError
         As :func:`depthcli.io.walk.find_items`.
     """
-    from depthcli.io.walk import find_items
+    from depthcli.io.walk import chosen_items
 
-    single = next((item for kind in kinds if (item := kind.single(values)) is not None), None)
-    if single is not None:
+    named = next((items for kind in kinds if (items := kind.named(values))), [])
+    patterns = values["scenes"] or ["*"]
+    if named:
         if values["input"] is not None:
             raise ConfigError(f"--input and {_single_options(kinds)} exclude each other")
         if _evaluates(values):
             raise ConfigError("--evaluate wants --input: a single scene has no ground truth")
-        return [single if values["name"] is None else _renamed(single, values["name"])]
+        if values["name"] is None:
+            return chosen_items(named, patterns, "the command line")
+        if len(named) > 1:
+            raise ConfigError(f"--name is for a single scene, these are {len(named)}")
+        return [_renamed(named[0], values["name"])]
     if values["input"] is None:
         raise ConfigError(f"want --input DIR, or {_single_options(kinds)}")
     if values["name"] is not None:
         raise ConfigError(f"--name is for a single scene, given by {_single_options(kinds)}")
-    return find_items(values["input"], kinds, values["layout"], values["scenes"] or ["*"], reporter.info)
+    if _evaluates(values) and values["input"].is_file():
+        raise ConfigError(f"{values['input']}: --evaluate wants a folder of scenes, with their ground truth")
+    return items_of(values["input"], kinds, values["layout"], patterns, reporter)
+
+
+def items_of(
+    place: Path, kinds: tuple[type[Item], ...], layout: str | None, patterns: Sequence[str], reporter: Reporter
+) -> list[Item]:
+    """The items of a folder, or of a table of files."""
+    from depthcli.io.pairs import TABLE_SUFFIXES
+    from depthcli.io.walk import chosen_items, find_items
+
+    if place.is_file() and place.suffix.lower() in TABLE_SUFFIXES:
+        return chosen_items(kinds[0].of_table(place), patterns, place)
+    return find_items(place, kinds, layout, patterns, reporter.info)
 
 
 def _single_options(kinds: tuple[type[Item], ...]) -> str:

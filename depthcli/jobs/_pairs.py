@@ -44,9 +44,9 @@ class PairCommand(ConfigCommand):
         low, top = asked_range(config, item)
         if top is None:
             raise _no_range(item)
-        return (
-            self.peak_bytes(config, shape_of(item.left), top - low) if isinstance(low, int) and top != "auto" else None
-        )
+        if isinstance(low, str) or isinstance(top, str):
+            return None
+        return self.peak_bytes(config, shape_of(item.left), top - low)
 
     def columns(self) -> tuple[Column, ...]:
         """Size of the map, share of pixels with a value, share that was measured rather than filled."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.io.items import Item
-from depthcli.jobs._batch import HOW, OUTPUT, SCENES, BatchCommand
+from depthcli.jobs._batch import HOW, OUTPUT, SCENES, BatchCommand, items_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -107,7 +107,7 @@ class DepthCommand(BatchCommand):
 
     def _find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Item]:
         from depthcli.io.items.stereo import StereoItem
-        from depthcli.io.walk import find_items, items_with_files
+        from depthcli.io.walk import items_with_files
 
         place: Path = values["run"]
         if place.is_file():
@@ -117,7 +117,7 @@ class DepthCommand(BatchCommand):
         maps = _maps_of(place, values["scenes"] or ["*"])
         sources: dict[str, Item]
         if values["input"] is not None:
-            sources = {item.name: item for item in find_items(values["input"], (StereoItem,), warn=reporter.info)}
+            sources = {item.name: item for item in items_of(values["input"], (StereoItem,), None, ["*"], reporter)}
         else:
             known = items_with_files(source for _, source in maps.values() if source is not None)
             sources = {name: known[source] for name, (_, source) in maps.items() if source in known}

@@ -103,15 +103,12 @@ class RectifyCommand(BatchCommand):
         from depthcli.core.stereo_rig import RectifiedRig
         from depthcli.io.atomic import write_text
         from depthcli.io.calibration import write_geometry
-        from depthcli.io.images import read_image, write_png
+        from depthcli.io.images import write_png
         from depthcli.stereo.rectification import match_views, row_error
         from depthcli.stereo.search_range import range_of_key_points
 
         clock = Clock()
-        item.check()
-        if item.right is None:
-            raise InputError(f"{item.folder}: {item.name} has no right image")
-        left, right = read_image(item.left), read_image(item.right)
+        left, right = item.load_views()
         clock.stop("load")
         points = match_views(_grey8(left), _grey8(right))
         clock.stop("key points")

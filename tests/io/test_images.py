@@ -203,9 +203,26 @@ def test_samples_of_ten_and_twelve_bits(tmp_path: Path):
     right.write_bytes(png(2, 1, 16, 0, rows, (b"sBIT", bytes([14]))))
     assert read_pair(right, right).bits == 14
     assert read_pair(left, right).bits == 10  # the files disagree: what is found counts
-    write_png(tmp_path / "c.png", np.zeros((1, 2, 3), np.uint16))
-    with pytest.raises(InputError, match=r"c\.png: 2 x 1 colour uint16, but l\.pgm is 2 x 1 grey uint16"):
+    write_png(tmp_path / "c.png", np.zeros((1, 3, 3), np.uint16))
+    with pytest.raises(InputError, match=r"c\.png: 3 x 1 colour uint16, but l\.pgm is 2 x 1 grey uint16"):
         read_pair(left, tmp_path / "c.png")
+
+
+def test_a_grey_and_a_color_image_become_two_grey_ones(tmp_path: Path):
+    color = np.random.default_rng(0).integers(0, 256, (6, 7, 3)).astype(np.uint8)
+    grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    write_png(tmp_path / "c.png", color)
+    write_png(tmp_path / "g.png", grey)
+    for names in (("c", "g"), ("g", "c")):
+        pair = read_pair(*(tmp_path / f"{name}.png" for name in names))
+        np.testing.assert_array_equal(pair.left, grey)
+        np.testing.assert_array_equal(pair.right, grey)
+    dark = (color.astype(np.uint16) << 2) | 3  # 10 bits
+    write_png(tmp_path / "c16.png", dark)
+    write_png(tmp_path / "g16.png", cv2.cvtColor(dark, cv2.COLOR_RGB2GRAY))
+    pair = read_pair(tmp_path / "c16.png", tmp_path / "g16.png")
+    assert pair.bits == 10
+    np.testing.assert_array_equal(pair.left, pair.right)
 
 
 def test_jpeg_with_missing_pixels_is_refused_and_with_fill_bytes_read(tmp_path: Path):

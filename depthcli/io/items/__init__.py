@@ -67,6 +67,23 @@ class Item(ABC):
         """
         return None
 
+    @classmethod
+    def named(cls, values: Mapping[str, Any]) -> list[Self]:
+        """All items whose files the command line names: the single one, unless the kind knows of more.
+
+        Raises
+        ------
+        ConfigError, InputError
+            As for ``single``; what is named holds no item.
+        """
+        one = cls.single(values)
+        return [] if one is None else [one]
+
+    @classmethod
+    def of_table(cls, path: Path) -> list[Self]:
+        """The items that a table of files lists; ConfigError where there are none of that kind."""
+        raise ConfigError(f"{path}: want a folder")
+
     def check(self) -> None:
         """Raise the item's problem."""
         if self.problem:

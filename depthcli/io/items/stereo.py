@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from depthcli.core.frames import StereoPair
+    from depthcli.io.images import Image
+    from depthcli.io.pairs import NamedPair
 
 # Full-size widths of the Middlebury 2005 and 2006 sets lie between 1240 and 1396: the width tells the size.
 _SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
@@ -63,8 +65,8 @@ class StereoItem(Item):
     """
 
     options: ClassVar[tuple[Option, ...]] = (
-        Option("left", Path, "Left image, instead of --input.", "FILE"),
-        Option("right", Path, "Right image, instead of --input.", "FILE"),
+        Option("left", Path, "Left image, instead of --input; or a pattern, a folder, a video.", "FILE"),
+        Option("right", Path, "Right image, likewise.", "FILE"),
         Option("max_disparity", str, "Largest disparity searched; auto: by key points.", "PIXELS|auto",
                sets="max_disparity"),
         Option("min_disparity", str, "Smallest disparity searched, also negative; default 0.", "PIXELS|auto",
@@ -94,6 +96,57 @@ class StereoItem(Item):
         left, right = values["left"], values["right"]
         return cls(name=name_of(left, _USUAL_NAMES), folder=left.parent, left=left, right=right)
 
+    @classmethod
+    def named(cls, values: Mapping[str, Any]) -> list[Self]:
+        """The pair of ``--left`` and ``--right``, those of two patterns or folders, the frames of two videos."""
+        from depthcli.io.images import IMAGE_SUFFIXES
+        from depthcli.io.pairs import VIDEO_SUFFIXES, is_many, match_patterns
+
+        one = cls.single(values)
+        if one is None or one.right is None:
+            return []
+        if is_many(one.left) or is_many(one.right):
+            return [cls._of_pair(pair) for pair in match_patterns(one.left, one.right, IMAGE_SUFFIXES)]
+        if one.left.suffix.lower() in VIDEO_SUFFIXES:
+            from depthcli.io.items.video import video_items
+
+            return list(video_items(one.left, one.right))  # type: ignore[arg-type]  # they are StereoItems
+        return [one]
+
+    @classmethod
+    def of_table(cls, path: Path) -> list[Self]:
+        """The pairs of a CSV file."""
+        from depthcli.io.pairs import read_table
+
+        return [cls._of_pair(pair, path.parent) for pair in read_table(path)]
+
+    @classmethod
+    def _of_pair(cls, pair: NamedPair, folder: Path | None = None) -> Self:
+        left, right = pair.left, pair.right
+        there = left or right
+        assert there is not None
+        problem = ""
+        if left is None or right is None:
+            problem = f"{there}: no {'right' if left else 'left'} image belongs to it"
+        ends: dict[str, int | None] = {"max_disparity": None, "min_disparity": None}
+        for key in ends:
+            if text := pair.more.get(key):
+                try:
+                    ends[key] = int(text)
+                except ValueError:
+                    problem = f"{there}: {key}: want a whole number (got {text[:40]!r})"
+        calibration = pair.more.get("calibration")
+        return cls(
+            name=pair.name,
+            folder=there.parent,
+            left=left or there,
+            right=right,
+            problem=problem,
+            max_disparity=ends["max_disparity"],
+            min_disparity=ends["min_disparity"] or 0,
+            calibration=(folder or Path()) / calibration if calibration else None,
+        )
+
     @property
     def input_files(self) -> dict[str, Path]:
         """``left`` and, where there is one, ``right``."""
@@ -104,8 +157,17 @@ class StereoItem(Item):
         """The left view's disparity is known."""
         return self.disparity_left is not None
 
+    def load_views(self) -> tuple[Image, Image]:
+        """Both images as they are, which need not agree."""
+        from depthcli.io.images import read_image
+
+        self.check()
+        if self.right is None:
+            raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
+        return read_image(self.left), read_image(self.right)
+
     def load(self) -> StereoPair:
-        """Left and right image, same size, dtype and number of channels; InputError otherwise."""
+        """Left and right image of one size and dtype, both grey where one is; InputError otherwise."""
         from depthcli.io.images import read_pair
 
         self.check()
