@@ -9,8 +9,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from depthcli.batch import record
+from depthcli.batch.making import Task, Work
 from depthcli.batch.resources import show_bytes
-from depthcli.batch.runner import Work, inputs_of
+from depthcli.batch.runner import Inspector, Options
 from depthcli.batch.tables import aligned
 from depthcli.core.config_file import dump_config
 from depthcli.core.errors import InputError
@@ -21,7 +22,12 @@ DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
 
 def plan(
-    work: Work, config: BaseModel, items: Sequence[Item], output: Path, memory: Callable[[Any, Any], int | None]
+    work: Work,
+    config: BaseModel,
+    items: Sequence[Item],
+    output: Path,
+    memory: Callable[[Any, Any], int | None],
+    options: Options,
 ) -> dict[str, Any]:
     """What :func:`~depthcli.batch.runner.run_items` would do with the same arguments; nothing is written.
 
@@ -36,13 +42,13 @@ def plan(
     text = record.run_text(work.name, config)
     run = record.digest(text.encode())
     other = record.holds_another(output, text)
+    look = Inspector(work, config, output, run, options.keep)
     rows = []
-    for item in items:
+    for item in items if options.shard is None else options.shard.of(items):
         row: dict[str, Any] = {"scene": item.name, "status": BROKEN, "memory": None, "problem": item.problem}
         if not item.problem:
-            known = record.read_record(output / item.name)
-            done = record.is_done(output / item.name, run, inputs_of(work, config, item)[1], known)
-            row["status"] = DONE if done else TO_DO
+            task = Task(item, output, output, 0, run, *look.inputs(item))
+            row["status"] = TO_DO if look.finished(task, {})[0] is None else DONE
             try:
                 row["memory"] = memory(config, item)
             except InputError as error:

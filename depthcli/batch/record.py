@@ -10,7 +10,6 @@ of itself and of each of them, and counts for nothing where one does not fit.
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import hashlib
 import io
@@ -18,26 +17,33 @@ import json
 import math
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping
+import re
+import sys
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from pydantic import BaseModel
 
 from depthcli import __version__
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError, OutputError
-from depthcli.io.atomic import write_text
+from depthcli.io.atomic import atomic_path, write_text
 from depthcli.io.files import MOST_BYTES, open_regular
 from depthcli.io.images import IMAGE_SUFFIXES
 
 RUN_FILE = "run.yaml"
 RECORD_FILE = "record.json"
 REPORT_FILES = ("report.json", "report.csv")
+PARTS_FOLDER = ".parts"
+"""Reports of the processes that share a run, until they are joined."""
 
+_ROW = '  {"scene": '  # how the line of a row begins in a report
+_MEASURED = frozenset({"scene", "status", "error", "seconds", "peak_memory", "source"})
 _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
 _MOST_BYTES = 1 << 28
+_CHECK, _END = ',\n "check": ', "\n}\n"  # what stands before a record's digest, and behind it
 _MOST_HASHED = 1 << 36  # of volumes; a sparse file costs nothing but the time to read it
 
 
@@ -75,28 +81,6 @@ def file_digest(path: Path) -> str:
     except InputError as error:
         return f"unreadable: {error}"
     return sha.hexdigest()
-
-
-@contextlib.contextmanager
-def locked(output: Path, say: Callable[[str], None]) -> Iterator[None]:
-    """Keep a second run out of the folder; the system drops the lock when this process ends, however it ends."""
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        handle = os.open(output, os.O_RDONLY)
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be used as a run folder ({error.strerror or error})") from error
-    try:
-        try:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigError(f"{output}: another depthcli is writing there now") from None
-        except (ImportError, OSError):
-            say(f"{output}: no locks on this file system; see to it that no other run writes there")
-        yield
-    finally:
-        os.close(handle)
 
 
 def open_run(folder: Path, text: str, overwrite: bool) -> str:
@@ -141,37 +125,55 @@ def holds_another(folder: Path, text: str) -> bool:
     return os.path.lexists(folder / RUN_FILE) and saved_config(folder) != text and _any_done(folder)
 
 
+def opened_run(folder: Path) -> tuple[str, str]:
+    """Identity and command of the run that a folder holds; InputError where it holds none."""
+    text = _read_text(folder / RUN_FILE)
+    command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
+    if command is None:
+        raise InputError(f"{folder}: no run there ({RUN_FILE})")
+    return digest(text.encode()), command[1]
+
+
+def join_run(folder: Path, text: str) -> str:
+    """The identity of the run that others have opened there; ConfigError where it is not the one of ``text``."""
+    if _read_text(folder / RUN_FILE) != text:
+        raise ConfigError(f"{folder}: another depthcli writes a run of another config there; choose another --output")
+    return digest(text.encode())
+
+
 def _any_done(folder: Path) -> bool:
     return any(row["status"] == "done" for row in read_report(folder).values()) or any(folder.glob(f"*/{RECORD_FILE}"))
 
 
 def write_record(folder: Path, record: Mapping[str, Any]) -> None:
     """Write ``record``, with a digest of itself, into an item's folder."""
-    write_text(folder / RECORD_FILE, to_json({**record, "check": _check(record)}))
+    content = to_json(record)
+    write_text(folder / RECORD_FILE, f'{content.removesuffix(_END)}{_CHECK}"{digest(content.encode("utf-8"))}"{_END}')
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
     """The record of an item's folder, or None where there is none that can be trusted."""
-    record = _read_json(folder / RECORD_FILE)
+    # The digest is that of the text without it, so that nothing has to be encoded again.
+    content, found, check = _read_text(folder / RECORD_FILE).rpartition(_CHECK)
+    content += _END
+    if not found or check != f'"{digest(content.encode("utf-8", "surrogatepass"))}"{_END}':
+        return None
+    try:
+        record = json.loads(content)
+    except (ValueError, RecursionError):
+        return None
     if not isinstance(record, dict) or not isinstance(record.get("facts"), dict):
         return None
     files = record.get("files")
-    if record.pop("check", None) != _check(record) or not isinstance(files, dict):
-        return None
     # A name that leads out of the folder must not be looked at, let alone deleted.
-    return record if all(isinstance(d, str) and is_inside(name) for name, d in files.items()) else None
+    if not isinstance(files, dict) or not all(isinstance(d, str) and is_inside(name) for name, d in files.items()):
+        return None
+    return record
 
 
 def is_inside(name: str) -> bool:
     """A relative name, with ``/``, that does not lead out of its folder."""
     return not any(part in ("", ".", "..") or "\0" in part for part in name.split("/"))
-
-
-def _check(record: Mapping[str, Any]) -> str:
-    try:
-        return digest(to_json(record).encode("utf-8"))
-    except (TypeError, ValueError, RecursionError):
-        return ""
 
 
 def is_done(folder: Path, run: str, inputs: Mapping[str, str], record: dict[str, Any] | None) -> bool:
@@ -181,10 +183,55 @@ def is_done(folder: Path, run: str, inputs: Mapping[str, str], record: dict[str,
     return all(file_digest(folder / name) == content for name, content in record["files"].items())
 
 
-def read_report(folder: Path) -> dict[str, dict[str, Any]]:
-    """Rows of an earlier report by scene: what is only measured, and where the inputs were."""
-    document = _read_json(folder / REPORT_FILES[0])
+def read_report(folder: Path, facts: bool = True) -> dict[str, dict[str, Any]]:
+    """Rows of an earlier report by scene: what is only measured, and where the inputs were.
+
+    Of a run that several processes share, also the rows of their parts that are not joined yet, the newest last.
+    Without ``facts`` the rows lack what the scenes' records say, too: there may be many.
+    """
+    found = _rows_of(_rows_in(folder / REPORT_FILES[0], None if facts else _MEASURED))
+    parts = sorted((folder / PARTS_FOLDER).glob("*.json"), key=lambda path: (_age(path), path.name))
+    if parts:
+        run = digest(_read_text(folder / RUN_FILE).encode())
+        for part in parts:
+            document = _read_json(part)
+            if isinstance(document, dict) and document.get("run") == run:
+                found |= _rows_of(document.get("scenes"))
+    return found
+
+
+def _interned(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Of 50,000 rows every key is kept once."""
+    return {sys.intern(key): value for key, value in pairs}
+
+
+def _rows_in(path: Path, keys: frozenset[str] | None) -> list[Any]:
+    """The rows of a report, or of each the values of ``keys``; those of ``write_rows`` are read one by one."""
+    found = []
+    try:
+        if path.is_file() and path.stat().st_size <= _MOST_BYTES:
+            with path.open(encoding="utf-8", errors="replace") as file:
+                for line in file:
+                    if line.startswith(_ROW):
+                        row = json.loads(line.rstrip().rstrip(","), object_pairs_hook=_interned)
+                        found.append(row if keys is None else {key: row[key] for key in row if key in keys})
+    except (OSError, ValueError, RecursionError):
+        return []
+    if found:
+        return found
+    document = _read_json(path)
     rows = document.get("scenes") if isinstance(document, dict) else None
+    return rows if isinstance(rows, list) else []
+
+
+def _age(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _rows_of(rows: Any) -> dict[str, dict[str, Any]]:
     found = {}
     for row in rows if isinstance(rows, list) else []:
         if not isinstance(row, dict) or not isinstance(row.get("scene"), str):
@@ -224,9 +271,43 @@ def report_document(command: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def write_report(folder: Path, command: str, rows: list[dict[str, Any]]) -> None:
-    """Write ``report.json`` and ``report.csv``, one row a scene."""
-    write_text(folder / REPORT_FILES[0], to_json(report_document(command, rows)))
-    write_text(folder / REPORT_FILES[1], to_csv([flat(row) for row in rows]))
+    """Write ``report.json`` and ``report.csv``, one row a scene, row by row: there may be many."""
+    failed = sum(row["status"] == "failed" for row in rows)
+    ends = {"command": command}, {"done": len(rows) - failed, "failed": failed}
+    write_rows(folder / REPORT_FILES[0], rows, *ends)
+    columns = list(dict.fromkeys(key for row in rows for key in flat(row)))
+    with atomic_path(folder / REPORT_FILES[1]) as path, _writing(path) as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(flat(row) for row in rows)
+
+
+def write_rows(path: Path, rows: list[dict[str, Any]], before: Mapping[str, Any], behind: Mapping[str, Any]) -> None:
+    """Write a JSON document with ``rows`` under ``scenes``, a line each, between what else it holds."""
+    with atomic_path(path) as temporary, _writing(temporary) as file:
+        file.write("{" + "".join(f"\n {_line(key)}: {_line(value)}," for key, value in before.items()))
+        file.write('\n "scenes": [')
+        for number, row in enumerate(rows):
+            file.write((",\n  " if number else "\n  ") + _line(row))
+        file.write("\n ]" + "".join(f",\n {_line(key)}: {_line(value)}" for key, value in behind.items()) + "\n}\n")
+
+
+def _writing(path: Path) -> TextIO:
+    return path.open("w", 1 << 20, "utf-8", "backslashreplace", "")
+
+
+def _line(value: Any) -> str:
+    """Strict JSON on one line."""
+    try:
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False)
+    except (ValueError, TypeError):  # numbers that are not finite, or of numpy
+        text = json.dumps(_finite(value), ensure_ascii=False, allow_nan=False)
+    if not text.isascii():
+        try:
+            text.encode("utf-8")
+        except UnicodeEncodeError:  # a file name that is not UTF-8
+            text = json.dumps(_finite(value), allow_nan=False)
+    return text
 
 
 def flat(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,56 +9,26 @@ from __future__ import annotations
 
 import contextlib
 import os
+import platform
+import re
 import shutil
-import time
-import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from depthcli.batch import record, resources
+from depthcli.batch.making import BUG as BUG
+from depthcli.batch.making import Outcome as Outcome
+from depthcli.batch.making import Task, Work, failed_row, remove, run_one
+from depthcli.batch.report import ReportWriter, row_of
 from depthcli.batch.reporter import Reporter
-from depthcli.core import memory
-from depthcli.core.errors import ConfigError, DepthcliError, IncompleteError, OutputError
+from depthcli.batch.sharing import LOCKS_FILE, FolderLock, Shard
+from depthcli.core.errors import ConfigError, IncompleteError
 from depthcli.io.items import Item
 
-BUG = "a bug in depthcli: "
-"""How the reason of an item begins that failed by our fault."""
-
 _HIDDEN = ".partial-"
-
-
-@dataclass
-class Outcome:
-    """What one item gave, beside its files.
-
-    Attributes
-    ----------
-    facts : columns of the report that are the same in every run (size, density, figures)
-    seconds : time by stage, in order
-    warnings : what a person should know about the result
-    """
-
-    facts: dict[str, Any] = field(default_factory=dict)
-    seconds: dict[str, float] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-
-
-class Work(Protocol):
-    """What a command does with its items; picklable, for worker processes."""
-
-    @property
-    def name(self) -> str: ...
-
-    def compute(self, config: Any, item: Any, folder: Path, memory: int, /) -> Outcome:
-        """Compute ``item`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
-
-    def files(self, config: Any, item: Any, /) -> dict[str, Path]:
-        """Role -> file whose content the result depends on."""
-
-    def settings(self, config: Any, item: Any, /) -> dict[str, str]:
-        """What else the result depends on, beside the config."""
+_REMEMBERED = 16  # digests of files that several items share
 
 
 @dataclass(frozen=True)
@@ -71,12 +41,18 @@ class Options:
     threads : threads of each; None shares the cores out
     max_memory : bytes all of them together may use; None = what is available
     overwrite : replace what an earlier run with another config or from other inputs left
+    shard : the part of the items that this process does, beside others in the same folder; None: all, alone
+    fail_fast : stop at the first item that fails
+    keep : shell patterns of the files that stay of an item; none: all
     """
 
     jobs: int = 1
     threads: int | None = None
     max_memory: int | None = None
     overwrite: bool = False
+    shard: Shard | None = None
+    fail_fast: bool = False
+    keep: tuple[str, ...] = ()
 
     def threads_each(self) -> int:
         """Threads of one worker."""
@@ -85,32 +61,6 @@ class Options:
     def memory_each(self) -> int:
         """Bytes one worker may use."""
         return (self.max_memory or resources.available_memory()) // self.jobs
-
-
-@dataclass(frozen=True)
-class Task:
-    """One item to compute.
-
-    Attributes
-    ----------
-    item : what
-    target, hidden : its folder, and where it is made
-    run : identity of the run
-    inputs : role -> digest of what the result depends on
-    source : where the inputs are, for the report
-    """
-
-    item: Item
-    target: Path
-    hidden: Path
-    run: str
-    inputs: dict[str, str]
-    source: str
-
-    @property
-    def trace(self) -> Path:
-        """Where the traceback of a bug goes."""
-        return self.hidden.parent.parent / f"traceback-{self.item.name.replace('/', '_')}.txt"
 
 
 def run_items(
@@ -127,8 +77,8 @@ def run_items(
 
     Returns
     -------
-    One row an item of this call, in order: ``scene``, ``status`` (done or failed), ``error``, facts,
-    ``seconds`` by stage, ``peak_memory`` in bytes, ``source``.
+    One row an item of this call (of its shard; up to the first failure with ``fail_fast``), in order: ``scene``,
+    ``status`` (done or failed), ``error``, facts, ``seconds`` by stage, ``peak_memory`` in bytes, ``source``.
 
     Raises
     ------
@@ -140,24 +90,29 @@ def run_items(
     IncompleteError
         Everything was computed, but the report cannot be written.
     """
-    _check_names(work, config, items, output)
+    own = list(items) if options.shard is None else options.shard.of(items)
+    _check_names(work, config, own, output)
     text = record.run_text(work.name, config)
-    with record.locked(output, reporter.info):
-        earlier = record.read_report(output)
-        run = record.open_run(output, text, options.overwrite)
-        _clean(output)
-        if options.overwrite:
-            _drop_others(output, run, earlier, {item.name for item in items})
+    with FolderLock(output, options.shard is not None, reporter.info) as lock:
+        earlier = {name: _measured(row) for name, row in record.read_report(output, facts=False).items()}
+        if lock.alone:
+            record.open_run(output, text, options.overwrite)
+            _clean(output)
+            if options.overwrite:
+                _drop_others(output, record.digest(text.encode()), earlier, {item.name for item in items})
+        lock.settle()
+        run = record.join_run(output, text)
+        making = output / f"{_HIDDEN}{re.sub(r'[^A-Za-z0-9-]', '_', platform.node())}-{os.getpid()}"
         rows: dict[str, dict[str, Any]] = {}
         tasks = []
-        for number, item in enumerate(items):
-            files, inputs = inputs_of(work, config, item)
-            source = str(next(iter(files.values()), item.folder).absolute())
-            task = Task(item, output / item.name, output / f"{_HIDDEN}{os.getpid()}" / str(number), run, inputs, source)
-            known, before = record.read_record(task.target), earlier.get(item.name, {})
-            if record.is_done(task.target, run, inputs, known):
-                assert known is not None
-                rows[item.name] = _row(known, {**before, "source": source})
+        look = Inspector(work, config, output, run, options.keep)
+        for number, item in enumerate(own):
+            inputs, source = look.inputs(item)
+            task = Task(item, output, making, number, run, inputs, source, options.keep)
+            before = earlier.pop(item.name, {})
+            row, known = look.finished(task, before)
+            if row is not None:
+                rows[item.name] = row
                 continue
             origin = before.get("source")
             if known is not None and known.get("run") == run and origin and origin != source and not options.overwrite:
@@ -167,13 +122,31 @@ def run_items(
                 )
             tasks.append(task)
         if rows:
-            reporter.info(f"{len(rows)} of {len(items)} scenes are done already")
-        writer = _ReportWriter(output, work.name, _other_rows(output, run, earlier, items), rows, items)
+            reporter.info(f"{len(rows)} of {len(own)} scenes are done already")
+        others = [] if options.shard is not None else _other_rows(output, run, earlier, own)
+        earlier.clear()
+        writer = ReportWriter(output, work.name, run, rows, own, others, options.shard)
+        unclaimed: list[Task] = []
+
+        def claim(task: Task) -> bool:
+            """Nobody else makes it, or has made it since."""
+            if lock.claim(task.item.name):
+                row = None if options.shard is None else look.finished(task, {})[0]
+                if row is None:
+                    return True
+                rows[task.item.name] = row
+                lock.release(task.item.name)
+            else:
+                unclaimed.append(task)
+            reporter.step()
+            return False
+
         try:
-            with reporter:
-                reporter.start(len(items), len(rows), work.name)
-                for row in _compute(tasks, work, config, options, reporter):
+            with reporter, contextlib.closing(_compute(tasks, work, config, options, reporter, claim)) as computed:
+                reporter.start(len(own), len(rows), work.name)
+                for row in computed:
                     rows[row["scene"]] = row
+                    lock.release(row["scene"])
                     if row["status"] == "failed":
                         reporter.error(f"{row['scene']}: {row['error']}")
                     else:
@@ -182,23 +155,59 @@ def run_items(
                         reporter.info(f"{row['scene']}: warning: {line}")
                     writer.update()
                     reporter.step(row["status"] == "failed")
+                    if options.fail_fast and row["status"] == "failed":
+                        reporter.info("stopped at the first failure; the same command goes on where it stopped")
+                        break
         finally:
             for task in tasks:
                 if task.item.name in rows:
                     rows[task.item.name] = _still_there(task, rows[task.item.name])
-            writer.update(final=True)
-            _clean(output)
+            shutil.rmtree(making, ignore_errors=True)
+            writer.close(lock)
+            if lock.alone:
+                _clean(output)
+        if unclaimed:
+            reporter.info(f"{len(unclaimed)} scenes are being computed by other processes")
     if writer.problem:
         raise IncompleteError(writer.problem)
-    return [rows[item.name] for item in items]
+    return [rows[item.name] for item in own if item.name in rows]
 
 
-def inputs_of(work: Work, config: Any, item: Item) -> tuple[dict[str, Path], dict[str, str]]:
-    """Files that an item's result depends on; and their digests, with the settings that it depends on."""
-    if item.problem:
-        return {}, {}
-    files = work.files(config, item)
-    return files, {role: record.file_digest(file) for role, file in files.items()} | work.settings(config, item)
+class Inspector:
+    """Which items of a run are done already; it reads only.
+
+    Parameters
+    ----------
+    work, config, output, run : of the run
+    keep : patterns of the files that stay of an item
+    """
+
+    def __init__(self, work: Work, config: Any, output: Path, run: str, keep: tuple[str, ...]) -> None:
+        self.work, self.config, self.output, self.run, self.keep = work, config, output, run, keep
+        self._digests: dict[Path, str] = {}
+
+    def inputs(self, item: Item) -> tuple[dict[str, str], str]:
+        """What the result depends on, by role, and where it lies."""
+        files = {} if item.problem else self.work.files(self.config, item)
+        inputs = {role: self._digest(file) for role, file in files.items()}
+        inputs |= {} if item.problem else self.work.settings(self.config, item)
+        inputs |= {"keep": " ".join(self.keep)} if self.keep else {}
+        return inputs, str(next(iter(files.values()), item.folder).absolute())
+
+    def finished(self, task: Task, measured: Mapping[str, Any]) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
+        """The row of an item that is done, and its record; None where it is not, or has none."""
+        known = record.read_record(task.target)
+        if known is None or not record.is_done(task.target, self.run, task.inputs, known):
+            return None, known
+        return row_of(known, {**measured, "source": task.source}), known
+
+    def _digest(self, file: Path) -> str:
+        """Of the last few files: calibrations and videos belong to many items."""
+        if file not in self._digests:
+            if len(self._digests) >= _REMEMBERED:
+                self._digests.pop(next(iter(self._digests)))
+            self._digests[file] = record.file_digest(file)
+        return self._digests[file]
 
 
 def _still_there(task: Task, row: dict[str, Any]) -> dict[str, Any]:
@@ -218,47 +227,9 @@ def _check_names(work: Work, config: Any, items: Sequence[Item], output: Path) -
             raise ConfigError(f"{output}: {item.name} would be written over its own input; choose another --output")
 
 
-class _ReportWriter:
-    """Keeps the report on disk current without writing it after each of a thousand items."""
-
-    def __init__(
-        self,
-        output: Path,
-        command: str,
-        others: list[dict[str, Any]],
-        rows: dict[str, dict[str, Any]],
-        items: Sequence[Item],
-    ) -> None:
-        self.output, self.command, self.others, self.rows = output, command, others, rows
-        self.order = [item.name for item in items]
-        self.written = 0.0
-        self.pause = 1.0
-        self.problem = ""
-
-    def update(self, final: bool = False) -> None:
-        start = time.monotonic()
-        if final or start - self.written > self.pause:
-            rows = [self.rows[name] for name in self.order if name in self.rows]
-            rows = sorted(self.others + rows, key=lambda row: str(row["scene"]))
-            try:
-                record.write_report(self.output, self.command, rows)
-                self.problem = ""
-            except OutputError as error:  # the items go on, and say themselves what they cannot write
-                self.problem = str(error)
-            self.written = time.monotonic()
-            self.pause = max(1.0, 20 * (self.written - start))  # a long report is not most of the work
-
-
-def _row(known: dict[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "scene": known.get("scene"),
-        "status": "done",
-        "error": "",
-        **known["facts"],
-        "seconds": measured.get("seconds") or {},
-        "peak_memory": measured.get("peak_memory"),
-        "source": measured.get("source") or "",
-    }
+def _measured(row: Mapping[str, Any]) -> dict[str, Any]:
+    """What a row says that its record does not."""
+    return {key: row[key] for key in ("seconds", "peak_memory", "source") if row.get(key)}
 
 
 def _other_rows(
@@ -270,13 +241,13 @@ def _other_rows(
     for name, row in earlier.items():
         known = record.read_record(output / name) if name not in chosen and record.is_inside(name) else None
         if known is not None and known.get("run") == run:
-            rows.append(_row(known, row))
+            rows.append(row_of(known, row))
     return rows
 
 
 def _clean(output: Path) -> None:
     """Remove what killed runs left."""
-    for leftover in (*output.glob(f"{_HIDDEN}*"), *output.glob(".*.partial~")):
+    for leftover in (*output.glob(f"{_HIDDEN}*"), *output.glob(".*.partial~"), output / LOCKS_FILE):
         if leftover.is_dir() and not leftover.is_symlink():
             shutil.rmtree(leftover, ignore_errors=True)
         else:
@@ -289,102 +260,31 @@ def _drop_others(output: Path, run: str, earlier: dict[str, dict[str, Any]], cho
     for name in earlier:
         known = record.read_record(output / name) if name not in chosen and record.is_inside(name) else None
         if known is not None and known.get("run") != run:
-            _remove(output / name, known)
-
-
-def _remove(target: Path, known: dict[str, Any]) -> None:
-    """Delete the files that a record lists, the record first; what else lies there is not ours."""
-    (target / record.RECORD_FILE).unlink(missing_ok=True)
-    folders = {target}
-    for name in known["files"]:
-        (target / name).unlink(missing_ok=True)
-        folders.add((target / name).parent)
-    for folder in sorted(folders, key=lambda path: -len(path.parts)):
-        with contextlib.suppress(OSError):  # it holds something that is not ours
-            folder.rmdir()
-
-
-def _install(task: Task, outcome: Outcome) -> None:
-    """Move a finished item into place, its record last."""
-    try:
-        made = sorted(path for path in task.hidden.rglob("*") if path.is_file())
-        files = {path.relative_to(task.hidden).as_posix(): record.file_digest(path) for path in made}
-        known = {"scene": task.item.name, "run": task.run, "inputs": task.inputs, "files": files}
-        record.write_record(task.hidden, {**known, "facts": outcome.facts})
-        before = record.read_record(task.target)
-        if before is not None:
-            _remove(task.target, before)
-        task.target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            task.hidden.rename(task.target)
-        except OSError:  # the folder is there and holds something that is not ours
-            task.target.mkdir(exist_ok=True)
-            for name in (*files, record.RECORD_FILE):
-                (task.target / name).parent.mkdir(exist_ok=True)
-                os.replace(task.hidden / name, task.target / name)
-    except OSError as error:
-        raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
-    task.trace.unlink(missing_ok=True)
-
-
-def failed_row(task: Task, error: str) -> dict[str, Any]:
-    """The row of an item that gave nothing."""
-    return {
-        "scene": task.item.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None,
-        "source": task.source,
-    }  # fmt: skip
-
-
-def run_one(task: Task, work: Work, config: Any, limit: int) -> dict[str, Any]:
-    """One item from its files to its folder; whatever goes wrong is the row's reason."""
-    resources.reset_peak()
-    row: dict[str, Any]
-    try:
-        task.item.check()
-        task.hidden.mkdir(parents=True)
-        outcome = work.compute(config, task.item, task.hidden, limit)
-        _install(task, outcome)
-        seconds = {name: round(value, 6) for name, value in outcome.seconds.items()}
-        row = {"scene": task.item.name, "status": "done", "error": "", **outcome.facts, "seconds": seconds}
-        row |= {"peak_memory": resources.peak_memory(), "source": task.source, "warnings": outcome.warnings}
-    except MemoryError:
-        row = failed_row(task, "out of memory; see --max-memory")
-    except DepthcliError as error:
-        row = failed_row(task, str(error))
-    except OSError as error:
-        row = failed_row(task, f"{error.filename or task.target}: {error.strerror or error}")
-    except Exception as error:
-        what = f"{type(error).__name__}: {error}".splitlines()[0][:300]
-        with contextlib.suppress(OSError):
-            task.trace.write_text(traceback.format_exc(), "utf-8", "backslashreplace")
-        row = failed_row(task, f"{BUG}{what}; the traceback is in {task.trace.name}, please report it")
-    finally:
-        memory.release()
-        shutil.rmtree(task.hidden, ignore_errors=True)
-    if row["status"] == "failed":
-        # What an earlier run left for other inputs must not pass for this item's result.
-        known = record.read_record(task.target)
-        if known is not None:
-            with contextlib.suppress(OSError):
-                _remove(task.target, known)
-    return row
+            remove(output / name, known)
 
 
 def _compute(
-    tasks: list[Task], work: Work, config: Any, options: Options, reporter: Reporter
-) -> Iterator[dict[str, Any]]:
+    tasks: list[Task],
+    work: Work,
+    config: Any,
+    options: Options,
+    reporter: Reporter,
+    claim: Callable[[Task], bool],
+) -> Generator[dict[str, Any], None, None]:
     from depthcli.batch import workers
 
     if not tasks:
         return
     jobs = min(options.jobs, len(tasks))
     if jobs > 1:
-        yield from workers.compute(tasks, work, config, options, reporter, jobs)
+        yield from workers.compute(tasks, work, config, options, reporter, jobs, claim)
         return
     workers.use_threads(options.threads_each())
     compiled: Callable[[int, float], None] = workers.say_compiled(reporter)
     with workers.compile_watch(lambda: workers.say_compiling(reporter)) as watch:
         for task in tasks:
+            if not claim(task):
+                continue
             kernels, seconds = watch.kernels, watch.seconds
             yield run_one(task, work, config, options.memory_each())
             compiled(watch.kernels - kernels, watch.seconds - seconds)

@@ -19,7 +19,8 @@ from depthcli.batch.reporter import Reporter
 from depthcli.core.result import Clock
 
 if TYPE_CHECKING:
-    from depthcli.batch.runner import Options, Task, Work
+    from depthcli.batch.making import Task, Work
+    from depthcli.batch.runner import Options
     from depthcli.kernels.jit import CompileWatch
 
 _HEAD_START = 1.0  # seconds the first worker may show that kernels have to be compiled
@@ -65,14 +66,20 @@ def say_compiled(reporter: Reporter) -> Callable[[int, float], None]:
 
 
 def compute(
-    tasks: list[Task], work: Work, config: Any, options: Options, reporter: Reporter, jobs: int
+    tasks: list[Task],
+    work: Work,
+    config: Any,
+    options: Options,
+    reporter: Reporter,
+    jobs: int,
+    claim: Callable[[Task], bool],
 ) -> Iterator[dict[str, Any]]:
     """Rows of the tasks, in the order in which they are finished.
 
     The first item has a head start: where it shows that kernels must be compiled, the other workers
     wait for it, so that they find them compiled instead of doing the same work at the same time.
     """
-    from depthcli.batch.runner import failed_row
+    from depthcli.batch.making import failed_row
 
     context = multiprocessing.get_context("spawn")  # threads of OpenMP do not survive a fork
     begun, compiling = context.Event(), context.Event()
@@ -95,7 +102,11 @@ def compute(
         while waiting or running:
             while waiting and len(running) < (1 if alone else jobs + 1):
                 task = waiting.pop()
+                if not claim(task):
+                    continue
                 running[pool.schedule(_run, args=[task])] = task
+            if not running:
+                continue
             done, _ = wait(running, timeout=0.02 if alone else None, return_when=FIRST_COMPLETED)
             if alone and compiling.is_set():
                 say_compiling(reporter)
@@ -165,7 +176,7 @@ def _start_worker(work: Work, config: Any, threads: int, limit: int, begun: Any,
 
 
 def _run(task: Task) -> tuple[dict[str, Any], int, float]:
-    from depthcli.batch.runner import run_one
+    from depthcli.batch.making import run_one
 
     _Here.begun.set()
     kernels, seconds = _Here.watch.kernels, _Here.watch.seconds

@@ -36,6 +36,10 @@ HOW = (
     Option("threads", int, "Threads of each process.", "N", least=1, most=1024),
     Option("max_memory", str, "Such as 2GiB. Default: all that is free.", "SIZE"),
     Option("overwrite", bool, "Replace what an earlier run with another config left.", default=False),
+    Option("keep", str, "Files that stay of a scene, such as disp_left.pfm,status.png. Default: all.", "NAMES"),
+    Option("shard", str, "Part I of N of the scenes, beside others in one folder. Default: Slurm's job array.", "I/N"),
+    Option("fail_fast", bool, "Stop at the first scene that fails.", default=False),
+    Option("list_scenes", bool, "Print the names of the scenes; compute nothing.", default=False),
 )
 _EVALUATE = Option("evaluate", bool, "Compare with the ground truth of the input folder.", default=False)
 _DRY = Option("dry_run", bool, "Only say what would be done: config, scenes, memory, what is done.", default=False)
@@ -70,7 +74,18 @@ class BatchCommand(Command):
         from depthcli.batch.runner import BUG, run_items
         from depthcli.batch.tables import run_table
 
-        rows = run_items(self, config, items, values["output"], run_options(values), reporter)
+        options = run_options(values)
+        if values["list_scenes"]:
+            own = items if options.shard is None else options.shard.of(items)
+            names = [item.name for item in own]
+            if values["json"]:
+                reporter.data(record.to_json({"command": self.name, "scenes": names}))
+            else:
+                reporter.data("".join(f"{name}\n" for name in names))
+            return 0
+        if options.shard is not None:
+            reporter.info(f"shard {options.shard} of {len(items)} scenes")
+        rows = run_items(self, config, items, values["output"], options, reporter)
         self._write_legend(values["output"], rows)
         failed = [row for row in rows if row["status"] == "failed"]
         evaluation = self._evaluation(items, values, reporter) if _evaluates(values) else None
@@ -82,6 +97,8 @@ class BatchCommand(Command):
         elif not values["quiet"]:
             reporter.data(run_table(rows, self.columns()) if evaluation is None else evaluation.text())
         reporter.info(f"{len(rows) - len(failed)} of {len(rows)} scenes done, in {values['output']}")
+        if options.fail_fast and failed:
+            return 1 if failed[-1]["error"].startswith(BUG) else SOME_FAILED
         if any(row["error"].startswith(BUG) for row in failed):
             return 1
         return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0
@@ -94,7 +111,7 @@ class BatchCommand(Command):
         from depthcli.batch.plan import plan, plan_text
         from depthcli.batch.record import to_json
 
-        document = plan(self, config, items, values["output"], self.memory_of)
+        document = plan(self, config, items, values["output"], self.memory_of, run_options(values))
         reporter.data(to_json(document) if values["json"] else plan_text(document, config))
         return 0
 
@@ -227,12 +244,19 @@ def _single_options(kinds: tuple[type[Item], ...]) -> str:
 
 
 def run_options(values: Mapping[str, Any]) -> Any:
-    """How a run is done; ConfigError for a wrong size."""
+    """How a run is done; ConfigError for a wrong size or part."""
+    import os
+
     from depthcli.batch.resources import parse_bytes
     from depthcli.batch.runner import Options
+    from depthcli.batch.sharing import parse_shard
 
     memory = parse_bytes(values["max_memory"]) if values["max_memory"] else None
-    return Options(values["jobs"], values["threads"], memory, values["overwrite"])
+    shard = parse_shard(values["shard"], os.environ)
+    if shard is not None and _evaluates(values):
+        raise ConfigError("--evaluate wants all scenes: run depthcli evaluate when all shards are done")
+    keep = tuple(name.strip() for name in (values["keep"] or "").split(",") if name.strip())
+    return Options(values["jobs"], values["threads"], memory, values["overwrite"], shard, values["fail_fast"], keep)
 
 
 def _evaluates(values: Mapping[str, Any]) -> bool:

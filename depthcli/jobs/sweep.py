@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from depthcli.batch.command import SOME_FAILED, Command
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.jobs._batch import HOW, LAYOUT, OUTPUT, SCENES, ConfigCommand
+from depthcli.jobs._batch import HOW, LAYOUT, OUTPUT, SCENES, ConfigCommand, run_options
 from depthcli.jobs.evaluate import HTML, evaluate, new_page
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def _say_plan(
     rows = []
     for name, own in each.items():
         items = command.find(own, reporter)
-        document = plan(command, configs[name], items, own["output"], command.memory_of)
+        document = plan(command, configs[name], items, own["output"], command.memory_of, run_options(own))
         done = sum(row["status"] == DONE for row in document["scenes"])
         rows.append({"run": name, "scenes": len(document["scenes"]), "done": done, "refused": document["refused"]})
     if values["json"]:

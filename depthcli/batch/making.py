@@ -1,0 +1,179 @@
+"""One item, from its files to its folder: computed in a hidden place, moved into its own with its record last."""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+import os
+import shutil
+import traceback
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from depthcli.batch import record, resources
+from depthcli.core import memory
+from depthcli.core.errors import DepthcliError, OutputError
+from depthcli.io.items import Item
+
+BUG = "a bug in depthcli: "
+"""How the reason of an item begins that failed by our fault."""
+
+
+@dataclass
+class Outcome:
+    """What one item gave, beside its files.
+
+    Attributes
+    ----------
+    facts : columns of the report that are the same in every run (size, density, figures)
+    seconds : time by stage, in order
+    warnings : what a person should know about the result
+    """
+
+    facts: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+class Work(Protocol):
+    """What a command does with its items; picklable, for worker processes."""
+
+    @property
+    def name(self) -> str: ...
+
+    def compute(self, config: Any, item: Any, folder: Path, memory: int, /) -> Outcome:
+        """Compute ``item`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
+
+    def files(self, config: Any, item: Any, /) -> dict[str, Path]:
+        """Role -> file whose content the result depends on."""
+
+    def settings(self, config: Any, item: Any, /) -> dict[str, str]:
+        """What else the result depends on, beside the config."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One item to compute.
+
+    Attributes
+    ----------
+    item : what
+    output, work : the run folder, and where in it items are made
+    number : of the item in this call
+    run : identity of the run
+    inputs : role -> digest of what the result depends on
+    source : where the inputs are, for the report
+    keep : patterns of the files that stay
+    """
+
+    item: Item
+    output: Path
+    work: Path
+    number: int
+    run: str
+    inputs: dict[str, str]
+    source: str
+    keep: tuple[str, ...] = ()
+
+    @property
+    def target(self) -> Path:
+        """The item's folder."""
+        return self.output / self.item.name
+
+    @property
+    def hidden(self) -> Path:
+        """Where it is made."""
+        return self.work / str(self.number)
+
+    @property
+    def trace(self) -> Path:
+        """Where the traceback of a bug goes."""
+        return self.output / f"traceback-{self.item.name.replace('/', '_')}.txt"
+
+
+def run_one(task: Task, work: Work, config: Any, limit: int) -> dict[str, Any]:
+    """One item from its files to its folder; whatever goes wrong is the row's reason."""
+    resources.reset_peak()
+    row: dict[str, Any]
+    try:
+        task.item.check()
+        task.hidden.mkdir(parents=True)
+        outcome = work.compute(config, task.item, task.hidden, limit)
+        _leave(task)
+        _install(task, outcome)
+        seconds = {name: round(value, 6) for name, value in outcome.seconds.items()}
+        row = {"scene": task.item.name, "status": "done", "error": "", **outcome.facts, "seconds": seconds}
+        row |= {"peak_memory": resources.peak_memory(), "source": task.source, "warnings": outcome.warnings}
+    except MemoryError:
+        row = failed_row(task, "out of memory; see --max-memory")
+    except DepthcliError as error:
+        row = failed_row(task, str(error))
+    except OSError as error:
+        row = failed_row(task, f"{error.filename or task.target}: {error.strerror or error}")
+    except Exception as error:
+        what = f"{type(error).__name__}: {error}".splitlines()[0][:300]
+        with contextlib.suppress(OSError):
+            task.trace.write_text(traceback.format_exc(), "utf-8", "backslashreplace")
+        row = failed_row(task, f"{BUG}{what}; the traceback is in {task.trace.name}, please report it")
+    finally:
+        memory.release()
+        shutil.rmtree(task.hidden, ignore_errors=True)
+    if row["status"] == "failed":
+        # What an earlier run left for other inputs must not pass for this item's result.
+        known = record.read_record(task.target)
+        if known is not None:
+            with contextlib.suppress(OSError):
+                remove(task.target, known)
+    return row
+
+
+def _leave(task: Task) -> None:
+    """Delete the files that are not to be kept."""
+    for path in [path for path in task.hidden.rglob("*") if path.is_file()] if task.keep else []:
+        name = path.relative_to(task.hidden).as_posix()
+        if not any(fnmatch.fnmatchcase(name, each) or fnmatch.fnmatchcase(path.name, each) for each in task.keep):
+            path.unlink()
+
+
+def _install(task: Task, outcome: Outcome) -> None:
+    """Move a finished item into place, its record last."""
+    try:
+        made = sorted(path for path in task.hidden.rglob("*") if path.is_file())
+        files = {path.relative_to(task.hidden).as_posix(): record.file_digest(path) for path in made}
+        known = {"scene": task.item.name, "run": task.run, "inputs": task.inputs, "files": files}
+        record.write_record(task.hidden, {**known, "facts": outcome.facts})
+        before = record.read_record(task.target)
+        if before is not None:
+            remove(task.target, before)
+        task.target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            task.hidden.rename(task.target)
+        except OSError:  # the folder is there and holds something that is not ours
+            task.target.mkdir(exist_ok=True)
+            for name in (*files, record.RECORD_FILE):
+                (task.target / name).parent.mkdir(exist_ok=True)
+                os.replace(task.hidden / name, task.target / name)
+    except OSError as error:
+        raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
+    task.trace.unlink(missing_ok=True)
+
+
+def remove(target: Path, known: dict[str, Any]) -> None:
+    """Delete the files that a record lists, the record first; what else lies there is not ours."""
+    (target / record.RECORD_FILE).unlink(missing_ok=True)
+    folders = {target}
+    for name in known["files"]:
+        (target / name).unlink(missing_ok=True)
+        folders.add((target / name).parent)
+    for folder in sorted(folders, key=lambda path: -len(path.parts)):
+        with contextlib.suppress(OSError):  # it holds something that is not ours
+            folder.rmdir()
+
+
+def failed_row(task: Task, error: str) -> dict[str, Any]:
+    """The row of an item that gave nothing."""
+    return {
+        "scene": task.item.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None,
+        "source": task.source,
+    }  # fmt: skip

@@ -1,0 +1,205 @@
+"""Several processes, on one machine or many, that fill one run folder: who does what, and who may write what.
+
+A plain run keeps everybody else out of its folder. The processes of a run that is shared (``--shard``) keep plain runs
+out, claim every scene before they compute it, and write a part of the report each; the last one to leave joins them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import heapq
+import os
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from depthcli.core.errors import ConfigError, OutputError
+from depthcli.io.items import Item
+
+LOCKS_FILE = ".locks"
+_PATIENCE = 60.0  # seconds that a process waits for another one to set the folder up
+_PAUSE = 0.05
+_REPORT = 0  # byte of the locks' file that is held while the report is written
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Part ``index`` of ``count``, from 1."""
+
+    index: int
+    count: int
+
+    def __str__(self) -> str:
+        return f"{self.index}-of-{self.count}"
+
+    def of(self, items: Sequence[Item]) -> list[Item]:
+        """Its items: the same division in every process, by how large their files are."""
+        parts = [(0, number) for number in range(1, self.count + 1)]
+        mine = []
+        for size, item in sorted(((_bytes(item), item) for item in items), key=lambda pair: (-pair[0], pair[1].name)):
+            load, number = heapq.heappop(parts)
+            if number == self.index:
+                mine.append(item)
+            heapq.heappush(parts, (load + size + 1, number))
+        return sorted(mine, key=lambda item: item.name)
+
+
+def parse_shard(text: str | None, environment: Mapping[str, str]) -> Shard | None:
+    """``3/8``, or what a job array of Slurm says; None for a run that is not shared.
+
+    Raises
+    ------
+    ConfigError
+        It is not a part of a whole.
+    """
+    if text is not None:
+        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+        if found is None or not 1 <= int(found[1]) <= int(found[2]):
+            raise ConfigError(f"--shard: want part/parts such as 3/8, from 1/8 to 8/8 (got {text!r})")
+        return Shard(int(found[1]), int(found[2]))
+    try:
+        task, parts = (int(environment[f"SLURM_ARRAY_TASK_{name}"]) for name in ("ID", "COUNT"))
+        least, step = (int(environment.get(f"SLURM_ARRAY_TASK_{n}", d)) for n, d in (("MIN", "0"), ("STEP", "1")))
+    except (KeyError, ValueError):
+        return None
+    index = (task - least) // max(step, 1) + 1
+    if not 1 <= index <= parts:
+        raise ConfigError(f"SLURM_ARRAY_TASK_ID {task} of {parts} tasks is no part of a whole; say --shard I/N")
+    return Shard(index, parts)
+
+
+def _bytes(item: Item) -> int:
+    total = 0
+    for file in {} if item.problem else item.input_files.values():
+        with contextlib.suppress(OSError):
+            total += os.stat(file).st_size
+    return total
+
+
+class FolderLock:
+    """The right to write into a run folder; the system takes it back when this process ends, however it ends.
+
+    Parameters
+    ----------
+    output : the folder, made where it is missing
+    shared : with other processes that ask for the same
+    say : told where the file system has no locks
+
+    Attributes
+    ----------
+    alone : no other process is in the folder, and none may come before ``settle`` (or the end)
+    """
+
+    def __init__(self, output: Path, shared: bool, say: Callable[[str], None]) -> None:
+        self.output, self.shared, self.say = output, shared, say
+        self.alone = False
+        self._folder = self._scenes = -1
+        self._held: set[str] = set()
+
+    def __enter__(self) -> FolderLock:
+        try:
+            self.output.mkdir(parents=True, exist_ok=True)
+            self._folder = os.open(self.output, os.O_RDONLY)
+        except OSError as error:
+            raise OutputError(f"{self.output}: cannot be used as a run folder ({error.strerror or error})") from error
+        try:
+            self._lock_folder()
+        except BaseException:
+            os.close(self._folder)
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if self._scenes >= 0:
+            os.close(self._scenes)
+        os.close(self._folder)
+
+    def _lock_folder(self) -> None:
+        end = time.monotonic() + (_PATIENCE if self.shared else 0)
+        try:
+            import fcntl
+
+            while True:
+                for kind in (fcntl.LOCK_EX, fcntl.LOCK_SH) if self.shared else (fcntl.LOCK_EX,):
+                    with contextlib.suppress(BlockingIOError):
+                        fcntl.flock(self._folder, kind | fcntl.LOCK_NB)
+                        self.alone = kind == fcntl.LOCK_EX
+                        return
+                if time.monotonic() > end:
+                    raise ConfigError(f"{self.output}: another depthcli is writing there now")
+                time.sleep(_PAUSE)
+        except (ImportError, OSError):
+            self.alone = not self.shared
+            self.say(f"{self.output}: no locks on this file system; see to it that no other run writes there")
+
+    def settle(self) -> None:
+        """The folder is set up: let others in that share it."""
+        if not self.shared:
+            return
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            if self.alone:
+                fcntl.flock(self._folder, fcntl.LOCK_SH)
+            self._scenes = os.open(self.output / LOCKS_FILE, os.O_RDWR | os.O_CREAT, 0o666)
+        self.alone = not self.shared
+
+    def claim(self, name: str) -> bool:
+        """Take a scene; False where another process has it."""
+        if self._scenes >= 0 and name not in self._held:
+            import fcntl
+
+            try:
+                fcntl.lockf(self._scenes, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _byte(name))
+            except (BlockingIOError, PermissionError):
+                return False
+            except OSError:  # no such locks here: the shards are apart anyway
+                return True
+            self._held.add(name)
+        return True
+
+    def release(self, name: str) -> None:
+        """Give a scene back."""
+        if name in self._held:
+            import fcntl
+
+            self._held.discard(name)
+            with contextlib.suppress(OSError):
+                fcntl.lockf(self._scenes, fcntl.LOCK_UN, 1, _byte(name))
+
+    @contextlib.contextmanager
+    def reporting(self) -> Iterator[None]:
+        """While the report of all is written."""
+        if self._scenes < 0:
+            yield
+            return
+        import fcntl
+
+        with contextlib.suppress(OSError):
+            fcntl.lockf(self._scenes, fcntl.LOCK_EX, 1, _REPORT)
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                fcntl.lockf(self._scenes, fcntl.LOCK_UN, 1, _REPORT)
+
+    def last(self) -> bool:
+        """True where everybody else has left; nobody comes in from then on. The locks' file goes with them."""
+        if not self.shared:
+            return True
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            fcntl.flock(self._folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self.alone = True
+            (self.output / LOCKS_FILE).unlink(missing_ok=True)
+        return self.alone
+
+
+def _byte(name: str) -> int:
+    """A place of the locks' file, behind that of the report."""
+    return 1 + int.from_bytes(hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest()[:7], "big")

@@ -1,0 +1,287 @@
+"""Several processes in one run folder: who does what, who waits for whom, and what is left when one is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from depthcli.batch import record
+from depthcli.batch.report import joined_rows
+from depthcli.batch.sharing import LOCKS_FILE, FolderLock, Shard, parse_shard
+from depthcli.cli import main
+from depthcli.core.errors import ConfigError
+from depthcli.io.items.stereo import StereoItem
+
+FAST = "opencv-bm"
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(a) for a in arguments])
+
+
+def start(*arguments: str | Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "depthcli", *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file but the reports, hidden ones included."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in record.REPORT_FILES)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def report(folder: Path) -> dict[str, str]:
+    return {row["scene"]: row["status"] for row in json.loads((folder / "report.json").read_text())["scenes"]}
+
+
+@pytest.fixture(scope="module")
+def whole(made_scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What one process makes of the twelve scenes."""
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    assert run("stereo", FAST, "-i", made_scenes, "-o", folder, "-q") == 0
+    return folder
+
+
+def test_what_a_shard_is():
+    assert parse_shard(None, {}) is None
+    assert parse_shard("2/8", {"SLURM_ARRAY_TASK_ID": "5", "SLURM_ARRAY_TASK_COUNT": "6"}) == Shard(2, 8)
+    slurm = {"SLURM_ARRAY_TASK_ID": "5", "SLURM_ARRAY_TASK_COUNT": "6"}
+    assert parse_shard(None, slurm) == Shard(6, 6)
+    assert parse_shard(None, slurm | {"SLURM_ARRAY_TASK_MIN": "1"}) == Shard(5, 6)
+    assert parse_shard(None, slurm | {"SLURM_ARRAY_TASK_MIN": "1", "SLURM_ARRAY_TASK_STEP": "2"}) == Shard(3, 6)
+    with pytest.raises(ConfigError, match="say --shard"):
+        parse_shard(None, {"SLURM_ARRAY_TASK_ID": "50", "SLURM_ARRAY_TASK_COUNT": "6"})
+    for text in ("0/4", "5/4", "3", "a/b", "-1/4", "1/0"):
+        with pytest.raises(ConfigError, match="want part/parts"):
+            parse_shard(text, {})
+
+
+def test_shards_are_apart_complete_and_balanced(tmp_path: Path):
+    items = []
+    for number in range(48):
+        file = tmp_path / f"{number:02}.png"
+        file.write_bytes(b"x" * (1000 if number % 4 == 0 else 10))  # a plain division gives one of four all large ones
+        items.append(StereoItem(name=file.stem, folder=tmp_path, left=file))
+    parts = [Shard(index, 4).of(items) for index in range(1, 5)]
+    assert sorted(item.name for part in parts for item in part) == [item.name for item in items]
+    loads = [sum(item.left.stat().st_size for item in part) for part in parts]
+    assert max(loads) < 1.3 * min(loads)
+    assert Shard(2, 4).of(items[::-1]) == parts[1]
+    assert [len(Shard(index, 50).of(items)) for index in range(1, 51)].count(0) == 2
+
+
+def test_processes_side_by_side_make_what_one_makes(made_scenes: Path, whole: Path, tmp_path: Path):
+    out = tmp_path / "run"
+    common = ("stereo", FAST, "-i", made_scenes, "-o", out, "-v")
+    running = [start(*common, "--shard", f"{index}/2") for index in (1, 2)]
+    said = [process.communicate(timeout=60)[1] for process in running]
+    assert [process.returncode for process in running] == [0, 0], said
+    assert contents(out) == contents(whole)
+    assert report(out) == report(whole)
+    assert (out / "report.csv").read_text().splitlines()[1].startswith("curved_0,done")
+    assert all("shard" in text for text in said)
+    # Again, by one process: nothing is left to do.
+    assert run("stereo", FAST, "-i", made_scenes, "-o", out, "-q") == 0
+    assert contents(out) == contents(whole)
+
+
+def test_the_same_part_twice_is_done_once(made_scenes: Path, whole: Path, tmp_path: Path):
+    common = ("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "-v", "--shard", "1/1")
+    running = [start(*common), start(*common, "--jobs", "2")]
+    said = [process.communicate(timeout=60)[1] for process in running]
+    assert [process.returncode for process in running] == [0, 0], said
+    made = Counter(line.partition(":")[0] for text in said for line in text.splitlines() if line.endswith(" s"))
+    assert all(count == 1 for scene, count in made.items() if "_" in scene), made
+    assert contents(tmp_path / "run") == contents(whole)
+    assert report(tmp_path / "run") == report(whole)
+
+
+def test_a_killed_process_leaves_its_part_to_be_done_again(tmp_path: Path):
+    size = ("--width", "240", "--height", "180", "--max-disparity", "32")
+    assert run("sample", "-o", tmp_path / "in", "-n", "8", *size, "-q") == 0
+    common = ("stereo", "accurate", "-i", tmp_path / "in", "--threads", "1")
+    assert run(*common, "-o", tmp_path / "whole", "-q") == 0
+    out = tmp_path / "run"
+    victim, other = (start(*common, "-o", out, "--shard", f"{index}/2") for index in (1, 2))
+    mine = {f"{out}/{line}/record.json" for line in _names(tmp_path / "in", "1/2")}
+    end = time.monotonic() + 60
+    while not any(os.path.exists(path) for path in mine) and time.monotonic() < end:
+        time.sleep(0.002)
+    victim.send_signal(signal.SIGKILL)
+    victim.communicate()
+    assert other.communicate(timeout=60) is not None
+    assert other.returncode == 0
+    left = set(report(tmp_path / "whole")) - set(report(out))
+    # The report is that of what is there, the killed process's scenes too as soon as somebody lists them.
+    assert run("merge", out, "-q") == 0
+    there = {path.parent.name for path in out.glob("*/record.json")}
+    assert set(report(out)) == there
+    assert 5 <= len(there) <= 8
+    assert left >= set(report(tmp_path / "whole")) - there
+    assert run(*common, "-o", out, "--shard", "1/2", "-q") == 0
+    assert contents(out) == contents(tmp_path / "whole")
+    assert report(out) == report(tmp_path / "whole")
+
+
+def _names(folder: Path, shard: str) -> list[str]:
+    command = ("stereo", "accurate", "-i", folder, "-o", folder / "x", "--list-scenes", "--shard", shard)
+    process = start(*command)
+    return process.communicate(timeout=60)[0].split()
+
+
+def test_who_may_come_in(made_scenes: Path, tmp_path: Path, capsys, monkeypatch):
+    out = tmp_path / "run"
+    common = ("stereo", FAST, "-i", made_scenes, "-o", out, "--scenes", "planes_0", "-q")
+    monkeypatch.setattr("depthcli.batch.sharing._PATIENCE", 0.1)
+    assert run(*common, "--shard", "1/1") == 0
+    with FolderLock(out, True, print) as lock:
+        assert lock.alone
+        assert run(*common, "--shard", "1/1") == 2  # still being set up
+        assert "another depthcli is writing there now" in capsys.readouterr().err
+        lock.settle()
+        assert run(*common) == 2
+        assert "another depthcli is writing there now" in capsys.readouterr().err
+        assert run(*common, "--shard", "1/1", "--set", "block=7", "--overwrite") == 2
+        assert "writes a run of another config there" in capsys.readouterr().err
+        assert run(*common, "--shard", "1/1") == 0
+        assert run("merge", out, "-q") == 0
+        assert (out / LOCKS_FILE).exists()
+        assert lock.last()
+        assert not (out / LOCKS_FILE).exists()
+    with FolderLock(out, False, print):
+        assert run(*common, "--shard", "1/1") == 2
+    assert run(*common, "--shard", "1/1", "--set", "block=7") == 2
+    assert run(*common, "--shard", "1/1", "--set", "block=7", "--overwrite") == 0
+    assert run(*common) == 2
+    assert run(*common, "--overwrite") == 0
+    assert sorted(path.name for path in out.iterdir()) == [
+        "legend.png", "planes_0", "report.csv", "report.json", "run.yaml",
+    ]  # fmt: skip
+
+
+def test_a_scene_is_claimed_by_one(tmp_path: Path):
+    """Two processes, since these locks are a process's."""
+    code = f"""
+from pathlib import Path
+from depthcli.batch.sharing import FolderLock
+with FolderLock(Path({str(tmp_path / "run")!r}), True, print) as lock:
+    lock.settle()
+    print(*(lock.claim(name) for name in ("a", "b", "c")), flush=True)
+    input()
+    lock.release("a")
+    print("released", flush=True)
+    input()
+"""
+    with FolderLock(tmp_path / "run", True, print) as lock:
+        lock.settle()
+        assert lock.claim("b")
+        other = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert other.stdin is not None and other.stdout is not None
+        assert other.stdout.readline().split() == ["True", "False", "True"]
+        assert not lock.claim("a")
+        assert not lock.last()
+        other.stdin.write("\n")
+        other.stdin.flush()
+        other.stdout.readline()
+        assert lock.claim("a")
+        assert not lock.claim("c")
+        other.kill()
+        other.communicate()
+        assert lock.claim("c")
+        assert lock.last()
+
+
+def test_parts_are_read_before_they_are_joined(tmp_path: Path, whole: Path):
+    run_id, command = record.opened_run(whole)
+    assert command == "stereo"
+    rows = list(record.read_report(whole).values())
+    folder = tmp_path / "run"
+    for name in ("run.yaml", *(row["scene"] + "/record.json" for row in rows)):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes((whole / name).read_bytes())
+    record.write_rows(folder / ".parts/1-of-2.json", rows[:5], {"command": "stereo", "run": run_id}, {})
+    record.write_rows(folder / ".parts/2-of-2.json", rows[5:9], {"command": "stereo", "run": run_id}, {})
+    record.write_rows(
+        folder / ".parts/1-of-9.json", [{**rows[0], "status": "failed"}], {"run": "of another config"}, {}
+    )
+    assert record.read_report(folder) == {row["scene"]: row for row in rows[:9]}
+    failed = {"scene": "zebra", "status": "failed", "error": "no stripes", "seconds": {}, "peak_memory": None}
+    record.write_rows(folder / ".parts/3-of-3.json", [failed], {"command": "stereo", "run": run_id}, {})
+    names = [row["scene"] for row in rows]
+    joined = joined_rows(folder, run_id, names)
+    assert [row["scene"] for row in joined] == [*names, "zebra"]
+    assert joined[0]["seconds"] == rows[0]["seconds"]
+    assert joined[10]["seconds"] == {}
+    assert joined_rows(folder, "another run") == [failed | {"source": ""}]
+
+
+def test_what_would_be_done(made_scenes: Path, tmp_path: Path, capsys):
+    out = tmp_path / "run"
+    common = ("stereo", "accurate", "-i", made_scenes, "-o", out)
+    assert run(*common, "--list-scenes", "--scenes", "planes_*") == 0
+    assert capsys.readouterr().out == "planes_0\nplanes_1\nplanes_2\n"
+    parts = []
+    for index in (1, 2):
+        assert run(*common, "--list-scenes", "--shard", f"{index}/2", "--json") == 0
+        parts += json.loads(capsys.readouterr().out)["scenes"]
+    assert len(parts) == len(set(parts)) == 12
+    assert not out.exists()
+    assert run(*common, "--scenes", "planes_0", "-q") == 0
+    assert run(*common, "--dry-run", "--json", "--shard", "1/1") == 0
+    rows = {row["scene"]: row["status"] for row in json.loads(capsys.readouterr().out)["scenes"]}
+    assert (rows["planes_0"], rows["planes_1"], len(rows)) == ("done, kept", "to do", 12)
+    assert run(*common, "--dry-run", "--json", "--keep", "*.pfm", "--scenes", "planes_0") == 0
+    assert json.loads(capsys.readouterr().out)["scenes"][0]["status"] == "to do"
+
+
+def test_stopping_at_the_first_failure(made_scenes: Path, tmp_path: Path, capsys):
+    scenes = tmp_path / "in"
+    for scene in ("planes_0", "planes_1", "planes_2"):
+        for path in (made_scenes / scene).iterdir():
+            (scenes / scene).mkdir(parents=True, exist_ok=True)
+            (scenes / scene / path.name).write_bytes(path.read_bytes())
+    (scenes / "planes_1" / "left.png").write_bytes(b"damaged")
+    for jobs in ("1", "2"):
+        out = tmp_path / jobs
+        assert run("stereo", FAST, "-i", scenes, "-o", out, "--fail-fast", "--jobs", jobs) == 3
+        assert "stopped at the first failure" in capsys.readouterr().err
+        assert report(out)["planes_1"] == "failed"
+        if jobs == "1":
+            assert report(out) == {"planes_0": "done", "planes_1": "failed"}
+        assert not list(out.glob(".*"))
+    (scenes / "planes_1" / "left.png").write_bytes((made_scenes / "planes_1" / "left.png").read_bytes())
+    assert run("stereo", FAST, "-i", scenes, "-o", tmp_path / "1", "--fail-fast", "-q") == 0
+    assert set(report(tmp_path / "1").values()) == {"done"}
+
+
+def test_leaving_files_out(made_scenes: Path, whole: Path, tmp_path: Path):
+    out = tmp_path / "run"
+    common = ("stereo", FAST, "-i", made_scenes, "-o", out, "--scenes", "planes_0", "-q")
+    assert run(*common, "--keep", "disp_left.pfm, record.json") == 0
+    assert sorted(path.name for path in (out / "planes_0").iterdir()) == ["disp_left.pfm", "record.json"]
+    stamp = (out / "planes_0/disp_left.pfm").stat().st_mtime_ns
+    assert run(*common, "--keep", "disp_left.pfm, record.json") == 0
+    assert (out / "planes_0/disp_left.pfm").stat().st_mtime_ns == stamp
+    assert run(*common, "--keep", "*.png") == 0
+    assert sorted(path.name for path in (out / "planes_0").iterdir()) == [
+        "disp_left.png", "preview.png", "record.json", "status.png",
+    ]  # fmt: skip
+    assert run(*common) == 0
+    assert contents(out / "planes_0") == contents(whole / "planes_0")
+
+
+def test_shards_and_evaluation_exclude_each_other(made_scenes: Path, tmp_path: Path, capsys):
+    common = ("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run")
+    assert run(*common, "--shard", "1/2", "--evaluate") == 2
+    assert run(*common, "--shard", "3/2") == 2
+    assert "want part/parts" in capsys.readouterr().err
+    assert run("merge", tmp_path / "absent") == 2
+    assert run("merge", made_scenes.parent) == 2
