@@ -66,7 +66,7 @@ def mean_field(
     ----------
     unary : (N, L) float32 energies, finite
     kernels : one or more
-    compatibility : mu; an (L, L) array costs O(L^2) a point, :class:`TruncatedLinear` O(L)
+    compatibility : mu; an (L, L) array costs O(L^2) a point, :class:`TruncatedLinear` O(L log T)
     iterations : steps; 0 gives the start
     initial : (N, L) float32 marginals to start from, >= 0; softmax(-unary) where not given
 
