@@ -445,3 +445,61 @@ def surface_fill(values, rows, reach, support, largest):
             if offers:
                 out[y, x] = min(max(min(offers), 0), largest)
     return out
+
+
+def slopes(values, image, radius):
+    """(2, H, W): plane through similar pixels of a 9 x 9 grid, fitted twice, shrunk by doubt."""
+    height, width = values.shape
+    image = image.astype(int)
+    step = max(1, radius // 4)
+    found = np.zeros((2, height, width))
+    for y, x in np.argwhere(~np.isnan(values)):
+        samples = []
+        for dy in range(-4 * step, 4 * step + 1, step):
+            for dx in range(-4 * step, 4 * step + 1, step):
+                v, u = y + dy, x + dx
+                if not (0 <= v < height and 0 <= u < width) or np.isnan(values[v, u]):
+                    continue
+                apart = float(values[v, u]) - float(values[y, x])
+                if np.abs(image[v, u] - image[y, x]).sum() <= 75 and abs(apart) <= 1 + 0.15 * np.hypot(dy, dx):
+                    samples.append((dx, dy, apart))
+        dx, dy, apart = np.array(samples).T
+        weight, plane = np.ones(len(dx)), np.zeros(3)
+        for turn in range(2):
+            if turn:
+                weight = np.maximum(1 - (apart - plane @ [dx, dy, np.ones(len(dx))]) ** 2, 0)
+            if weight.sum() < 6:
+                plane = np.zeros(3)
+                continue
+            share = weight / weight.sum()
+            mx, my, md = (share * dx).sum(), (share * dy).sum(), (share * apart).sum()
+            moments = np.array([[0.2, 0], [0, 0.2]])
+            for k, a in enumerate((dx - mx, dy - my)):
+                for m, b in enumerate((dx - mx, dy - my)):
+                    moments[k, m] += (share * a * b).sum()
+            sides = np.array([(share * (dx - mx) * (apart - md)).sum(), (share * (dy - my) * (apart - md)).sum()])
+            a, b = np.clip(np.linalg.solve(moments, sides), -1, 1)
+            plane = np.array([a, b, md - a * mx - b * my])
+        residual = apart - plane @ [dx, dy, np.ones(len(dx))]
+        variance = (weight * residual**2).sum() / max(weight.sum(), 1)
+        steep = plane[0] ** 2 + plane[1] ** 2
+        found[:, y, x] = plane[:2] * steep / (steep + 4 * (variance + 0.01) * 3 / radius**2)
+    return found
+
+
+def slanted_median(values, gradient, image, radius, color_scale, distance_scale):
+    """Weighted median of extrapolated values: (lowest, highest) acceptable."""
+    image = image.astype(float)
+    low, high = values.astype(float), values.astype(float)
+    for y, x in np.argwhere(~np.isnan(values)):
+        window = np.s_[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
+        v, u = (axis[: values[window].shape[0], : values[window].shape[1]] for axis in np.mgrid[window])
+        color = np.abs(image[window] - image[y, x]).mean(axis=2)
+        weight = np.exp(-np.minimum(color / color_scale + np.hypot(v - y, u - x) / distance_scale, 16))
+        votes = values[window] + gradient[0][window] * (x - u) + gradient[1][window] * (y - v)
+        known = ~np.isnan(votes)
+        order = np.argsort(votes[known], kind="stable")
+        share = np.cumsum(weight[known][order]) / weight[known].sum()
+        low[y, x] = votes[known][order][np.searchsorted(share, 0.5 - 1e-3)]
+        high[y, x] = votes[known][order][np.searchsorted(share, 0.5 + 1e-3)]
+    return low, high
