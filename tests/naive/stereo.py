@@ -29,6 +29,28 @@ def absolute_difference(left, right, disparities, truncation, outside):
     )
 
 
+def tolerant_difference(left, right, disparities, truncation, outside, divisor=1):
+    """Birchfield and Tomasi: difference from the nearest value within half a pixel, the smaller of both ways round."""
+
+    def reach(row, x, c):
+        values = [int(row[x, c])]
+        for u in (x - 1, x + 1):
+            values.append((int(row[x, c]) + int(row[min(max(u, 0), len(row) - 1), c])) // 2)
+        return min(values), max(values)
+
+    def apart(value, low, high):
+        return max(value - high, low - value, 0)
+
+    def cost(y, x, d):
+        total = 0
+        for c in range(left.shape[2]):
+            a, b = int(left[y, x, c]), int(right[y, x - d, c])
+            total += min(apart(a, *reach(right[y], x - d, c)), apart(b, *reach(left[y], x, c)))
+        return min(truncation, (total + divisor // 2) // divisor)
+
+    return volume(left.shape[:2], disparities, cost, outside)
+
+
 def _patch(image, y, x, ry, rx):
     padded = np.pad(image, ((ry, ry), (rx, rx)), mode="edge")
     return padded[y : y + 2 * ry + 1, x : x + 2 * rx + 1]

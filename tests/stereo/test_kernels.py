@@ -16,7 +16,7 @@ from depthcli.stereo.aggregation.cross import Cross
 from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.stereo.cost.census import Census
 from depthcli.stereo.cost.combined import Combined
-from depthcli.stereo.cost.gradient import Gradient
+from depthcli.stereo.cost.gradient import Gradient, image_gradient
 from depthcli.stereo.cost.rank import Rank
 from depthcli.stereo.cost.zncc import Zncc
 from depthcli.stereo.optimization.scanline import Scanline
@@ -53,6 +53,34 @@ def test_absolute_difference(height, width, disparities, color):
     volume = cost(pair, disparities)
     assert volume.scale == channels
     np.testing.assert_array_equal(volume.costs, expected)
+
+
+@sizes
+@pytest.mark.parametrize("color", [False, True])
+def test_tolerant_absolute_difference(height, width, disparities, color):
+    pair, cost = random_pair(height, width, color), AbsoluteDifference(sampling="tolerant")
+    channels = 3 if color else 1
+    left, right = (image.reshape(height, width, channels) for image in (pair.left, pair.right))
+    expected = naive.tolerant_difference(left, right, disparities, min(60 * channels, 255), 20 * channels)
+    np.testing.assert_array_equal(cost(pair, disparities).costs, expected)
+
+
+@sizes
+def test_tolerant_gradient(height, width, disparities):
+    pair, cost = random_pair(height, width, False), Gradient(sampling="tolerant")
+    left, right = (image_gradient(image, cost.sigma).transpose(1, 2, 0) for image in pair.grey)
+    expected = naive.tolerant_difference(left, right, disparities, 160, 16, divisor=4)
+    np.testing.assert_array_equal(cost(pair, disparities).costs, expected)
+
+
+@pytest.mark.parametrize("cost", [AbsoluteDifference(sampling="tolerant"), Gradient(sampling="tolerant")])
+def test_tolerant_costs_do_not_see_half_a_pixel(cost):
+    """Fine texture seen by two cameras whose pixels lie half a pixel apart."""
+    fine = np.repeat(texture((30, 120), 3), 2, axis=1).astype(np.float32)
+    views = [((fine[:, k : k + 200 : 2] + fine[:, k + 1 : k + 201 : 2]) / 2).astype(np.uint8) for k in (0, 1)]
+    pair = StereoPair(*views)
+    plain = type(cost)()(pair, 1).costs[4:-4, 4:-4].mean()
+    assert cost(pair, 1).costs[4:-4, 4:-4].mean() < 0.3 * plain
 
 
 @sizes

@@ -68,6 +68,77 @@ def difference_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
                         out[i] = np.uint8(min(total, limit))
 
 
+@parallel_jit
+def half_pixel_ranges(features: Any, low: Any, high: Any) -> None:
+    """Least and largest value of (C, H, W) ``features`` within half a pixel along the row, linear between pixels."""
+    channels, height, width = features.shape
+    kind = features.dtype.type
+    for y in prange(height):
+        for c in range(channels):
+            for x in range(width):
+                here = np.int32(features[c, y, x])
+                before = (here + np.int32(features[c, y, max(x - 1, 0)])) >> 1
+                after = (here + np.int32(features[c, y, min(x + 1, width - 1)])) >> 1
+                low[c, y, x] = kind(min(here, before, after))
+                high[c, y, x] = kind(max(here, before, after))
+
+
+def tolerant_volume(
+    left: NDArray[Any], right: NDArray[Any], costs: NDArray[np.uint8], shift: int, limit: np.int16
+) -> None:
+    """Sum over channels of the dissimilarity of Birchfield and Tomasi (PAMI 1998), blind to where pixels sample.
+
+    The difference of a pixel from the nearest value that the other image has within half a pixel of its match, the
+    smaller one of the two ways round.
+
+    Parameters
+    ----------
+    left, right : (C, H, W) uint8 or int16
+    costs : (H, W, D), written: the sum divided by 2^``shift`` (rounded half up), at most ``limit``
+    """
+    left_low, left_high = np.empty_like(left), np.empty_like(left)
+    half_pixel_ranges(left, left_low, left_high)
+    right_low, right_high = np.empty_like(right), np.empty_like(right)
+    half_pixel_ranges(right, right_low, right_high)
+    _tolerant_volume(
+        left, left_low, left_high, right, right_low, right_high, costs, np.int16(shift), np.int16(limit)
+    )  # fmt: skip
+
+
+@parallel_jit
+def _tolerant_volume(
+    left: Any, left_low: Any, left_high: Any, right: Any, right_low: Any, right_high: Any,
+    costs: Any, shift: Any, limit: Any,
+) -> None:  # fmt: skip
+    channels, height, width = left.shape
+    depth = costs.shape[2]
+    zero = np.int16(0)
+    half = np.int16((1 << shift) >> 1)
+    for y in prange(height):
+        mirror = np.zeros((3 * channels, width + depth), np.int16)
+        for c in range(channels):
+            mirror[3 * c, :width] = right[c, y, ::-1]
+            mirror[3 * c + 1, :width] = right_low[c, y, ::-1]
+            mirror[3 * c + 2, :width] = right_high[c, y, ::-1]
+        total = np.empty(depth, np.int16)
+        for x in range(width):
+            start = width - 1 - x
+            total[:] = half
+            for c in range(channels):
+                here = np.int16(left[c, y, x])
+                low, high = np.int16(left_low[c, y, x]), np.int16(left_high[c, y, x])
+                there = mirror[3 * c, start : start + depth]
+                there_low = mirror[3 * c + 1, start : start + depth]
+                there_high = mirror[3 * c + 2, start : start + depth]
+                for i in range(total.size):
+                    one = max(np.int16(here - there_high[i]), np.int16(there_low[i] - here))
+                    other = max(np.int16(there[i] - high), np.int16(low - there[i]))
+                    total[i] = np.int16(total[i] + max(min(one, other), zero))
+            out = costs[y, x]
+            for i in range(out.size):
+                out[i] = np.uint8(min(np.int16(total[i] >> shift), limit))
+
+
 def empty_volume(shape: tuple[int, int], disparities: int) -> NDArray[np.uint8]:
     """An uninitialised (H, W, D) uint8 volume; every kernel here writes every cell."""
     return memory.empty((*shape, disparities), np.uint8)

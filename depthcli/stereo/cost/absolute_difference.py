@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from depthcli.core.frames import StereoPair
 from depthcli.stereo.cost import CostMeasure
-from depthcli.stereo.cost._fill import difference_volume, empty_volume
+from depthcli.stereo.cost._fill import difference_volume, empty_volume, tolerant_volume
 from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
@@ -27,6 +27,10 @@ class AbsoluteDifference(CostMeasure):
     )
 
     truncation: float = Field(60.0, gt=0, le=255, description="largest cost, grey levels")
+    sampling: Literal["exact", "tolerant"] = Field(
+        "exact",
+        description="tolerant: blind to where between two pixels the other camera has sampled (Birchfield and Tomasi)",
+    )
     outside: float = Field(20.0, ge=0, le=255, description="cost of a match outside the right image, grey levels")
 
     MAX_STORED: ClassVar[int] = 255
@@ -39,6 +43,9 @@ class AbsoluteDifference(CostMeasure):
         scale = left.shape[0]
         costs = empty_volume(pair.shape, disparities)
         limit = min(round(self.truncation * scale), self.MAX_STORED)
-        difference_volume(left, right, costs, np.int16(limit))
+        if self.sampling == "tolerant":
+            tolerant_volume(left, right, costs, 0, np.int16(limit))
+        else:
+            difference_volume(left, right, costs, np.int16(limit))
         fill_outside(costs, np.uint8(min(round(self.outside * scale), limit)))
         return CostVolume(costs, float(scale))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.cost import CostMeasure
-from depthcli.stereo.cost._fill import empty_volume
+from depthcli.stereo.cost._fill import empty_volume, tolerant_volume
 from depthcli.stereo.outside import fill_outside
 from depthcli.stereo.volume import CostVolume
 
@@ -28,6 +28,10 @@ class Gradient(CostMeasure):
 
     sigma: float = Field(1.0, ge=0.3, le=2, description="standard deviation of the derivative filter, pixels")
     truncation: float = Field(40.0, gt=0, le=63, description="largest cost, grey levels a pixel")
+    sampling: Literal["exact", "tolerant"] = Field(
+        "exact",
+        description="tolerant: blind to where between two pixels the other camera has sampled (Birchfield and Tomasi)",
+    )
     outside: float = Field(4.0, ge=0, le=63, description="cost of a match outside the right image, grey levels a pixel")
 
     SCALE: ClassVar[int] = 4
@@ -36,7 +40,10 @@ class Gradient(CostMeasure):
         costs = empty_volume(pair.shape, disparities)
         left, right = (image_gradient(image, self.sigma) for image in pair.grey)
         limit = round(self.truncation * self.SCALE)
-        _gradient_volume(left, right, costs, np.int16(limit))
+        if self.sampling == "tolerant":
+            tolerant_volume(left, right, costs, 2, np.int16(limit))
+        else:
+            _gradient_volume(left, right, costs, np.int16(limit))
         fill_outside(costs, np.uint8(min(limit, round(self.outside * self.SCALE))))
         return CostVolume(costs, float(self.SCALE))
 
