@@ -14,9 +14,11 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from depthcli.confidence import MeasureName, confidence_maps, measure_name
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap
 from depthcli.core.method import Odd
 from depthcli.core.result import Clock
 from depthcli.fusion.blend import UNIT, add_weighted, blend, squash
+from depthcli.fusion.maps import MapFusion
 from depthcli.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
 from depthcli.fusion.weights import comparable, measure_weights
 from depthcli.kernels.winners import left_right_difference, winners
@@ -30,7 +32,7 @@ from depthcli.stereo.refinement import RefinementStep
 from depthcli.stereo.segments.steps import SegmentSteps
 from depthcli.stereo.volume import CostVolume, StereoResult
 
-_CONSENSUS = "consensus"
+_CONSENSUS, _AGREEMENT = "consensus", "agreement"
 _LARGEST = 4080  # of voted costs: the fixed point of aggregated costs, which scanline optimizers can sum
 
 
@@ -136,16 +138,26 @@ class Fusion(BaseModel):
         "optimization, refinement and confidence; null: not used",
     )
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the disparity map, in order")
-    confidence: tuple[Annotated[str, AfterValidator(lambda name: measure_name(name, _CONSENSUS))], ...] = Field(
-        (), description="confidence maps to write: measures of the final costs, or 'consensus', the share of votes"
+    maps: MapFusion | None = Field(
+        None, description="maps of other methods that the finished map is mixed with; null: none"
+    )
+    confidence: tuple[Annotated[str, AfterValidator(lambda n: measure_name(n, _CONSENSUS, _AGREEMENT))], ...] = Field(
+        (),
+        description="confidence maps to write: measures of the final costs, 'consensus', the share of votes, or, with "
+        "maps, 'agreement', the share of maps",
     )
 
     @model_validator(mode="after")
     def _nothing_in_vain(self) -> Fusion:
+        if self.maps is None and _AGREEMENT in self.confidence:
+            wrong = PydanticCustomError("in_vain", "'agreement' is that of several maps; want 'maps'")
+            raise ValidationError.from_exception_data(
+                "Fusion", [{"type": wrong, "loc": ("confidence",), "input": list(self.confidence)}]
+            )
         if self.segments is None:
             return self
         # Further rounds of the vote are those of the optimized map.
-        ignored = ("refinement", "confidence", *(("optimization",) if self.consensus.rounds == 0 else ()))
+        ignored = ("refinement", "maps", "confidence", *(("optimization",) if self.consensus.rounds == 0 else ()))
         fields = type(self).model_fields
         errors: list[InitErrorDetails] = [
             {"type": PydanticCustomError("in_vain", "has no effect beside 'segments', which has its own; leave it out"),
@@ -172,17 +184,42 @@ class Fusion(BaseModel):
             A volume is missing, has another shape, or holds other than finite numbers.
         """
         clock = Clock()
+        others = [] if self.maps is None else self.maps.matched(pair, max_disparity)
+        clock.stop("other_maps")
         fused = self.fuse(pair, max_disparity, volumes or {}, clock)
         if self.segments is not None:
             result = self.segments.from_volume(pair, fused.volume, max_disparity, clock)
         else:
-            known = [name for name in self.confidence if name != _CONSENSUS]
-            result, found = finish(pair, fused.volume, self.optimization, self.refinement, known, clock)
+            own = (_CONSENSUS, _AGREEMENT)
+            known = [name for name in self.confidence if name not in own]
+            result, found, right = finish(pair, fused.volume, self.optimization, self.refinement, known, clock)
             if _CONSENSUS in self.confidence:
                 result.confidence[_CONSENSUS] = fused.ballot.shares(found.astype(np.int32)[None])[0]
                 clock.stop("confidence")
+            if self.maps is not None:
+                self._mix(pair, fused.volume, right, others, result, clock)
         result.figures |= fused.figures
         return result
+
+    def _mix(
+        self,
+        pair: StereoPair,
+        volume: CostVolume,
+        right: NDArray[np.uint16],
+        others: list[DisparityMap],
+        result: StereoResult,
+        clock: Clock,
+    ) -> None:
+        """Replace the map of ``result`` by the mix of it with ``others``."""
+        assert self.maps is not None
+        again = [
+            finish(pair, volume, one.optimization, self.refinement, (), clock)[0].disparity
+            for one in self.maps.optimizations
+        ]
+        mixed = self.maps(pair, volume, right, [result.disparity, *others, *again], clock)
+        result.disparity = mixed.disparity
+        if _AGREEMENT in self.confidence:
+            result.confidence[_AGREEMENT] = mixed.agreement
 
     def fuse(
         self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: Clock | None = None
@@ -217,7 +254,10 @@ class Fusion(BaseModel):
         pixels = shape[0] * shape[1]
         # A byte a measure; raw, aggregated, voted and optimized costs of two bytes; a vote block of 16 floats.
         a_cell = len(self.measures) + (6 if self.blend == "before" else 10)
-        return pixels * (max_disparity + 1) * a_cell + pixels * (2 * 16 * 4 + 24 * len(self.measures)) + (32 << 20)
+        need = pixels * (max_disparity + 1) * a_cell + pixels * (2 * 16 * 4 + 24 * len(self.measures)) + (32 << 20)
+        if self.maps is None:
+            return need
+        return max(need + self.maps.bytes_beside(shape), self.maps.peak_bytes(shape, max_disparity))
 
     def _support(self, pair: StereoPair) -> Support:
         if self.consensus.support == "window":

@@ -19,7 +19,8 @@ from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.stereo.volume import CostVolume
 
-_LANES = 16
+LANES = 16
+"""Disparities (or maps) that a support sums at a time."""
 _NOTHING = np.float32(1e-20)  # instead of 0: what is left of far votes must not become denormal, which is slow
 
 
@@ -38,7 +39,7 @@ class Support:
         """Replace (H, W, 16) float32 ``block`` by its sums over every pixel's support."""
 
     def _normalize(self, shape: tuple[int, int]) -> None:
-        ones = np.ones((*shape, _LANES), np.float32)
+        ones = np.ones((*shape, LANES), np.float32)
         self.share = np.ones(shape, np.float32)
         self.sum(ones)
         self.share = np.float32(1.0) / ones[:, :, 0]
@@ -117,8 +118,8 @@ class Ballot:
     def _blocks(self, fading: bool) -> Iterator[tuple[int, NDArray[np.float32]]]:
         voters, height, width = self.disparities.shape
         weights = np.round(self.weights * 256) / np.float32(256 * voters)
-        block = memory.empty((height, width, _LANES), np.float32)
-        for first in range(0, self.depth, _LANES):
+        block = memory.empty((height, width, LANES), np.float32)
+        for first in range(0, self.depth, LANES):
             _cast(self.disparities, weights, first, self.tolerance, fading, block)
             self.support.sum(block)
             yield first, block

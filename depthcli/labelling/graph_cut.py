@@ -95,6 +95,28 @@ def alpha_expansion(
     return Labelling(labels, before, energy)
 
 
+def binary_cut(
+    score: NDArray[np.float64], p: NDArray[np.int64], q: NDArray[np.int64], capacity: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """The labels x that minimize ``sum score x + sum capacity (1 - x_p) x_q``, by one minimum cut.
+
+    Parameters
+    ----------
+    score : (N,) cost of true minus cost of false
+    p, q : (E,) nodes of every pair
+    capacity : (E,) costs >= 0
+    """
+    graph: Any = maxflow.GraphFloat(len(score), len(p))
+    ids = graph.add_nodes(len(score))
+    # Source side is x = 0: a terminal edge that is cut belongs to the side the node is not on.
+    graph.add_grid_tedges(ids, np.maximum(score, 0.0), np.maximum(-score, 0.0))
+    if len(p):
+        graph.add_edges(p, q, capacity, np.zeros_like(capacity))
+    graph.maxflow()
+    found: NDArray[np.bool_] = graph.get_grid_segments(ids)
+    return found
+
+
 @dataclass(frozen=True)
 class _Neighbors:
     """Edges by node: those of node n are ``starts[n] .. starts[n + 1] - 1``; ``total`` (N,) is their weight."""
@@ -143,14 +165,7 @@ def _expand(
     if len(chosen) == 0:
         return None
     score, p, q, capacity = _binary_problem(labels, alpha, rise, starts, other, weight, chosen)
-    graph: Any = maxflow.GraphFloat(len(chosen), len(p))
-    ids = graph.add_nodes(len(chosen))
-    # Source side is x = 0: a terminal edge that is cut belongs to the side the node is not on.
-    graph.add_grid_tedges(ids, np.maximum(score, 0.0), np.maximum(-score, 0.0))
-    if len(p):
-        graph.add_edges(p, q, capacity, np.zeros_like(capacity))
-    graph.maxflow()
-    switched = graph.get_grid_segments(ids)
+    switched = binary_cut(score, p, q, capacity)
     if not switched.any():
         return None
     moved = labels.copy()

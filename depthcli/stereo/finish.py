@@ -24,8 +24,8 @@ def finish(
     refinement: Iterable[Refinement],
     confidence: Iterable[str],
     clock: Clock,
-) -> tuple[StereoResult, NDArray[np.uint16]]:
-    """The result of a cost volume, and the winners (H, W) uint16 that it was refined from.
+) -> tuple[StereoResult, NDArray[np.uint16], NDArray[np.uint16]]:
+    """The result of a cost volume, and the winners of the left and the right view (H, W) uint16 it was refined from.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def finish(
     clock.stop("refinement")
     maps = confidence_maps(volume.costs, confidence)
     clock.stop("confidence")
-    return StereoResult(disparity, seconds=clock.seconds, confidence=maps), left
+    return StereoResult(disparity, seconds=clock.seconds, confidence=maps), left, right
 
 
 def refined(disparity: DisparityMap, steps: Iterable[Refinement], evidence: Evidence) -> DisparityMap:

@@ -35,7 +35,7 @@ class Local(CostPipeline):
         if self.aggregation is not None:
             volume = self.aggregation(volume, pair)
         clock.stop("aggregation")
-        result, _ = finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)
+        result, _, _ = finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)
         return result
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:

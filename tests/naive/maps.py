@@ -1,0 +1,50 @@
+"""Slow twins of the mixing of maps."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+
+def matching_costs(maps, costs, unit, truncation):
+    """Interpolated costs along every map, truncated."""
+    out = np.empty(maps.shape)
+    depth = costs.shape[2]
+    for k, y, x in np.ndindex(maps.shape):
+        d = maps[k, y, x]
+        low = min(int(d), depth - 1)
+        cost = costs[y, x, low] + (d - low) * (costs[y, x, min(low + 1, depth - 1)] - float(costs[y, x, low]))
+        out[k, y, x] = truncation if low > x else min(cost * unit, truncation)
+    return out
+
+
+def disagreements(maps, weights):
+    """Weighted share of the other maps farther than half a pixel, fading to one and a half."""
+    out = np.zeros(maps.shape)
+    for k, m in itertools.permutations(range(len(maps)), 2):
+        out[k] += weights[m] * (1 - np.clip(1.5 - np.abs(maps[k] - maps[m]), 0, 1)) / (weights.sum() - weights[k])
+    return out
+
+
+def contradictions(maps, right, hidden):
+    """1 well in front of what the right view sees, ``hidden`` behind it or outside."""
+    out = np.zeros(maps.shape)
+    for k, y, x in np.ndindex(maps.shape):
+        u = int(np.floor(x - maps[k, y, x] + 0.5))
+        nearer = maps[k, y, x] - float(right[y, u]) if u >= 0 else -np.inf
+        out[k, y, x] = hidden if nearer < -1 else np.clip(nearer - 1, 0, 1)
+    return out
+
+
+def energy(values, slopes, cost, weights, truncation):
+    """Costs, and misfits of neighbors beyond their slopes."""
+    height, width = values.shape
+    total = float(cost.sum())
+    for y, x in np.ndindex(height, width):
+        for axis, (v, u) in enumerate(((y, x + 1), (y + 1, x))):
+            if v < height and u < width:
+                step = float(values[v, u]) - float(values[y, x])
+                misfit = (abs(step - slopes[axis, y, x]) + abs(step - slopes[axis, v, u])) / 2
+                total += weights[axis, y, x] * min(truncation, misfit)
+    return total
