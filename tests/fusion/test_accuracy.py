@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from depthcli.batch.presets import find_config
 from depthcli.confidence import confidence_maps
+from depthcli.core.config_file import load_config
 from depthcli.evaluation.curves import sparsification
 from depthcli.fusion import Fusion
+from depthcli.fusion.config import FuseConfig
 from depthcli.kernels.winners import winners
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.cost.census import Census
@@ -41,3 +44,11 @@ def test_the_best_confidence_orders_pixels_well(name, most):
     areas = {n: sparsification(m[known], wrong).auc for n, m in confidence_maps(costs, ["dap", "da", "pkr"]).items()}
     assert areas["dap"] <= most
     assert areas["dap"] < areas["pkr"] < np.mean(wrong) / 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "most"), [("Teddy", 4.0), ("Venus", 0.4)])
+def test_mixed_maps_keep_their_accuracy(name, most):
+    pair, truth, top = real_scenes()[name]
+    values = load_config(FuseConfig, find_config("fuse", "accurate"))(pair, top).disparity.values
+    assert rates(values, truth)["nonocc"] <= most
