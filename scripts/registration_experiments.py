@@ -128,7 +128,8 @@ def synthetic(items: list[VolumePairItem], presets: Iterable[str]) -> list[Table
     rows, done = [], set()
     methods: tuple[tuple[str, Callable[[], RegisterConfidenceConfig]], ...] = (
         ("mind", lambda: config("mind")), ("intensity", lambda: config("intensity")),
-        ("mind, intensity", lambda: config("mind", "features=[mind, intensity]")), ("self", lambda: config("self")),
+        ("mind, intensity", lambda: config("mind", "features=[mind, intensity]")),
+        *([("self", lambda: config("self"))] if "self" in presets else []),
     )  # fmt: skip
     for item in items:
         base = item.name.rsplit("_", 1)[0].split("_cyc")[0]
