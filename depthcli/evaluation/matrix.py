@@ -187,11 +187,15 @@ def of_measures(section: Section) -> list[Matrix]:
 
 
 def times(section: Section) -> list[Column]:
-    """Mean seconds of a scene and seconds a megapixel, where some run has them."""
+    """Mean seconds of a scene, a megapixel, and a gigadisparity (pixels x disparities), where some run has them."""
     runs = [section.of(run) for run in section.runs]
     seconds = tuple(mean(r.seconds for r in results) for results in runs)
     sizes = tuple(mean(1e6 * r.seconds / r.size for r in results if r.size) for results in runs)
-    found = [Column("seconds", seconds, False), Column("s/MP", sizes, False)]
+    searched = tuple(
+        mean(1e9 * r.seconds / (r.size * r.disparities) for r in results if r.size and r.disparities)
+        for results in runs
+    )
+    found = [Column("seconds", seconds, False), Column("s/MP", sizes, False), Column("s/GD", searched, False)]
     return [column for column in found if not all(map(math.isnan, column.values))]
 
 

@@ -47,6 +47,7 @@ class Result:
     curves : of the confidence maps beside the map
     seconds : time of the run's report, or NaN
     size : pixels (or voxels) of the truth, known or not; 0 where there is no map
+    disparities : how many the run searched, 0 where its report does not say
     warning : suspicions about the map, or empty
     error : why there is no map to score, or empty
     evidence : what the protocol keeps for its means
@@ -61,6 +62,7 @@ class Result:
     curves: tuple[Curve, ...] = ()
     seconds: float = math.nan
     size: int = 0
+    disparities: int = 0
     warning: str = ""
     error: str = ""
     evidence: Any = field(default=None, repr=False, compare=False)
