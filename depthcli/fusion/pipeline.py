@@ -184,8 +184,10 @@ class Fusion(BaseModel):
             A volume is missing, has another shape, or holds other than finite numbers.
         """
         clock = Clock()
-        others = [] if self.maps is None else self.maps.matched(pair, max_disparity)
-        clock.stop("other_maps")
+        others = []
+        if self.maps is not None:
+            others = self.maps.matched(pair, max_disparity)
+            clock.stop("other_maps")
         fused = self.fuse(pair, max_disparity, volumes or {}, clock)
         if self.segments is not None:
             result = self.segments.from_volume(pair, fused.volume, max_disparity, clock)
