@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import importlib.util
 import pkgutil
 from functools import cache
 from typing import Annotated, Any, ClassVar
@@ -146,6 +147,25 @@ def _load(package: str, name: str) -> type[Method]:
         what = " and ".join(v.__name__ for v in found) or "no method"
         raise TypeError(f"{package}.{name} defines {what}; a file of a family holds one method")
     return found[0]
+
+
+def twin_of(method: Method) -> Any | None:
+    """The module with ``run``, which does on a device what ``method`` does; None where the method has none.
+
+    It lies in the folder ``_device`` of the method's family and has the method's name.
+    """
+    family, _, name = type(method).__module__.rpartition(".")
+    return _twin(family, name)
+
+
+@cache
+def _twin(family: str, name: str) -> Any | None:
+    try:
+        if importlib.util.find_spec(f"{family}._device.{name}") is None:
+            return None
+    except ModuleNotFoundError:  # the family has no such folder
+        return None
+    return importlib.import_module(f"{family}._device.{name}")
 
 
 def method_of(package: str, key: str = "method") -> Any:

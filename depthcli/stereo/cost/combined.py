@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.core import memory
@@ -39,10 +40,20 @@ class Combined(CostMeasure):
         total[:] = 0
         for part in self.parts:
             volume = part.cost(pair, disparities)
-            rate = 1.0 / (16.0 * volume.scale * part.lambda_)
-            _add_exponential(volume.costs, np.float32(rate), np.float32(unit), total)
+            _add_exponential(volume.costs, _rate(volume.scale * part.lambda_), np.float32(unit), total)
         fill_outside(total, np.uint8(min(255, round(self.outside * unit))))
         return CostVolume(total, float(unit))
+
+
+def part_table(lambda_: float, unit: int) -> NDArray[np.uint8]:
+    """(256,): what each stored cost adds to the sum, ``lambda_`` in stored units."""
+    table = np.zeros((1, 1, 256), np.uint8)
+    _add_exponential(np.arange(256, dtype=np.uint8)[None, None], _rate(lambda_), np.float32(unit), table)
+    return table.reshape(256)
+
+
+def _rate(lambda_: float) -> np.float32:
+    return np.float32(1.0 / (16.0 * lambda_))
 
 
 @parallel_jit

@@ -60,11 +60,7 @@ def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
     -------
     (2, H, W) int16, in sixteenths of a grey level (of 255) a pixel
     """
-    offsets = np.arange(-2, 3)
-    smooth = np.exp(-(offsets**2) / (2 * sigma**2))
-    smooth = smooth / smooth.sum()
-    slope = offsets * smooth
-    slope = slope / (offsets * slope).sum()
+    smooth, slope = derivative_filters(sigma)
     grey = image.astype(np.float32) * np.float32(16 if image.dtype == np.uint8 else 16 / 257)
     border = cv2.BORDER_REPLICATE
     return np.stack(
@@ -73,6 +69,15 @@ def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
             for kernel_x, kernel_y in ((slope, smooth), (smooth, slope))
         ]
     )
+
+
+def derivative_filters(sigma: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The five taps of a Gaussian and of its derivative, which of a ramp of 1 a pixel is 1."""
+    offsets = np.arange(-2, 3)
+    smooth = np.exp(-(offsets**2) / (2 * sigma**2))
+    smooth = smooth / smooth.sum()
+    slope = offsets * smooth
+    return smooth, slope / (offsets * slope).sum()
 
 
 @parallel_jit

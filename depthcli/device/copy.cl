@@ -1,0 +1,7 @@
+// What a device's bandwidth is measured by.
+KERNEL void copy(GLOBAL const uint *RESTRICT source, GLOBAL uint *RESTRICT target, int count)
+{
+    int i = GLOBAL_ID(0);
+    if (i < count)
+        target[i] = source[i];
+}

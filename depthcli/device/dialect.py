@@ -1,0 +1,75 @@
+"""The C that kernels are written in: OpenCL C, with macros for what CUDA spells otherwise.
+
+A kernel is ``KERNEL void name(GLOBAL const uchar *RESTRICT in, ...)``; ``GLOBAL_ID``, ``LOCAL_ID``, ``GROUP_ID``,
+``LOCAL_SIZE`` of dimension 0, 1, 2 are ints; ``LOCAL`` memory is shared by a group, ``BARRIER()`` waits for it.
+Sums and products are never fused: the result is that of the processor's kernels.
+"""
+
+from __future__ import annotations
+
+from depthcli.device import Kernels
+
+OPENCL = """
+#pragma OPENCL FP_CONTRACT OFF
+#define KERNEL __kernel
+#define DEVICE static
+#define GLOBAL __global
+#define LOCAL __local
+#define RESTRICT restrict
+#define BARRIER() barrier(CLK_LOCAL_MEM_FENCE)
+#define GLOBAL_ID(n) ((int)get_global_id(n))
+#define LOCAL_ID(n) ((int)get_local_id(n))
+#define GROUP_ID(n) ((int)get_group_id(n))
+#define LOCAL_SIZE(n) ((int)get_local_size(n))
+#define POPCOUNT(bits) ((int)popcount(bits))
+#define ATOMIC_MIN(place, value) atomic_min(place, value)
+#define ATOMIC_ADD(place, value) atomic_add(place, value)
+#define AS_FLOAT(bits) as_float(bits)
+#define NO_VALUE NAN
+#ifdef cl_khr_fp64
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+typedef double real;
+#else
+typedef float real;
+#endif
+typedef long index_t;
+"""
+
+CUDA = """
+typedef unsigned char uchar;
+typedef unsigned short ushort;
+typedef unsigned int uint;
+typedef unsigned long long ulong;
+typedef double real;
+typedef long long index_t;
+#define KERNEL extern "C" __global__
+#define DEVICE static __device__ __forceinline__
+#define GLOBAL
+#define LOCAL __shared__
+#define RESTRICT __restrict__
+#define BARRIER() __syncthreads()
+#define _ID_0(what) what.x
+#define _ID_1(what) what.y
+#define _ID_2(what) what.z
+#define LOCAL_ID(n) ((int)(_ID_##n(threadIdx)))
+#define GROUP_ID(n) ((int)(_ID_##n(blockIdx)))
+#define LOCAL_SIZE(n) ((int)(_ID_##n(blockDim)))
+#define GLOBAL_ID(n) (GROUP_ID(n) * LOCAL_SIZE(n) + LOCAL_ID(n))
+#define POPCOUNT(bits) __popcll(bits)
+#define ATOMIC_MIN(place, value) atomicMin(place, value)
+#define ATOMIC_ADD(place, value) atomicAdd(place, value)
+#define AS_FLOAT(bits) __int_as_float(bits)
+#define NO_VALUE __int_as_float(0x7fc00000)
+"""
+
+COMMON = """
+DEVICE int distance_of(int a, int b) { return a < b ? b - a : a - b; }
+DEVICE int within(int low, int value, int high) { return value < low ? low : value > high ? high : value; }
+DEVICE int smaller(int a, int b) { return a < b ? a : b; }
+DEVICE int larger(int a, int b) { return a > b ? a : b; }
+DEVICE float smaller_f(float a, float b) { return a < b ? a : b; }
+DEVICE float larger_f(float a, float b) { return a > b ? a : b; }
+DEVICE int no_value(float v) { return v != v; }
+"""
+
+COPY = Kernels("depthcli.device", "copy.cl")

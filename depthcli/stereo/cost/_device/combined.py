@@ -1,0 +1,33 @@
+"""Twin of :mod:`depthcli.stereo.cost.combined`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from depthcli.core.method import twin_of
+from depthcli.device import Kernels
+from depthcli.stereo.cost.combined import Combined, part_table
+from depthcli.stereo.on_device import DevicePair, DeviceVolume
+
+_KERNELS = Kernels(__package__, "combined.cl")
+
+
+def run(method: Combined, pair: DevicePair, disparities: int) -> DeviceVolume:
+    """The same costs; a part without a twin is computed on the host."""
+    height, width = pair.shape
+    device = pair.device
+    unit = 255 // len(method.parts)
+    outside = min(255, round(method.outside * unit))
+    total = device.empty((height, width, disparities), np.uint8)
+    for k, part in enumerate(method.parts):
+        twin = twin_of(part.cost)
+        if twin is None:
+            volume = DeviceVolume.upload(device, part.cost(pair.host, disparities))
+        else:
+            volume = twin.run(part.cost, pair, disparities)
+        table = device.upload(part_table(volume.scale * part.lambda_, unit))
+        device.launch(
+            _KERNELS, "add_part", (width * disparities, height), (256, 1),
+            volume.costs, table, total, int(k == 0), disparities, width, outside, int(k == len(method.parts) - 1), height,
+        )  # fmt: skip
+    return DeviceVolume(device, total, float(unit))
