@@ -56,7 +56,7 @@ class AdaptiveWeight(Aggregator):
             raise ValueError(f"volume {costs.shape} does not belong to images of {pair.shape}")
         fixed_point = 16 if costs.dtype == np.uint8 else 1
         out = memory.empty(costs.shape, np.float32 if costs.dtype == np.float32 else np.uint16)
-        left, right = (self._planes(image) for image in pair.color8)
+        left, right = (self.planes(image) for image in pair.color8)
         _aggregate(
             costs,
             left,
@@ -71,7 +71,7 @@ class AdaptiveWeight(Aggregator):
         )
         return CostVolume(out, volume.scale * fixed_point)
 
-    def _planes(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def planes(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """(H, 3, W) float32 colors, row by row, plane by plane."""
         colors = image.astype(np.float32)
         if self.color_space == "lab":

@@ -1,0 +1,70 @@
+// Mean over a square window, clipped at the border: (H, W, D) COST into ushort. d is the fastest index of threads.
+#ifndef COST
+#define COST uchar
+#define SUM uint
+#endif
+
+DEVICE ushort mean_of(uint sum, int rows, int columns, float factor)
+{
+    float scale = factor / (float)(rows * columns);
+    return (ushort)(int)((float)(int)sum * scale + 0.5f);
+}
+
+KERNEL void naive_window(GLOBAL const COST *RESTRICT costs, GLOBAL ushort *RESTRICT means, int height, int width,
+                         int depth, int radius, float factor)
+{
+    int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2);
+    if (d >= depth || x >= width || y >= height)
+        return;
+    int top = larger(0, y - radius), bottom = smaller(height, y + radius + 1);
+    int left = larger(0, x - radius), right = smaller(width, x + radius + 1);
+    uint sum = 0;
+    for (int v = top; v < bottom; v++)
+        for (int u = left; u < right; u++)
+            sum += costs[((index_t)v * width + u) * depth + d];
+    means[((index_t)y * width + x) * depth + d] = mean_of(sum, bottom - top, right - left, factor);
+}
+
+// Running sums down the columns; a thread a column of cells and a band of rows. ``row`` = W * D.
+KERNEL void column_sums(GLOBAL const COST *RESTRICT costs, GLOBAL SUM *RESTRICT sums, int height, int row, int radius,
+                        int band)
+{
+    int i = GLOBAL_ID(0), first = GLOBAL_ID(1) * band;
+    if (i >= row || first >= height)
+        return;
+    int last = smaller(height, first + band);
+    uint sum = 0;
+    for (int y = larger(0, first - radius); y < smaller(height, first + radius); y++)
+        sum += costs[(index_t)y * row + i];
+    for (int y = first; y < last; y++) {
+        if (y + radius < height)
+            sum += costs[(index_t)(y + radius) * row + i];
+        if (y > first && y - radius - 1 >= 0)
+            sum -= costs[(index_t)(y - radius - 1) * row + i];
+        sums[(index_t)y * row + i] = (SUM)sum;
+    }
+}
+
+// Running sums of those along the rows; a thread a row, a disparity and a band of columns.
+KERNEL void row_means(GLOBAL const SUM *RESTRICT sums, GLOBAL ushort *RESTRICT means, int height, int width, int depth,
+                      int radius, float factor, int band)
+{
+    int d = GLOBAL_ID(0), first = GLOBAL_ID(1) * band, y = GLOBAL_ID(2);
+    if (d >= depth || first >= width || y >= height)
+        return;
+    int last = smaller(width, first + band);
+    int rows = smaller(height, y + radius + 1) - larger(0, y - radius);
+    GLOBAL const SUM *line = sums + (index_t)y * width * depth + d;
+    GLOBAL ushort *out = means + (index_t)y * width * depth + d;
+    uint sum = 0;
+    for (int x = larger(0, first - radius); x < smaller(width, first + radius); x++)
+        sum += line[(index_t)x * depth];
+    for (int x = first; x < last; x++) {
+        if (x + radius < width)
+            sum += line[(index_t)(x + radius) * depth];
+        if (x > first && x - radius - 1 >= 0)
+            sum -= line[(index_t)(x - radius - 1) * depth];
+        out[(index_t)x * depth] =
+            mean_of(sum, rows, smaller(width, x + radius + 1) - larger(0, x - radius), factor);
+    }
+}

@@ -1,0 +1,96 @@
+// Means over cross supports whose arms are cut to those of the match: they depend on d. Words of the first pass hold
+// the sum of an arm above 9 bits of its length; of the second, sum << 32 | number.
+#define LENGTH_BITS 9
+
+DEVICE int cut_arm(GLOBAL const uchar *RESTRICT arms, GLOBAL const uchar *RESTRICT target, index_t here, int x, int d)
+{
+    return smaller(arms[here], d <= x ? target[here - d] : 255);
+}
+
+KERNEL void naive_cut(GLOBAL const ushort *RESTRICT costs, GLOBAL const uchar *RESTRICT arms,
+                      GLOBAL const uchar *RESTRICT target, GLOBAL ushort *RESTRICT means,
+                      int height, int width, int depth, int across)
+{
+    int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2);
+    if (d >= depth || x >= width || y >= height)
+        return;
+    index_t plane = (index_t)height * width, here = (index_t)y * width + x;
+    index_t first = (across ? 0 : 2) * plane, second = (across ? 2 : 0) * plane;
+    int before = cut_arm(arms + second, target + second, here, x, d);
+    int after = cut_arm(arms + second + plane, target + second + plane, here, x, d);
+    uint total = 0, number = 0;
+    for (int k = -before; k <= after; k++) {
+        int u = across ? x : x + k;
+        index_t at = here + k * (across ? width : 1);
+        int low = cut_arm(arms + first, target + first, at, u, d);
+        int high = cut_arm(arms + first + plane, target + first + plane, at, u, d);
+        for (int n = -low; n <= high; n++)
+            total += costs[(at + n * (across ? 1 : width)) * depth + d];
+        number += low + high + 1;
+    }
+    means[here * depth + d] = (ushort)(int)((float)(int)total / (float)(int)number + 0.5f);
+}
+
+DEVICE index_t line_start(int i, int across, int depth, int count)
+{
+    return across ? (index_t)(i / depth) * count * depth + i % depth : i;
+}
+
+KERNEL void prefix_costs(GLOBAL const ushort *RESTRICT source, GLOBAL uint *RESTRICT sums, int lines, int width,
+                         int depth, int count, int across)
+{
+    int i = GLOBAL_ID(0);
+    if (i >= lines)
+        return;
+    index_t at = line_start(i, across, depth, count), step = across ? depth : (index_t)width * depth;
+    uint sum = 0;
+    for (int k = 0; k < count; k++, at += step) {
+        sum += source[at];
+        sums[at] = sum;
+    }
+}
+
+KERNEL void prefix_spans(GLOBAL const uint *RESTRICT words, GLOBAL ulong *RESTRICT sums, int lines, int width,
+                         int depth, int count, int across)
+{
+    int i = GLOBAL_ID(0);
+    if (i >= lines)
+        return;
+    index_t at = line_start(i, across, depth, count), step = across ? depth : (index_t)width * depth;
+    ulong sum = 0;
+    for (int k = 0; k < count; k++, at += step) {
+        uint word = words[at];
+        sum += ((ulong)(word >> LENGTH_BITS) << 32) | (word & ((1u << LENGTH_BITS) - 1));
+        sums[at] = sum;
+    }
+}
+
+#define SPAN \
+    int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2); \
+    if (d >= depth || x >= width || y >= height) \
+        return; \
+    index_t plane = (index_t)height * width, here = (index_t)y * width + x, step = across ? 1 : width; \
+    index_t side = (across ? 0 : 2) * plane; \
+    int before = cut_arm(arms + side, target + side, here, x, d); \
+    int after = cut_arm(arms + side + plane, target + side + plane, here, x, d); \
+    int inside = (across ? x : y) > before; \
+    index_t high = (here + after * step) * depth + d, low = (here - (before + 1) * step) * depth + d;
+
+KERNEL void cut_spans(GLOBAL const uint *RESTRICT sums, GLOBAL const uchar *RESTRICT arms,
+                      GLOBAL const uchar *RESTRICT target, GLOBAL uint *RESTRICT words, int height, int width,
+                      int depth, int across)
+{
+    SPAN
+    uint sum = sums[high] - (inside ? sums[low] : 0);
+    words[here * depth + d] = (sum << LENGTH_BITS) | (uint)(before + after + 1);
+}
+
+KERNEL void cut_means(GLOBAL const ulong *RESTRICT sums, GLOBAL const uchar *RESTRICT arms,
+                      GLOBAL const uchar *RESTRICT target, GLOBAL ushort *RESTRICT means, int height, int width,
+                      int depth, int across)
+{
+    SPAN
+    ulong sum = sums[high] - (inside ? sums[low] : 0);
+    float number = (float)(int)(uint)sum;
+    means[here * depth + d] = (ushort)(int)((float)(int)(sum >> 32) / number + 0.5f);
+}
