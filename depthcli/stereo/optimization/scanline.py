@@ -45,18 +45,22 @@ class Scanline(Optimizer):
         if disparities < LANES:  # too dear to ever win; cut off again below
             padding = ((0, 0), (0, 0), (0, LANES - disparities))
             costs = np.pad(costs.astype(np.uint16), padding, constant_values=_TOO_DEAR)
-        # Sums of all paths have to fit into 16 bits; a path cost is at most the cost plus P2.
-        largest = 65535 // self.paths - (255 if volume.costs.dtype == np.uint8 else FixedPoint.LARGEST)
-        p1, p2 = (round(min(p * volume.scale, largest)) for p in (self.p1, self.p2))
-        table = np.array(
-            [[p1, max(p1, p2)], [round(p1 / self.edge_divisor), round(max(p1, p2) / self.edge_divisor)]], np.uint16
-        )
+        table = self.penalties(volume.scale, volume.costs.dtype == np.uint8)
         edges = _path_edges(pair.color8[0], self.edge_threshold)
         sums = [memory.empty(costs.shape, np.uint16) for _ in range(2)]
         _sweep_both(costs, sums[0], sums[1], edges, table, self.paths == 8)
         _add(sums[0], sums[1])
         total = sums[0] if disparities >= LANES else np.ascontiguousarray(sums[0][:, :, :disparities])
         return CostVolume(total, volume.scale * self.paths)
+
+    def penalties(self, scale: float, raw: bool) -> NDArray[np.uint16]:
+        """(2, 2): P1 and P2 in stored units, then both across an edge; ``raw``: costs are uint8, else fixed point."""
+        # Sums of all paths have to fit into 16 bits; a path cost is at most the cost plus P2.
+        largest = 65535 // self.paths - (255 if raw else FixedPoint.LARGEST)
+        p1, p2 = (round(min(p * scale, largest)) for p in (self.p1, self.p2))
+        return np.array(
+            [[p1, max(p1, p2)], [round(p1 / self.edge_divisor), round(max(p1, p2) / self.edge_divisor)]], np.uint16
+        )
 
 
 def _path_edges(image: NDArray[np.uint8], threshold: int) -> NDArray[np.uint8]:
