@@ -146,10 +146,9 @@ def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, in
     return (depth, width, height), (lanes, 256 // lanes, 1)
 
 
-def copied(device: Device, array: DeviceArray) -> DeviceArray:
-    """A copy of a (H, W) float32 or uint8 map."""
-    out = device.empty(array.shape, array.dtype)
-    kernels = _IMAGES.with_macros(VALUE=c_type(array.dtype))
-    device.launch(kernels, "copy_map", (array.size,), (256,), array, out, array.size)
-    return out
-
+def map_like(disparity: DeviceMap) -> DeviceMap:
+    """An uninitialized map of the same size."""
+    device = disparity.device
+    return DeviceMap(
+        device, device.empty(disparity.values.shape, np.float32), device.empty(disparity.values.shape, np.uint8)
+    )

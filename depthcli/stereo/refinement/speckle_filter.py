@@ -22,9 +22,14 @@ class SpeckleFilter(Refinement):
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         valid = disparity.valid
         none = -32768
-        steps = max(1, min(_STEPS, 32767 // evidence.volume.disparities))
+        steps = steps_of(evidence.volume.disparities)
         fixed = np.where(valid, np.round(np.nan_to_num(disparity.values) * steps), none).astype(np.int16)
         cv2.filterSpeckles(fixed, none, self.size, self.step * steps)
         removed = valid & (fixed == none)
         values = np.where(removed, np.float32(np.nan), disparity.values)
         return DisparityMap(values, disparity.status | np.where(removed, np.uint8(Status.MISMATCH), np.uint8(0)))
+
+
+def steps_of(disparities: int) -> int:
+    """Steps of a pixel that are told apart."""
+    return max(1, min(_STEPS, 32767 // disparities))

@@ -6,6 +6,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
@@ -39,10 +40,7 @@ class WeightedMedian(Refinement):
         radius = self.radius
         frame = ((radius, radius), (radius, radius + -disparity.values.shape[1] % _BLOCK))
         planes = np.pad(evidence.pair.color8[0].transpose(2, 0, 1), ((0, 0), *frame))
-        by_color = np.exp(-np.arange(766) / (3.0 * self.color_scale)).astype(np.float32)
-        offsets = np.arange(-radius, radius + 1)
-        distance = np.hypot(offsets[:, None], offsets[None, :])
-        by_distance = np.exp(-distance / self.distance_scale).astype(np.float32)
+        by_color, by_distance = self.tables()
         valid = disparity.valid
         filled = (disparity.status & np.uint8(Status.FILLED)) != 0
         trust = np.where(filled, np.float32(self.filled_weight), np.float32(1)) * valid.astype(np.float32)
@@ -58,6 +56,13 @@ class WeightedMedian(Refinement):
             values = filtered
         changed = valid & (values != disparity.values)
         return DisparityMap(values, disparity.status | np.where(changed, np.uint8(Status.SMOOTHED), np.uint8(0)))
+
+    def tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Factors of a weight: (766,) by the sum of the channels' differences, (2 radius + 1)^2 by the place."""
+        by_color = np.exp(-np.arange(766) / (3.0 * self.color_scale)).astype(np.float32)
+        offsets = np.arange(-self.radius, self.radius + 1)
+        distance = np.hypot(offsets[:, None], offsets[None, :])
+        return by_color, np.exp(-distance / self.distance_scale).astype(np.float32)
 
 
 @parallel_jit

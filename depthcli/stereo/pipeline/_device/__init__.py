@@ -1,0 +1,1 @@
+"""Twins of the pipelines for devices: ``run(method, pair, max_disparity, device)``."""

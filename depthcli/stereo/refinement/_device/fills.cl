@@ -1,0 +1,176 @@
+// Filling of pixels without a value.
+#define FILLED 16
+
+// Every pixel looks left and right for the nearest value. Rows without any stay empty, for the columns.
+KERNEL void fill_rows(GLOBAL const float *RESTRICT values, GLOBAL float *RESTRICT filled, int height, int width)
+{
+    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
+    if (x >= width || y >= height)
+        return;
+    GLOBAL const float *row = values + (index_t)y * width;
+    int before = x, after = x;
+    while (before >= 0 && no_value(row[before]))
+        before--;
+    while (after < width && no_value(row[after]))
+        after++;
+    float value = NO_VALUE;
+    if (before >= 0)
+        value = row[before];
+    if (after < width && !(value <= row[after]))
+        value = row[after];
+    filled[(index_t)y * width + x] = value;
+}
+
+// ``filled`` holds the rows' values; only rows that had none at all are left.
+KERNEL void fill_columns(GLOBAL const float *RESTRICT values, GLOBAL const uchar *RESTRICT status,
+                         GLOBAL const float *RESTRICT rows, GLOBAL float *RESTRICT filled,
+                         GLOBAL uchar *RESTRICT reasons, int height, int width)
+{
+    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
+    if (x >= width || y >= height)
+        return;
+    index_t here = (index_t)y * width + x;
+    int v = y;
+    while (v >= 0 && no_value(rows[(index_t)v * width + x]))
+        v--;
+    if (v < 0) {
+        v = y;
+        while (v < height - 1 && no_value(rows[(index_t)v * width + x]))
+            v++;
+    }
+    float value = rows[(index_t)v * width + x];
+    filled[here] = value;
+    reasons[here] = (uchar)(status[here] | (no_value(values[here]) && !no_value(value) ? FILLED : 0));
+}
+
+// Slope along the row and value at (y, x) of the surface that (y, x) belongs to, seen towards ``step``: a plane by
+// least squares with Huber weights. The samples are walked through anew for every sum: there is no room to keep them.
+DEVICE void plane_along_row(GLOBAL const float *RESTRICT values, int height, int width, int y, int x, int step,
+                            int rows, int reach, int support, real *slope, real *value)
+{
+    float start = values[(index_t)y * width + x];
+    real slope_x = 0, slope_y = 0, offset = 0;
+    for (int iteration = 0; iteration < 4; iteration++) {
+        real s = 0, sx = 0, sy = 0, sxx = 0, sxy = 0, syy = 0, sd = 0, sxd = 0, syd = 0;
+        int count = 0;
+        for (int sign = -1; sign <= 1; sign += 2) {
+            int column = x;
+            float level = start;
+            for (int k = sign == 1 ? 0 : 1; k <= rows; k++) {
+                int v = y + sign * k;
+                if (v < 0 || v >= height)
+                    break;
+                GLOBAL const float *row = values + (index_t)v * width;
+                // The gap's edge moves from row to row: look for the surface near where it was.
+                int found = -1;
+                for (int apart = 0; apart < 12 && found < 0; apart++) {
+                    int u = column + apart * step;
+                    if (u >= 0 && u < width && fabs(row[u] - level) <= 1.0f)
+                        found = u;
+                    u = column - apart * step;
+                    if (found < 0 && u >= 0 && u < width && fabs(row[u] - level) <= 1.0f)
+                        found = u;
+                }
+                if (found < 0)
+                    break;
+                column = found;
+                level = row[found];
+                float last = level;
+                int strangers = 0;
+                for (int n = 0; n < reach; n++) {
+                    int u = found + n * step;
+                    if (u < 0 || u >= width)
+                        break;
+                    if (fabs(row[u] - last) <= 1.0f) {
+                        strangers = 0;
+                        last = row[u];
+                        real across = (real)(u - x), down = (real)(v - y), d = (real)(last - start);
+                        real residual = fabs(d - (slope_x * across + slope_y * down + offset));
+                        real weight = iteration == 0 || residual <= (real)0.5 ? (real)1 : (real)1 / (2 * residual);
+                        s += weight;
+                        sx += weight * across;
+                        sy += weight * down;
+                        sd += weight * d;
+                        sxx += weight * across * across;
+                        sxy += weight * across * down;
+                        syy += weight * down * down;
+                        sxd += weight * across * d;
+                        syd += weight * down * d;
+                        count++;
+                    } else if (++strangers > 3) // another surface, or no value
+                        break;
+                }
+            }
+        }
+        if (count < support) {
+            *slope = 0;
+            *value = start;
+            return;
+        }
+        real mean_x = sx / s, mean_y = sy / s, mean_d = sd / s;
+        // One pixel of variance is added: a thin sample must not yield a steep plane.
+        real xx = sxx / s - mean_x * mean_x + 1, yy = syy / s - mean_y * mean_y + 1, xy = sxy / s - mean_x * mean_y;
+        real xd = sxd / s - mean_x * mean_d, yd = syd / s - mean_y * mean_d;
+        real determinant = xx * yy - xy * xy;
+        slope_x = (xd * yy - yd * xy) / determinant;
+        slope_y = (yd * xx - xd * xy) / determinant;
+        offset = mean_d - slope_x * mean_x - slope_y * mean_y;
+    }
+    *slope = slope_x;
+    *value = (real)start + offset;
+}
+
+// Planes of the pixels beside gaps, (H, W, 4): slope and value seen to the left, then to the right. A thread a pixel.
+KERNEL void surfaces_at_gaps(GLOBAL const float *RESTRICT values, GLOBAL real *RESTRICT planes, int height, int width,
+                             int rows, int reach, int support)
+{
+    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
+    if (x >= width || y >= height)
+        return;
+    index_t here = (index_t)y * width + x;
+    if (no_value(values[here]))
+        return;
+    real slope, value;
+    if (x + 1 < width && no_value(values[here + 1])) {
+        plane_along_row(values, height, width, y, x, -1, rows, reach, support, &slope, &value);
+        planes[4 * here] = slope;
+        planes[4 * here + 1] = value;
+    }
+    if (x > 0 && no_value(values[here - 1])) {
+        plane_along_row(values, height, width, y, x, 1, rows, reach, support, &slope, &value);
+        planes[4 * here + 2] = slope;
+        planes[4 * here + 3] = value;
+    }
+}
+
+KERNEL void continue_surfaces(GLOBAL const float *RESTRICT values, GLOBAL const uchar *RESTRICT status,
+                              GLOBAL const real *RESTRICT planes, GLOBAL float *RESTRICT filled,
+                              GLOBAL uchar *RESTRICT reasons, int height, int width, float largest)
+{
+    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
+    if (x >= width || y >= height)
+        return;
+    index_t row = (index_t)y * width, here = row + x;
+    float value = values[here];
+    int reason = status[here];
+    if (no_value(value)) {
+        int before = x, after = x;
+        while (before >= 0 && no_value(values[row + before]))
+            before--;
+        while (after < width && no_value(values[row + after]))
+            after++;
+        real found = 0;
+        if (before >= 0)
+            found = planes[4 * (row + before) + 1] + planes[4 * (row + before)] * (real)(x - before);
+        if (after < width) {
+            real other = planes[4 * (row + after) + 3] + planes[4 * (row + after) + 2] * (real)(x - after);
+            found = before < 0 || other < found ? other : found;
+        }
+        if (before >= 0 || after < width) {
+            value = smaller_f(largest, (float)(found > 0 ? found : 0));
+            reason |= FILLED;
+        }
+    }
+    filled[here] = value;
+    reasons[here] = (uchar)reason;
+}
