@@ -63,6 +63,14 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
     return np.ascontiguousarray(found[:, :, :width])
 
 
+def difference_limits(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
+    """Pixels between samples, the largest difference of each, row by row, and the inverse of the window's spread."""
+    step = max(1, radius // _STEPS)
+    offsets = np.arange(-_STEPS, _STEPS + 1) * step
+    distance = np.sqrt((offsets[:, None] ** 2 + offsets[None, :] ** 2).astype(np.float64)).astype(np.float32)
+    return step, np.float32(1.0) + np.float32(0.15) * distance, np.float32(3.0 / radius**2)
+
+
 @parallel_jit
 def _fit(values: Any, valid: Any, planes: Any, grid: Any, margin: int, spread: Any, found: Any) -> None:
     # Weights and differences of all samples first (SIMD over the block), then one sum after another.

@@ -46,9 +46,7 @@ class SlantedMedian(Refinement):
         valid = ~np.isnan(values)
         planes, trust = color_planes(image, radius), framed(valid.astype(np.float32), radius)
         gradient = framed(slopes(values, image, self.slope_radius), radius)
-        offsets = np.arange(-radius, radius + 1)
-        distance = (np.hypot(offsets[:, None], offsets[None, :]) / (16 * self.distance_scale)).astype(np.float32)
-        rate = np.float32(1 / (16 * 3 * self.color_scale))
+        distance, rate = self.weights()
         known = np.nan_to_num(values)
         for _ in range(self.passes):
             out = framed(known, 0)
@@ -56,6 +54,12 @@ class SlantedMedian(Refinement):
             known = np.round(out[:, : values.shape[1]] * np.float32(_PER_PIXEL)) / np.float32(_PER_PIXEL)
             known = np.clip(known, np.float32(0), np.float32(most))
         return np.where(valid, known, np.float32(np.nan))
+
+    def weights(self) -> tuple[NDArray[np.float32], np.float32]:
+        """Sixteenths of a weight's exponent: of each place in the window, and of a difference in color by 1."""
+        offsets = np.arange(-self.radius, self.radius + 1)
+        distance = (np.hypot(offsets[:, None], offsets[None, :]) / (16 * self.distance_scale)).astype(np.float32)
+        return distance, np.float32(1 / (16 * 3 * self.color_scale))
 
 
 @parallel_jit
