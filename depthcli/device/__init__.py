@@ -191,8 +191,8 @@ def find_device(wanted: str) -> DeviceInfo | None:
         return next((info for info in devices() if info.is_gpu), None)
     kind, _, number = wanted.partition(":")
     if kind not in KINDS or not (number.isdigit() or wanted == kind):
-        raise ConfigError(f"--device {wanted}: want cpu, auto, opencl or cuda, the last two with :N if there are several")
-    found = _backend(kind).list_devices()
+        raise ConfigError(f"--device {wanted}: want cpu, auto, opencl or cuda, or one of several by opencl:N, cuda:N")
+    found: list[DeviceInfo] = _backend(kind).list_devices()
     for info in sorted(found, key=lambda info: not info.is_gpu):
         if info.address == wanted or wanted == kind:
             return info

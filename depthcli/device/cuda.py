@@ -70,9 +70,7 @@ class CudaDevice(Device):
         except self._cupy.cuda.memory.OutOfMemoryError as error:
             raise DeviceError(f"{self.info.address} ({self.info.name}) has no room: {error}") from error
         except Exception as error:  # CuPy has a type of its own for every library that can fail
-            raise DeviceError(
-                f"{self.info.address} ({self.info.name}) failed: {str(error).splitlines()[0]}"
-            ) from error
+            raise DeviceError(f"{self.info.address} ({self.info.name}) failed: {str(error).splitlines()[0]}") from error
 
     def upload(self, array: NDArray[Any]) -> DeviceArray:
         """A copy of ``array`` on the device."""

@@ -56,8 +56,8 @@ typedef long long index_t;
 #define LOCAL_SIZE(n) ((int)(_ID_##n(blockDim)))
 #define GLOBAL_ID(n) (GROUP_ID(n) * LOCAL_SIZE(n) + LOCAL_ID(n))
 #define POPCOUNT(bits) __popcll(bits)
-#define ATOMIC_MIN(place, value) atomicMin(place, value)
-#define ATOMIC_ADD(place, value) atomicAdd(place, value)
+#define ATOMIC_MIN(place, value) atomicMin((int *)(place), value)
+#define ATOMIC_ADD(place, value) atomicAdd((int *)(place), value)
 #define AS_FLOAT(bits) __int_as_float(bits)
 #define NO_VALUE __int_as_float(0x7fc00000)
 """

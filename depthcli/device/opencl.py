@@ -77,9 +77,7 @@ class OpenClDevice(Device):
         os.environ.setdefault("PYOPENCL_COMPILER_OUTPUT", "0")
         try:
             self._context = cl.Context([handle])
-            self._queue = cl.CommandQueue(
-                self._context, properties=cl.command_queue_properties.PROFILING_ENABLE
-            )
+            self._queue = cl.CommandQueue(self._context, properties=cl.command_queue_properties.PROFILING_ENABLE)
         except cl.Error as error:
             raise self._failed(error) from error
         self._pool = pyopencl.tools.MemoryPool(pyopencl.tools.ImmediateAllocator(self._queue))

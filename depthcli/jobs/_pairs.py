@@ -37,6 +37,10 @@ class PairCommand(ConfigCommand):
     def peak_bytes(self, config: Any, shape: tuple[int, int], top: int) -> int:
         """Estimate of the peak working memory."""
 
+    def facts(self, config: Any) -> dict[str, Any]:
+        """What else the report says of every scene."""
+        return {}
+
     def memory_of(self, config: Any, item: StereoItem) -> int | None:
         """By the size of the left image; None where key points tell the range; InputError where nothing does."""
         from depthcli.batch.plan import shape_of
@@ -110,6 +114,7 @@ class PairCommand(ConfigCommand):
             "measured": round(measured, 6),
             **({"bits": pair.bits} if _partly_used(pair) else {}),
             **{name: float(value) for name, value in result.figures.items()},
+            **self.facts(config),
         }
         save_stereo(result, folder, search.low, search.top)
         clock.stop("save")

@@ -41,6 +41,7 @@ class StereoConfig(RootConfig):
     pipeline: Pipeline = Field(description="the data flow from image pair to map")
     max_disparity: MaxDisparity = None
     min_disparity: MinDisparity = None
+    device: str = Field("cpu", description="where to match: cpu, auto, opencl, cuda, opencl:N or cuda:N")
 
     @model_validator(mode="after")
     def _has_a_range(self) -> StereoConfig:

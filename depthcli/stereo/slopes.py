@@ -53,13 +53,13 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
     """
     height, width = values.shape
     found = np.zeros((2, height, width + -width % BLOCK), np.float32)
-    step = max(1, radius // _STEPS)
+    step, _, spread = difference_limits(radius)
     reach = _STEPS * step
     offsets = np.arange(-reach, reach + 1, step)
     grid = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.int64)
     known = framed(np.nan_to_num(values), reach)
     valid = framed((~np.isnan(values)).astype(np.float32), reach)
-    _fit(known, valid, color_planes(image, reach), grid, reach, np.float32(3.0 / radius**2), found)
+    _fit(known, valid, color_planes(image, reach), grid, reach, spread, found)
     return np.ascontiguousarray(found[:, :, :width])
 
 

@@ -125,9 +125,7 @@ def glass_of_pair(
     return TransparentScene(color8(left), infrared_like(right, seed, speckles), disparity, sensor, mask)
 
 
-def glass_of_object(
-    disparity: NDArray[np.float32], seed: int = 0
-) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+def glass_of_object(disparity: NDArray[np.float32], seed: int = 0) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
     """Choose a surface of a scene that shall be glass, and what would be seen behind it.
 
     The surface is the connected one (steps of at most a pixel) of 1 to 15 % of the image that both views see and that

@@ -34,4 +34,3 @@ class RgbIr(Layout):
             top = folder.whole(folder.meta(), "max_disparity")
             found.append(RgbIrItem(**known, infrared=infrared, infrared_plain=plain, max_disparity=top))
         return found
-

@@ -35,7 +35,8 @@ def _aggregate(
     fixed_point = 16 if volume.costs.dtype == np.uint8 else 1
     means = device.empty(volume.costs.shape, np.uint16 if whole else np.float32)
     left, right = (device.upload(method.planes(image)) for image in pair.host.color8)
-    kernels = _KERNELS.with_macros(COST=volume.c_type, OUT="ushort" if whole else "float", SQUARED=int(method.norm == "squared"))
+    out = "ushort" if whole else "float"
+    kernels = _KERNELS.with_macros(COST=volume.c_type, OUT=out, SQUARED=int(method.norm == "squared"))
     rates = math.log2(math.e) / method.gamma_color, math.log2(math.e) / method.gamma_space
     device.launch(
         kernels, kernel, size, group, volume.costs, left, right, means, *means.shape, method.window // 2, *rates,

@@ -26,8 +26,9 @@ def run(method: Combined, pair: DevicePair, disparities: int) -> DeviceVolume:
         else:
             volume = twin.run(part.cost, pair, disparities)
         table = device.upload(part_table(volume.scale * part.lambda_, unit))
+        last = k == len(method.parts) - 1
         device.launch(
             _KERNELS, "add_part", (width * disparities, height), (256, 1),
-            volume.costs, table, total, int(k == 0), disparities, width, outside, int(k == len(method.parts) - 1), height,
+            volume.costs, table, total, int(k == 0), disparities, width, outside, int(last), height,
         )  # fmt: skip
     return DeviceVolume(device, total, float(unit))

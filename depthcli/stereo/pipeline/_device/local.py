@@ -21,7 +21,7 @@ _LANES, _PIXELS = 32, 8
 def run(method: Local, pair: StereoPair, max_disparity: int, device: Device) -> StereoResult:
     """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive.
 
-    Stages without a twin run on the processor, with transfers; ``figures["on_processor"]`` counts them. Confidence is
+    Stages without a twin run on the processor, with transfers; ``figures["stages_on_cpu"]`` counts them. Confidence is
     measured on the processor.
     """
     clock = Clock()
@@ -49,7 +49,7 @@ def run(method: Local, pair: StereoPair, max_disparity: int, device: Device) -> 
     maps = confidence_maps(device.download(volume.costs), method.confidence) if method.confidence else {}
     clock.stop("confidence")
     stages += [method.optimization, *method.refinement]
-    figures = {"on_processor": float(sum(twin_of(stage) is None for stage in stages))}
+    figures = {"stages_on_cpu": float(sum(twin_of(stage) is None for stage in stages))}
     return StereoResult(found, seconds=clock.seconds, confidence=maps, figures=figures)
 
 

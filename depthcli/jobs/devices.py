@@ -1,0 +1,59 @@
+"""List the devices that stereo can run on beside the processor, with memory and measured bandwidth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from depthcli.batch.command import Command
+
+if TYPE_CHECKING:
+    from depthcli.batch.reporter import Reporter
+    from depthcli.core.option import Option
+
+
+class DevicesCommand(Command):
+    """Asks the drivers, and copies an array on each device."""
+
+    @property
+    def arguments(self) -> tuple[Option, ...]:
+        """None."""
+        return ()
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """None."""
+        return ()
+
+    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+        """Print the list; why a kind shows none goes to stderr."""
+        from depthcli.batch.record import to_json
+        from depthcli.batch.tables import aligned
+        from depthcli.device import DeviceError, devices, open_device, why_none
+
+        rows: list[dict[str, Any]] = []
+        for info in devices():
+            row: dict[str, Any] = {"device": info.address, "name": info.name, "gpu": info.is_gpu, "memory": info.memory,
+                   "bandwidth": None, "driver": info.driver, "problem": ""}  # fmt: skip
+            try:
+                device = open_device(info.address)
+                assert device is not None
+                row["bandwidth"] = round(device.bandwidth())
+            except DeviceError as error:
+                row["problem"] = str(error)
+            rows.append(row)
+        if values["json"]:
+            reporter.data(to_json(rows))
+        elif rows:
+            lines = [("device", "name", "memory", "bandwidth", "driver")]
+            for row in rows:
+                speed = f"{row['bandwidth'] / 1e9:.1f} GB/s" if row["bandwidth"] else row["problem"]
+                memory = f"{row['memory'] / 2**30:.1f} GiB"
+                lines.append((row["device"], row["name"], memory, speed, row["driver"]))
+            reporter.data(aligned(lines))
+        if why_none():
+            reporter.info(why_none())
+        return 0
+
+
+COMMAND = DevicesCommand()

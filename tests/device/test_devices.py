@@ -1,0 +1,97 @@
+"""Devices: what a user is told of them, and the twins' tests in a process of their own, as drivers have crashed."""
+
+from __future__ import annotations
+
+import importlib.resources
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import depthcli.device.cuda
+import depthcli.device.opencl
+from depthcli.cli import main
+from depthcli.core.errors import ConfigError
+from depthcli.device import DeviceError, DeviceInfo, find_device
+from depthcli.device.cuda import OPTIONS
+from depthcli.device.dialect import COMMON, CUDA
+from tests.device import nvrtc
+
+_LIMIT = 400  # seconds
+
+
+def test_twins_in_a_process_of_their_own():
+    pytest.importorskip("pyopencl", reason="pyopencl is not installed")
+    if shutil.which("ld") is None:
+        pytest.skip("PoCL links its kernels with ld, which is not installed (package binutils)")
+    if not depthcli.device.opencl.list_devices():
+        pytest.skip(depthcli.device.opencl.why_none())
+    tests = Path(__file__).with_name("twins.py")
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", str(tests)],
+        cwd=tests.parents[2], capture_output=True, text=True, timeout=_LIMIT, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-3000:]
+
+
+FILES = sorted(Path(str(importlib.resources.files("depthcli"))).rglob("*.cl"))
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
+def test_cuda_takes_the_kernels(file):
+    library = nvrtc.library()
+    if library is None:
+        pytest.skip("nvidia-cuda-nvrtc-cu12, which compiles for CUDA, is not installed")
+    assert nvrtc.messages(library, CUDA + COMMON + file.read_text("utf-8"), OPTIONS) == ""
+
+
+GPU = DeviceInfo("opencl:1", "a card", 1 << 33, True, "somebody's")
+SLOW = DeviceInfo("opencl:0", "a processor", 1 << 34, False, "somebody else's")
+
+
+@pytest.fixture
+def two_devices(monkeypatch):
+    monkeypatch.setattr(depthcli.device.opencl, "list_devices", lambda: [SLOW, GPU])
+    monkeypatch.setattr(depthcli.device.cuda, "list_devices", list)
+    monkeypatch.setattr(depthcli.device.cuda, "why_none", lambda: "nothing there")
+
+
+def test_what_names_mean(two_devices):
+    assert find_device("cpu") is None
+    assert find_device("auto") == GPU
+    assert find_device("opencl") == GPU
+    assert find_device("opencl:0") == SLOW
+    with pytest.raises(DeviceError, match="there are opencl:0, opencl:1"):
+        find_device("opencl:2")
+    with pytest.raises(DeviceError, match="nothing there"):
+        find_device("cuda")
+    for name in ("gpu", "opencl:", "opencl:x", "cuda:-1"):
+        with pytest.raises(ConfigError, match="want cpu, auto"):
+            find_device(name)
+
+
+def test_auto_without_a_card_is_the_processor(two_devices, monkeypatch):
+    monkeypatch.setattr(depthcli.device.opencl, "list_devices", lambda: [SLOW])
+    assert find_device("auto") is None
+
+
+def test_no_device_is_one_line_before_anything_is_written(tmp_path, capsys, made_scenes, monkeypatch):
+    monkeypatch.setattr(depthcli.device.opencl, "list_devices", list)
+    monkeypatch.setattr(depthcli.device.opencl, "why_none", lambda: "no driver")
+    code = main(["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "run"), "--device", "opencl"])
+    assert code == 2
+    assert capsys.readouterr().err.strip() == "depthcli: --device opencl: no device: no driver"
+    assert not (tmp_path / "run").exists()
+
+
+def test_devices_says_why_there_is_none(capsys, monkeypatch):
+    for kind in (depthcli.device.opencl, depthcli.device.cuda):
+        monkeypatch.setattr(kind, "list_devices", list)
+        monkeypatch.setattr(kind, "why_none", lambda: "no driver")
+    assert main(["devices", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out) == []
+    assert "opencl: no driver; cuda: no driver" in err

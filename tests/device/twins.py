@@ -1,0 +1,197 @@
+"""Twins on a device against the methods themselves; run by ``test_devices.py`` in a process of its own."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+import numpy as np
+import pytest
+
+from depthcli.batch.presets import find_config, find_preset
+from depthcli.core.config_file import load_config
+from depthcli.core.frames import StereoPair
+from depthcli.core.method import Family, twin_of
+from depthcli.device import Kernels, open_device
+from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
+from depthcli.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.stereo.aggregation.cross import Cross
+from depthcli.stereo.config import StereoConfig
+from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
+from depthcli.stereo.cost.census import Census
+from depthcli.stereo.cost.combined import Combined
+from depthcli.stereo.cost.gradient import Gradient
+from depthcli.stereo.cost.rank import Rank
+from depthcli.stereo.cost.zncc import Zncc
+from depthcli.stereo.on_device import DeviceEvidence, DeviceMap, DevicePair, DeviceVolume
+from depthcli.stereo.optimization.scanline import Scanline
+from depthcli.stereo.pipeline._device import local
+from depthcli.stereo.pipeline.local import Local
+from depthcli.stereo.refinement.median import Median
+from depthcli.stereo.refinement.speckle_filter import SpeckleFilter
+from depthcli.stereo.refinement.surface_fill import SurfaceFill
+from depthcli.stereo.refinement.weighted_median import WeightedMedian
+from depthcli.synthetic.stereo_scenes import make_scene
+from tests.stereo._pairs import TINY, blocky_pair, methods, random_volume, texture
+from tests.stereo.test_contract_refinement import noisy_case
+
+SIZES = [*TINY, (37, 61, 70)]
+FEW = [(1, 1, 5), (9, 1, 4), (3, 2, 17), (8, 40, 64), (37, 61, 70)]
+FAMILIES = ("cost", "aggregation", "optimization", "refinement")
+
+
+@pytest.fixture(scope="module")
+def device():
+    return open_device("opencl")
+
+
+def twins(family):
+    package = importlib.import_module(f"depthcli.stereo.{family}._device")
+    return [module.name for module in pkgutil.iter_modules(package.__path__)]
+
+
+def test_every_twin_is_found_by_its_methods_name():
+    for family in FAMILIES:
+        methods_there = Family.of(f"depthcli.stereo.{family}").names()
+        assert twins(family) and set(twins(family)) <= set(methods_there)
+
+
+COSTS = [
+    Census(), Census(window=(5, 3)), Rank(), Gradient(), Gradient(sampling="tolerant"), AbsoluteDifference(),
+    AbsoluteDifference(sampling="tolerant", truncation=20),
+    Combined(parts=[{"cost": c, "lambda": 9} for c in ("absolute_difference", "census", "gradient")]),
+    Combined(parts=[{"cost": Zncc(), "lambda": 0.3}]),  # a part without a twin
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("cost", COSTS, ids=lambda cost: cost.method_name())
+@pytest.mark.parametrize(("height", "width", "disparities"), SIZES)
+def test_costs_are_the_same_bytes(device, cost, height, width, disparities):
+    for dtype, color in ((np.uint8, True), (np.uint16, False)):
+        shape = (height, width, 3) if color else (height, width)
+        pair = StereoPair(texture(shape, 1, dtype), texture(shape, 2, dtype))
+        expected = cost(pair, disparities)
+        found = twin_of(cost).run(cost, DevicePair(device, pair), disparities).download()
+        np.testing.assert_array_equal(found.costs, expected.costs)
+        assert found.scale == expected.scale
+
+
+@pytest.mark.parametrize("window", [1, 5, 41])
+@pytest.mark.parametrize("way", ["run", "naive"])
+@pytest.mark.parametrize("size", SIZES)
+def test_constant_windows_are_the_same_bytes(device, window, way, size):
+    _same_aggregation(device, ConstantWindow(window=window), way, size)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"iterations": 1, "smoothing": False, "length": 5}, {"support": "intersection", "iterations": 3}],
+    ids=["reference", "short", "intersection"],
+)
+@pytest.mark.parametrize("way", ["run", "naive"])
+@pytest.mark.parametrize("size", FEW)
+def test_cross_supports_are_the_same_bytes(device, options, way, size):
+    _same_aggregation(device, Cross(**options), way, size)
+
+
+@pytest.mark.parametrize("options", [{"window": 5}, {"window": 35, "norm": "squared", "color_space": "rgb"}])
+@pytest.mark.parametrize("way", ["run", "naive"])
+@pytest.mark.parametrize("size", FEW)
+def test_adaptive_weights_differ_by_rounding_alone(device, options, way, size):
+    _same_aggregation(device, AdaptiveWeight(**options), way, size, 1)
+
+
+def _same_aggregation(device, method, way, size, tolerance=0):
+    pair = blocky_pair(*size[:2])
+    for dtype in (np.uint8, np.uint16):
+        volume = random_volume(*size, dtype)
+        expected = method(volume, pair)
+        twin = getattr(twin_of(method), way)
+        found = twin(method, DeviceVolume.upload(device, volume), DevicePair(device, pair)).download()
+        assert found.costs.dtype == expected.costs.dtype and found.scale == expected.scale
+        apart = np.abs(found.costs.astype(int) - expected.costs.astype(int))
+        assert apart.max() <= tolerance
+        assert np.mean(apart > 0) <= 0.002  # such as sums that end in one half
+
+
+@pytest.mark.parametrize("paths", [4, 8])
+@pytest.mark.parametrize("size", SIZES)
+def test_scanlines_are_the_same_bytes(device, paths, size):
+    pair, method = blocky_pair(*size[:2]), Scanline(p1=9, p2=60, paths=paths)
+    for dtype in (np.uint8, np.uint16, np.float32):
+        volume = random_volume(*size, dtype)
+        expected = method(volume, pair)
+        found = twin_of(method).run(method, DeviceVolume.upload(device, volume), DevicePair(device, pair)).download()
+        np.testing.assert_array_equal(found.costs, expected.costs)
+        assert found.scale == expected.scale
+
+
+STEPS = [
+    *(p for p in methods("depthcli.stereo.refinement") if twin_of(p.values[0]) is not None),
+    pytest.param(Median(window=5), id="median 5"), pytest.param(SpeckleFilter(size=4, step=2), id="speckles of 4"),
+    pytest.param(SurfaceFill(rows=3, reach=5, support=4), id="small surfaces"),
+    pytest.param(WeightedMedian(radius=2, filled_weight=0, passes=2), id="median without the filled"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("size", SIZES)
+def test_refinements_are_the_same_map(device, step, size):
+    for seed in (0, 1):
+        disparity, evidence = noisy_case(*size, seed)
+        volume, right = DeviceVolume.upload(device, evidence.volume), device.upload(evidence.right)
+        there = DeviceEvidence(DevicePair(device, evidence.pair), volume, right)
+        expected = step(disparity, evidence)
+        found = twin_of(step).run(step, DeviceMap.upload(device, disparity), there).download()
+        np.testing.assert_array_equal(np.isnan(found.values), np.isnan(expected.values))
+        apart = np.abs(np.nan_to_num(found.values) - np.nan_to_num(expected.values))
+        assert np.mean(apart > 1e-4) <= 0.003  # medians whose halves are equal but for the order of a sum
+        same = apart <= 1e-4
+        np.testing.assert_array_equal(found.status[same], expected.status[same])
+
+
+@pytest.mark.parametrize("preset", ["fast", "thesis/cross", "ad-census", "accurate"])
+def test_presets_run_wholly_on_the_device(device, preset):
+    _same_preset(device, preset, 200, 150)
+
+
+def test_adaptive_weights_run_wholly_on_the_device(device):
+    _same_preset(device, "thesis/adaptive-weight", 140, 100)
+
+
+def _pair(width, height, top):
+    scene = make_scene("foreground", 0, width, height, top)
+    return StereoPair(scene.left, scene.right)
+
+
+def _same_preset(device, preset, width, height):
+    config = load_config(StereoConfig, find_config("stereo", preset), [], lambda name: find_preset("stereo", name))
+    pair = _pair(width, height, 24)
+    expected = config.pipeline(pair, 24)
+    runs = [local.run(config.pipeline, pair, 24, device) for _ in range(2)]
+    assert runs[0].figures["stages_on_cpu"] == 0
+    assert runs[0].disparity.values.tobytes() == runs[1].disparity.values.tobytes()
+    apart = np.abs(runs[0].disparity.values - expected.disparity.values)
+    assert np.mean(apart > 0.1) <= 0.0005
+    assert np.mean(runs[0].disparity.status != expected.disparity.status) <= 0.0005
+
+
+def test_a_step_without_a_twin_runs_on_the_processor(device):
+    method = Local.model_validate({"cost": "zncc", "refinement": ["left_right_check", "region_voting"],
+                                   "confidence": ["pkr"]})  # fmt: skip
+    pair = _pair(60, 40, 12)
+    expected, found = method(pair, 12), local.run(method, pair, 12, device)
+    assert found.figures["stages_on_cpu"] == 2
+    np.testing.assert_array_equal(found.disparity.values, expected.disparity.values)
+    np.testing.assert_array_equal(found.confidence["pkr"], expected.confidence["pkr"])
+
+
+def test_kernels_are_timed_on_the_device(device):
+    device.profile = []
+    copies = Kernels("depthcli.device", "copy.cl")
+    source, target = device.upload(np.arange(99, dtype=np.uint32)), device.empty((99,), np.uint32)
+    device.launch(copies, "copy", (99,), (32,), source, target, 99)
+    device.finish()
+    (name, seconds), device.profile = device.profile[0], None
+    assert name == "copy" and seconds > 0
+    np.testing.assert_array_equal(device.download(target), np.arange(99))
