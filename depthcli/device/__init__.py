@@ -99,13 +99,28 @@ class Kernels:
         return "".join([*lines, COMMON, *(folder.joinpath(name).read_text("utf-8") for name in self._files)])
 
 
+@dataclass(frozen=True)
+class Launch:
+    """A kernel that ran.
+
+    Attributes
+    ----------
+    seconds : on the device
+    nbytes : of the arrays that it was given, each counted once: what it moves at least
+    """
+
+    name: str
+    seconds: float
+    nbytes: int
+
+
 class Device(ABC):
     """A device with one queue: what is asked of it happens in order."""
 
     def __init__(self, info: DeviceInfo) -> None:
         self.info = info
-        self.profile: list[tuple[str, float]] | None = None
-        """Where a list, each kernel's name and seconds on the device are added to it (slows the queue)."""
+        self.profile: list[Launch] | None = None
+        """Where a list, ``finish`` adds to it what was launched since the last one."""
 
     @abstractmethod
     def upload(self, array: NDArray[Any]) -> DeviceArray:
@@ -154,9 +169,14 @@ class Device(ABC):
         for _ in range(4):
             self.launch(COPY, "copy", (count,), (256,), source, target, count)
         self.finish()
-        seconds = min(s for _, s in self.profile)
+        seconds = min(launch.seconds for launch in self.profile)
         self.profile = before
         return 2 * source.nbytes / seconds
+
+
+def bytes_of(arguments: Sequence[Any]) -> int:
+    """Of the arrays among a kernel's arguments."""
+    return sum(argument.nbytes for argument in arguments if isinstance(argument, DeviceArray))
 
 
 def devices() -> list[DeviceInfo]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from depthcli.device import Device, DeviceArray, DeviceError, DeviceInfo, Kernels
+from depthcli.device import Device, DeviceArray, DeviceError, DeviceInfo, Kernels, Launch, bytes_of
 from depthcli.device.dialect import CUDA
 
 OPTIONS = ("--std=c++14", "--fmad=false")
@@ -61,7 +61,7 @@ class CudaDevice(Device):
         self._cupy = cupy
         self._number = int(info.address.partition(":")[2])
         self._modules: dict[str, Any] = {}
-        self._events: list[tuple[str, Any, Any]] = []
+        self._events: list[tuple[str, Any, Any, int]] = []
         self._guarded(cupy.cuda.Device(self._number).use)
 
     def _guarded(self, action: Any, *arguments: Any, **options: Any) -> Any:
@@ -104,14 +104,15 @@ class CudaDevice(Device):
         self._guarded(kernel, blocks, tuple(group), tuple(_argument(a) for a in arguments))
         if events is not None:
             events[1].record()
-            self._events.append((name, *events))
+            self._events.append((name, *events, bytes_of(arguments)))
 
     def finish(self) -> None:
         """Wait for the queue."""
         self._guarded(self._cupy.cuda.get_current_stream().synchronize)
         if self.profile is not None:
             elapsed = self._cupy.cuda.get_elapsed_time
-            self.profile.extend((name, elapsed(start, stop) * 1e-3) for name, start, stop in self._events)
+            for name, start, stop, nbytes in self._events:
+                self.profile.append(Launch(name, elapsed(start, stop) * 1e-3, nbytes))
         self._events.clear()
 
     @property

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from depthcli.device import Device, DeviceArray, DeviceError, DeviceInfo, Kernels
+from depthcli.device import Device, DeviceArray, DeviceError, DeviceInfo, Kernels, Launch, bytes_of
 from depthcli.device.dialect import OPENCL
 
 
@@ -83,7 +83,7 @@ class OpenClDevice(Device):
         self._pool = pyopencl.tools.MemoryPool(pyopencl.tools.ImmediateAllocator(self._queue))
         self._programs: dict[str, Any] = {}
         self._kernels: dict[tuple[str, str], Any] = {}
-        self._events: list[tuple[str, Any]] = []
+        self._events: list[tuple[str, Any, int]] = []
 
     def _failed(self, error: Exception) -> DeviceError:
         return DeviceError(f"{self.info.address} ({self.info.name}) failed: {_short(error)}")
@@ -124,14 +124,15 @@ class OpenClDevice(Device):
         given = [_argument(a) for a in arguments]
         event = self._do(kernel, whole, tuple(group), *given)
         if self.profile is not None:
-            self._events.append((name, event))
+            self._events.append((name, event, bytes_of(arguments)))
 
     def finish(self) -> None:
         """Wait for the queue."""
         try:
             self._queue.finish()
             if self.profile is not None:
-                self.profile.extend((n, (e.profile.end - e.profile.start) * 1e-9) for n, e in self._events)
+                for name, event, nbytes in self._events:
+                    self.profile.append(Launch(name, (event.profile.end - event.profile.start) * 1e-9, nbytes))
         except self._cl.Error as error:
             raise self._failed(error) from error
         finally:

@@ -192,6 +192,6 @@ def test_kernels_are_timed_on_the_device(device):
     source, target = device.upload(np.arange(99, dtype=np.uint32)), device.empty((99,), np.uint32)
     device.launch(copies, "copy", (99,), (32,), source, target, 99)
     device.finish()
-    (name, seconds), device.profile = device.profile[0], None
-    assert name == "copy" and seconds > 0
+    launch, device.profile = device.profile[0], None
+    assert launch.name == "copy" and launch.seconds > 0 and launch.nbytes == 2 * 99 * 4
     np.testing.assert_array_equal(device.download(target), np.arange(99))
