@@ -84,10 +84,14 @@ class Kernels:
         self._package = package
         self._files = files
         self._macros = macros
+        self._variants: dict[tuple[tuple[str, str | int], ...], Kernels] = {}
 
     def with_macros(self, **macros: str | int) -> Kernels:
-        """The same text with other macros beside those that it has."""
-        return Kernels(self._package, *self._files, **{**self._macros, **macros})
+        """The same text with other macros beside those that it has: one object for one set of macros."""
+        key = tuple(sorted(macros.items()))
+        if key not in self._variants:
+            self._variants[key] = Kernels(self._package, *self._files, **{**self._macros, **macros})
+        return self._variants[key]
 
     @cached_property
     def text(self) -> str:

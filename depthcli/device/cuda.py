@@ -60,7 +60,8 @@ class CudaDevice(Device):
         super().__init__(info)
         self._cupy = cupy
         self._number = int(info.address.partition(":")[2])
-        self._modules: dict[str, Any] = {}
+        self._modules: dict[Kernels, Any] = {}
+        self._kernels: dict[tuple[Kernels, str], Any] = {}
         self._events: list[tuple[str, Any, Any, int]] = []
         self._guarded(cupy.cuda.Device(self._number).use)
 
@@ -90,10 +91,12 @@ class CudaDevice(Device):
 
     def launch(self, kernels: Kernels, name: str, size: Sequence[int], group: Sequence[int], *arguments: Any) -> None:
         """Enqueue the kernel."""
-        text = CUDA + kernels.text
-        if text not in self._modules:
-            self._modules[text] = self._guarded(self._cupy.RawModule, code=text, options=OPTIONS, backend="nvrtc")
-        kernel = self._guarded(self._modules[text].get_function, name)
+        kernel = self._kernels.get((kernels, name))
+        if kernel is None:
+            if kernels not in self._modules:
+                made = self._cupy.RawModule(code=CUDA + kernels.text, options=OPTIONS, backend="nvrtc")
+                self._modules[kernels] = made
+            kernel = self._kernels[kernels, name] = self._guarded(self._modules[kernels].get_function, name)
         blocks = tuple(-(-int(n) // g) for n, g in zip(size, group, strict=True))
         if 0 in blocks:
             return

@@ -81,8 +81,8 @@ class OpenClDevice(Device):
         except cl.Error as error:
             raise self._failed(error) from error
         self._pool = pyopencl.tools.MemoryPool(pyopencl.tools.ImmediateAllocator(self._queue))
-        self._programs: dict[str, Any] = {}
-        self._kernels: dict[tuple[str, str], Any] = {}
+        self._programs: dict[Kernels, Any] = {}
+        self._kernels: dict[tuple[Kernels, str], Any] = {}
         self._events: list[tuple[str, Any, int]] = []
 
     def _failed(self, error: Exception) -> DeviceError:
@@ -155,23 +155,26 @@ class OpenClDevice(Device):
             raise self._failed(error) from error
 
     def _kernel(self, kernels: Kernels, name: str) -> Any:
-        text = OPENCL + kernels.text
-        if (text, name) not in self._kernels:
-            if text not in self._programs:
-                exact = self._cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
-                options = ["-cl-std=CL1.2"]
-                if self._handle.single_fp_config & exact:
-                    options.append("-cl-fp32-correctly-rounded-divide-sqrt")
-                try:
-                    with warnings.catch_warnings():
-                        warnings.simplefilter("ignore")
-                        self._programs[text] = self._cl.Program(self._context, text).build(options)
-                except self._cl.Error as error:
-                    raise DeviceError(
-                        f"{self.info.address} ({self.info.name}): its compiler refuses {name}: {error}"
-                    ) from error
-            self._kernels[text, name] = self._cl.Kernel(self._programs[text], name)
-        return self._kernels[text, name]
+        known = self._kernels.get((kernels, name))
+        if known is None:
+            if kernels not in self._programs:
+                self._programs[kernels] = self._built(OPENCL + kernels.text, name)
+            known = self._kernels[kernels, name] = self._cl.Kernel(self._programs[kernels], name)
+        return known
+
+    def _built(self, text: str, name: str) -> Any:
+        exact = self._cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
+        options = ["-cl-std=CL1.2"]
+        if self._handle.single_fp_config & exact:
+            options.append("-cl-fp32-correctly-rounded-divide-sqrt")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                return self._cl.Program(self._context, text).build(options)
+        except self._cl.Error as error:
+            raise DeviceError(
+                f"{self.info.address} ({self.info.name}): its compiler refuses {name}: {error}"
+            ) from error
 
 
 def _argument(value: Any) -> Any:
