@@ -27,12 +27,13 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.protocols import load
-from depthcli.evaluation.report import Line, Table, line_plot, number
+from depthcli.evaluation.report import Table, number
 from depthcli.evaluation.summary import compare
 from depthcli.fusion import Fusion
 from depthcli.io.items.stereo import StereoItem
 from depthcli.io.walk import find_items
 from depthcli.kernels.winners import winners
+from depthcli.report.plots import Line, line_plot
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.config import StereoConfig
 from depthcli.stereo.pipeline.local import Local

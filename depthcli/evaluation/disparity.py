@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.evaluation.pictures import LEGEND_TEXT, error_picture
 from depthcli.evaluation.protocols import Protocol
-from depthcli.evaluation.scores import MISSING_IS_BAD, Measure, Tally
+from depthcli.evaluation.scores import MISSING_IS_BAD, Measure, Score, Tally
 from depthcli.io.disparity import MAP_SUFFIXES, read_disparity
 from depthcli.io.items import Item
 from depthcli.io.items.stereo import StereoItem, StereoTruth
@@ -21,6 +22,8 @@ from depthcli.io.pictures import STATUS_PALETTE
 
 Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]
+
+_DENSE, _DENSE_TOP = 48, 6.0  # thresholds of a plot, and the largest, pixels
 
 
 @dataclass(frozen=True)
@@ -74,9 +77,14 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         """The headline's measure at another threshold."""
         return replace(self.rule, threshold=threshold)
 
+    chosen: tuple[float, ...] | None = None
+    """Instead of ``thresholds``, for a plot."""
+
     @property
     def all_thresholds(self) -> list[float]:
         """The benchmark's and the user's."""
+        if self.chosen is not None:
+            return list(self.chosen)
         own = [] if self.settings.threshold is None else [self.settings.threshold]
         return sorted({*self.thresholds, *own})
 
@@ -184,6 +192,14 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         """The errors by region."""
         error = self.error(estimate, truth)
         return [Tally(name, error[region]) for name, region in self.regions(truth).items()]
+
+    def dense(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
+        """The headline's measure at its thresholds and others up to 6 px, or twice the user's."""
+        many, mask = copy(self), next(iter(self.regions(truth)))
+        top = max(_DENSE_TOP, 2 * (self.settings.threshold or 0.0))
+        many.chosen = tuple(sorted({*self.all_thresholds, *(top * k / _DENSE for k in range(1, _DENSE + 1))}))
+        scores = many.scores(estimate, replace(truth, masks={mask: truth.masks[mask]}))
+        return [s for s in scores if s.measure.threshold is not None and s.measure == self.at(s.measure.threshold)]
 
     def picture(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.uint8]:
         """(H, W, 3) RGB: right and wrong by the headline's rule."""

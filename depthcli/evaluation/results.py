@@ -44,6 +44,7 @@ class Result:
     source : the map's path inside its run folder, or empty
     scores : where the map is missing, the worst of every measure (``Protocol.missing``); empty where there is no
         usable truth
+    dense : the same measure at many thresholds, for plots (``Protocol.dense``)
     curves : of the confidence maps beside the map
     seconds : time of the run's report, or NaN
     size : pixels (or voxels) of the truth, known or not; 0 where there is no map
@@ -59,6 +60,7 @@ class Result:
     protocol: str
     source: str = ""
     scores: tuple[Score, ...] = ()
+    dense: tuple[Score, ...] = ()
     curves: tuple[Curve, ...] = ()
     seconds: float = math.nan
     size: int = 0
@@ -152,6 +154,10 @@ class Section:
             for run in self.runs
             for common in (False, True)
         }
+
+    def dense(self, run: str) -> list[Score]:
+        """One measure at many thresholds: means over all scenes, as :meth:`means` takes them."""
+        return self.protocol.pooled((r.dense, r.scene) for r in self.of(run))
 
     def figure(self, run: str, common: bool = False) -> Score | None:
         """The one figure of a run: the headline over its scenes and the protocol's regions for it; None of no scene."""
@@ -290,6 +296,21 @@ class EvaluationReport:
             if (score := section.figure(run)) is not None
         ]
 
+    def by_threshold(self) -> list[dict[str, Any]]:
+        """The lines of the plots against the threshold: of every run in every data set a measure, and its values."""
+        made = []
+        for section in self.sections:
+            for run in self.runs:
+                scores = section.dense(run)
+                if scores:
+                    m = scores[0].measure
+                    made.append({
+                        "run": run, "data_set": section.data_set, "protocol": section.protocol.name,
+                        "metric": m.metric, "mask": scores[0].mask, "unit": m.unit, "convention": m.convention,
+                        "thresholds": [s.measure.threshold for s in scores], "values": [s.value for s in scores],
+                    })  # fmt: skip
+        return made
+
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain values; NaN where there is no number."""
         return {
@@ -298,6 +319,7 @@ class EvaluationReport:
             "results": [result.to_dict() for result in self.results],
             "means": self.means(),
             "headlines": self.headlines(),
+            "by_threshold": self.by_threshold(),
             "comparisons": [
                 {
                     "protocol": section.protocol.name,

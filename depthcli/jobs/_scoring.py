@@ -68,7 +68,8 @@ class Scoring:
                 raise InputError(f"{place}: no map of scene {item.name}{failed}")
             estimate = judge.read(path, item, truth)
         except DepthcliError as error:
-            return replace(start, scores=tuple(judge.missing(truth)), error=str(error))
+            missing, dense = tuple(judge.missing(truth)), tuple(judge.missing(truth, dense=True))
+            return replace(start, scores=missing, dense=dense, error=str(error))
         warnings, confidences = judge.warnings(estimate, truth), {}
         for name, file in judge.confidences(path).items():
             try:
@@ -79,6 +80,7 @@ class Scoring:
             start,
             source=path.name if path == place else path.relative_to(place).as_posix(),
             scores=tuple(judge.scores(estimate, truth)),
+            dense=tuple(judge.dense(estimate, truth)),
             curves=tuple(judge.curves(estimate, truth, confidences)),
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
             size=next(region.size for region in judge.regions(truth).values()),
@@ -95,12 +97,15 @@ class Scoring:
 
 def draw(result: Result, picture: Any, output: Path) -> None:
     """Write a result's error picture and the plots of its curves."""
-    from depthcli.evaluation.report import curve_plot
     from depthcli.io.atomic import write_text
     from depthcli.io.images import write_png
 
     if picture is not None:
         write_png(output / result.picture, picture)
+    if not result.curves:
+        return
+    from depthcli.report.plots import curve_plot
+
     for (mask, of), path in result.plots.items():
         lines = {c.confidence: c.line for c in result.curves if (c.mask, c.of) == (mask, of)}
         write_text(output / path, curve_plot(lines, f"{result.run}: {result.scene}, {mask}", of))

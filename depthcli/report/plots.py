@@ -1,15 +1,16 @@
-"""Plots of a section as SVG, by matplotlib."""
+"""Plots as SVG, by matplotlib, which is imported where one is drawn; the same numbers give the same bytes."""
 
 from __future__ import annotations
 
 import io
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from depthcli.evaluation.curves import PERCENTAGES
+from depthcli.evaluation.curves import PERCENTAGES, Sparsification
 from depthcli.evaluation.results import Section
 from depthcli.evaluation.tables import mean
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 # Okabe & Ito's palette without its yellow, which is too pale for a line.
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d1f", "#000000")
 _MARKERS = "osD^vPX*"
+_BOUND = "#777777"
 _SETTINGS = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 10, "axes.spines.top": False,
              "axes.spines.right": False}  # fmt: skip
 
@@ -58,24 +60,26 @@ def _boxes(section: Section, what: str) -> str:
 
 
 def _by_threshold(section: Section) -> str | None:
-    """The headline's measure, or the first one that has several thresholds, in the main region."""
-    headline, mask = section.protocol.headline, section.masks[0]
-    groups: dict[tuple[str, str, str], list[Any]] = {}
-    for measure, region in section.means(section.runs[0]):
-        if region == mask and measure.threshold is not None:
-            groups.setdefault((measure.metric, measure.unit, measure.convention), []).append(measure)
-    several = [measures for measures in groups.values() if len(measures) > 2]
-    own = [measures for measures in several if headline in measures] or several
-    if not own:
+    """Lines of what the protocol has at many thresholds; dots: those of the tables."""
+    lines = {run: scores for run in section.runs if (scores := section.dense(run))}
+    if not lines:
         return None
+    some = next(iter(lines.values()))[0]
     with _figure() as (axes, out):
         for i, run in enumerate(section.runs):
-            means = section.means(run)
-            points = [(m.threshold, means[m, mask].value) for m in own[0] if (m, mask) in means]
-            _line(axes, i, run, points)
+            points = [(s.measure.threshold, s.value) for s in lines.get(run, ()) if s.measure.threshold is not None]
+            _line(axes, i, run, points, marker="")
+            dots = [  # of the tables
+                (m.threshold, score.value)
+                for (m, mask), score in section.means(run).items()
+                if m.threshold is not None and mask == some.mask and m == replace(some.measure, threshold=m.threshold)
+                and points and m.threshold <= points[-1][0]
+            ]  # fmt: skip
+            axes.plot([x for x, _ in dots], [y for _, y in dots], linestyle="", marker=_marker(i), ms=4,
+                      color=_color(i))  # fmt: skip
         axes.set_xlabel("threshold")
-        axes.set_ylabel(_plain(f"{own[0][0].metric}, {own[0][0].unit}, {mask}"))
-        if not own[0][0].larger_is_better:
+        axes.set_ylabel(_plain(f"{some.measure.metric}, {some.measure.unit}, {some.mask}"))
+        if not some.measure.larger_is_better:
             axes.set_ylim(bottom=0)
         _legend(axes, len(section.runs))
     return out[0]
@@ -116,7 +120,7 @@ def _sparsifications(section: Section) -> Iterator[tuple[tuple[str, str], str]]:
             for i, name in enumerate(sorted(means, key=lambda name: sum(means[name]))):
                 _line(axes, i, name, list(zip(PERCENTAGES, means[name], strict=True)))
             for best in [list(b) for b in dict.fromkeys(map(tuple, bests))]:
-                axes.plot(PERCENTAGES, best, linestyle=":", color="#777777")
+                axes.plot(PERCENTAGES, best, linestyle=":", color=_BOUND)
             axes.set_xlabel("most confident pixels, %")
             axes.set_ylabel("share of wrong pixels" if of == "bad" else _plain(f"mean error, {section.protocol.unit}"))
             axes.set_ylim(bottom=0)
@@ -124,9 +128,56 @@ def _sparsifications(section: Section) -> Iterator[tuple[tuple[str, str], str]]:
         yield (mask, of), out[0]
 
 
+@dataclass(frozen=True)
+class Line:
+    """One line of a plot: a name for the legend, points, and whether it is a bound: drawn grey and dotted."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    bound: bool = False
+
+
+def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str) -> str:
+    """Lines with axes, grid and legend, as the text of an SVG file.
+
+    Parameters
+    ----------
+    lines : NaN leaves a gap; from the ninth line on colors are used again, dashed
+    title, x_label, y_label : plain text
+    """
+    with _figure(fixed=True) as (axes, out):
+        for i, line in enumerate(lines):
+            points = list(zip(line.x, line.y, strict=True))
+            if line.bound:
+                axes.plot(line.x, line.y, ":", color=_BOUND, label=_plain(line.name))
+            else:
+                _line(axes, i, line.name, points)
+        axes.set_title(_plain(title, 70), fontsize=10, loc="left")
+        axes.set_xlabel(_plain(x_label))
+        axes.set_ylabel(_plain(y_label))
+        axes.set_ylim(bottom=0)
+        _legend(axes, len(lines))
+    return out[0]
+
+
+def curve_plot(curves: Mapping[str, Sparsification], title: str, of: str) -> str:
+    """Sparsification curves of one region with their bounds, the best first, as the text of an SVG file."""
+    ordered = sorted(curves.items(), key=lambda item: item[1].auc)
+    lines = [Line(f"{name} {c.auc:.4f}", c.percentages, c.errors) for name, c in ordered]
+    some = ordered[0][1]
+    lines.append(Line(f"optimal {some.optimal:.4f}", some.percentages, some.best, bound=True))
+    lines.append(Line(f"random {some.mean:.4f}", some.percentages, [some.mean] * len(some.percentages), bound=True))
+    y_label = "error rate" if of == "bad" else "mean absolute error"
+    return line_plot(lines, title, "most confident pixels, %", y_label)
+
+
 @contextmanager
-def _figure(height: float = 3.4) -> Iterator[tuple[Axes, list[str]]]:
-    """Axes to draw in, and a list that holds the SVG's text afterwards."""
+def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, list[str]]]:
+    """Axes to draw in, and a list that holds the SVG's text afterwards.
+
+    ``fixed`` margins take half the time of those that are fitted to names of any length.
+    """
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -135,7 +186,9 @@ def _figure(height: float = 3.4) -> Iterator[tuple[Axes, list[str]]]:
     # A name in a script that the font lacks is still a name: the reader's browser has the font.
     with matplotlib.rc_context(_SETTINGS), warnings.catch_warnings():  # type: ignore[arg-type]
         warnings.simplefilter("ignore")
-        figure = Figure(figsize=(6.2, height), layout="constrained")
+        figure = Figure(figsize=(6.2, height), layout=None if fixed else "constrained")
+        if fixed:
+            figure.subplots_adjust(left=0.11, right=0.68, bottom=0.15, top=0.92)
         FigureCanvasSVG(figure)
         axes = figure.add_subplot()
         axes.grid(color="#e4e4e4")
@@ -146,10 +199,11 @@ def _figure(height: float = 3.4) -> Iterator[tuple[Axes, list[str]]]:
     out.append(text.getvalue())
 
 
-def _line(axes: Axes, i: int, name: str, points: Sequence[tuple[float, float]]) -> None:
+def _line(axes: Axes, i: int, name: str, points: Sequence[tuple[float, float]], marker: str | None = None) -> None:
     x, y = zip(*points, strict=True) if points else ((), ())
     style = "-" if i < len(_COLORS) else "--"
-    axes.plot(x, y, style, color=_color(i), marker=_marker(i), ms=4, lw=1.4, label=_plain(name))
+    shape = _marker(i) if marker is None else marker
+    axes.plot(x, y, style, color=_color(i), marker=shape, ms=4, lw=1.4, label=_plain(name))
 
 
 def _legend(axes: Axes, lines: int) -> None:
@@ -165,8 +219,8 @@ def _marker(i: int) -> str:
     return _MARKERS[i % len(_MARKERS)]
 
 
-def _plain(text: str) -> str:
+def _plain(text: str, most: int = 40) -> str:
     """A name, not a formula; short enough to leave room for the plot."""
-    text = text if len(text) <= 40 else f"{text[:24]}...{text[-12:]}"
+    text = text if len(text) <= most else f"{text[: most - 16]}...{text[-12:]}"
     text = "".join(char if char.isprintable() else "?" for char in text).replace("$", r"\$")
     return f"\u200b{text}" if text.startswith("_") else text  # else it is left out of the legend

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from hypothesis import strategies as st
 
 from depthcli.evaluation.curves import PERCENTAGES, sparsification
 from depthcli.evaluation.pictures import LEGEND, error_picture
-from depthcli.evaluation.report import Line, Table, line_plot
+from depthcli.evaluation.report import Table
 from depthcli.evaluation.summary import average_ranks, compare, sign_test
 from tests.naive import metrics as naive
 
@@ -107,14 +106,6 @@ def test_table_as_text_and_markdown():
     table = Table("T", ("run", "bad"), (("a", "1.00"), ("long|name", "12.50")), "note")
     assert table.text() == "T\nrun          bad\na           1.00\nlong|name  12.50\nnote\n"
     assert "| long\\|name | 12.50 |" in table.markdown()
-
-
-def test_plot_is_well_formed_and_escapes():
-    svg = line_plot([Line("a<b & c", [5, 50, 100], [0, float("nan"), 0.2]), Line("flat", [5], [0])], "t<", "x", "y")
-    root = ElementTree.fromstring(svg)
-    lines = [e for e in root.iter() if e.tag.endswith("polyline")]
-    assert [len(e.attrib["points"].split()) for e in lines] == [2, 1]
-    assert any(e.text == "a<b & c" for e in root.iter())
 
 
 def test_error_picture_colors():

@@ -7,7 +7,7 @@ import math
 import pkgutil
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -147,6 +147,10 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     def scores(self, estimate: Estimate, truth: Truth) -> list[Score]:
         """Every measure in every region."""
 
+    def dense(self, estimate: Estimate, truth: Truth) -> list[Score]:
+        """One measure at many thresholds, in the main region, by the rules of ``scores``; empty: it has no such."""
+        return []
+
     def wrong(self, estimate: Estimate, truth: Truth) -> NDArray[np.bool_]:
         """Pixels whose error is above the headline's threshold; those without an estimate are not among them."""
         if self.headline.threshold is None:
@@ -242,9 +246,9 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     # From scores to figures
 
-    def missing(self, truth: Truth) -> list[Score]:
+    def missing(self, truth: Truth, dense: bool = False) -> list[Score]:
         """Scores of an item that a run lacks: the worst where a measure has a bound, no number where it has none."""
-        scores = self.scores(self.nothing(truth), truth)
+        scores = (self.dense if dense else self.scores)(self.nothing(truth), truth)
         sizes = {mask: int(np.count_nonzero(region)) for mask, region in self.regions(truth).items()}
         counted = []
         for score in scores:
@@ -302,10 +306,14 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     def mean(self, results: Sequence[Result]) -> list[Score]:
         """Every measure in every region over the items of one run."""
+        return self.pooled((result.scores, result.scene) for result in results)
+
+    def pooled(self, scored: Iterable[tuple[Sequence[Score], str]]) -> list[Score]:
+        """One score for every measure and region out of (scores, scene) of several scenes."""
         groups: dict[tuple[Measure, str], list[tuple[Score, float]]] = {}
-        for result in results:
-            for score in result.scores:
-                groups.setdefault((score.measure, score.mask), []).append((score, self.weight(result.scene)))
+        for scores, scene in scored:
+            for score in scores:
+                groups.setdefault((score.measure, score.mask), []).append((score, self.weight(scene)))
         return [self.pool([s for s, _ in group], [w for _, w in group]) for group in groups.values()]
 
     def tables(self, section: Section) -> list[Table]:

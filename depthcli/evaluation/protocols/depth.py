@@ -143,6 +143,13 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         wrong: NDArray[np.bool_] = _ratio(estimate, truth.depth) >= _WRONG
         return wrong
 
+    def dense(self, estimate: Depth, truth: DepthTruth) -> list[Score]:
+        """Delta at ratios up to 1.5."""
+        name, region = next(iter(truth.regions.items()))
+        tally = Tally(name, self.error(estimate, truth)[region])
+        inside = _ratio(estimate, truth.depth)[region][~np.isnan(tally.error)]
+        return [_delta(tally, inside, 1 + k / 100) for k in range(1, 51)]
+
     def picture(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.uint8]:
         """(H, W, 3) RGB: right and wrong by the ratio 1.05."""
         return error_picture(estimate, self.wrong(estimate, truth), truth.regions["all"])
@@ -168,12 +175,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
                 ),
             ]  # fmt: skip
             inside = ratio[region][~np.isnan(tally.error)]
-            for limit in _RATIOS:
-                measure = Measure(
-                    "delta", "%", round(limit, 4), ESTIMATED_ONLY, larger_is_better=True, label=f"delta {limit:.4g}"
-                )
-                share = 100.0 * float(np.mean(inside < limit)) if valid.size else np.nan
-                scores.append(tally.number(measure, share, valid.size))
+            scores += [_delta(tally, inside, limit) for limit in _RATIOS]
             if pixels is not None:
                 off = pixels[region][~np.isnan(tally.error)]
                 in_pixels = Measure("MAE", "px", convention=ESTIMATED_ONLY, label="MAE px")
@@ -183,6 +185,12 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
             coverage = Measure("coverage", "%", worst=0.0, larger_is_better=True)
             scores.append(tally.number(coverage, tally.density, tally.error.size))
         return scores
+
+
+def _delta(tally: Tally, ratios: NDArray[np.float64], limit: float) -> Score:
+    """Percentage of the estimated pixels, whose ratios are given, within a ratio of the truth."""
+    measure = Measure("delta", "%", round(limit, 4), ESTIMATED_ONLY, larger_is_better=True, label=f"delta {limit:.4g}")
+    return tally.number(measure, 100.0 * float(np.mean(ratios < limit)) if ratios.size else np.nan, ratios.size)
 
 
 def _ratio(estimate: Depth, truth: Depth) -> NDArray[np.float64]:
