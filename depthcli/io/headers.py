@@ -41,7 +41,8 @@ _PFM_HEADER = re.compile(rb"(P[fF])" + (_PFM_GAP + rb"(\d{1,9})") * 2 + _PFM_GAP
 _MOST_DECODED = 1 << 31
 # The densest codes: 12 bits of LZW stand for up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
 _DENSEST = 3000
-_BITS_TAG, _SAMPLES_TAG, _TILE_TAGS = 258, 277, (322, 323)
+_SIZE_TAGS, _BITS_TAG, _SAMPLES_TAG, _TILE_TAGS = (256, 257), 258, 277, (322, 323)
+_PHOTOMETRIC_TAG, _PALETTE, _FORMAT_TAG, _FLOATS = 262, 3, 339, 3
 
 _PILLOW = {
     "png": ("PngImagePlugin", "PngImageFile"),
@@ -288,24 +289,47 @@ def _npy_size(data: bytes) -> ImageSize:
 
 
 def _pillow_size(data: bytes) -> ImageSize:
-    image: Any = open_with_pillow(data)
+    image = open_with_pillow(data)
     width, height = image.size
-    if image_kind(data) != "tiff":
-        return ImageSize(height, width, 3 if image.mode == "P" else len(image.getbands()), 8)
+    return ImageSize(height, width, 3 if image.mode == "P" else len(image.getbands()), 8)
+
+
+def _tiff_size(data: bytes) -> ImageSize:
+    tags = _tiff_tags(data)
     with decoding("tiff"):
-        tags = image.tag_v2
+        width, height = (int(tags[tag]) for tag in _SIZE_TAGS)
         bits, samples = int(tags.get(_BITS_TAG, (1,))[0]), int(tags.get(_SAMPLES_TAG, 1))
         tile = [int(tags.get(tag, 0)) for tag in _TILE_TAGS]
     if tile[0] * tile[1] > max(4 * width * height, 1 << 22):
         raise InputError(f"damaged TIFF image (tiles of {tile[0]} x {tile[1]} pixels)")
-    return ImageSize(height, width, 3 if image.mode == "P" else samples, max(bits, 8))
+    return ImageSize(height, width, 3 if tags.get(_PHOTOMETRIC_TAG) == _PALETTE else samples, max(bits, 8))
+
+
+def holds_floats(data: bytes) -> bool:
+    """Whether a TIFF says that its samples are numbers of floating point."""
+    if image_kind(data) != "tiff":
+        return False
+    formats = _tiff_tags(data).get(_FORMAT_TAG, (1,))
+    return isinstance(formats, tuple) and _FLOATS in formats
+
+
+def _tiff_tags(data: bytes) -> Any:
+    """Tags of the first image, as Pillow parses them; it need not know the kind of samples."""
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    with decoding("tiff"):
+        file = BytesIO(data)
+        tags: Any = ImageFileDirectory_v2(data[: 16 if 43 in data[2:4] else 8])
+        file.seek(tags.next)
+        tags.load(file)
+        return tags
 
 
 _SIZES: dict[str, Callable[[bytes], ImageSize]] = {
     "png": _png_size,
     "jpeg": _pillow_size,
     "pnm": _pnm_size,
-    "tiff": _pillow_size,
+    "tiff": _tiff_size,
     "bmp": _pillow_size,
     "pfm": _pfm_size,
     "npy": _npy_size,

@@ -25,6 +25,7 @@ from depthcli.io.headers import (
     check_size,
     declared_bits,
     decoding,
+    holds_floats,
     image_kind,
     image_size,
     jpeg_scan_ends,
@@ -149,15 +150,22 @@ def decode_grey(data: bytes, max_bytes: int | None = None) -> Image:
 
 
 def decode_floats(data: bytes) -> NDArray[np.float32] | None:
-    """(H, W) numbers of a TIFF with samples of floating point, from its bytes; None for any other file."""
-    if image_kind(data) != "tiff":
+    """(H, W) numbers of a TIFF with samples of floating point, from its bytes; None for any other file.
+
+    Numbers of 64 bit become the nearest of 32 bit, infinite beyond their range.
+    """
+    if not holds_floats(data):
         return None
-    check_size(image_size(data), len(data), None)
-    image = open_with_pillow(data)
-    if image.mode != "F":
-        return None
-    with decoding("tiff"):
-        return np.array(image, np.float32)
+    size = image_size(data)
+    check_size(size, len(data), None)
+    if size.channels != 1 or size.bits not in (32, 64):
+        raise InputError(f"{size.channels} x {size.bits} bit floating point, want one channel of 32 or 64")
+    # Pillow knows no numbers of 64 bit, and swaps the bytes of compressed big-endian ones twice.
+    pixels = _decode_with_opencv(data)
+    if pixels is None or pixels.dtype.kind != "f" or pixels.shape != (size.height, size.width):
+        raise InputError("damaged TIFF image (cannot be decoded)")
+    with np.errstate(over="ignore"):
+        return pixels.astype(np.float32)
 
 
 def write_png(path: Path | str, array: NDArray[Any]) -> None:
@@ -225,18 +233,21 @@ def _decode_jpeg(data: bytes) -> Image:
 
 
 def _decode_16bit(data: bytes, kind: str, size: ImageSize) -> Image:
-    pixels: NDArray[Any] | None
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        with decoding(kind):
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    finally:
-        cv2.utils.logging.setLogLevel(level)
+    pixels = _decode_with_opencv(data)
     if pixels is None or pixels.dtype != np.uint16:
         raise InputError(f"damaged {kind.upper()} image (cannot be decoded)")
     if pixels.ndim == 3:  # grey with transparency comes as color
         pixels = pixels[..., 0] if size.channels < 3 else pixels[..., 2::-1]
     return cast(Image, np.ascontiguousarray(pixels))
+
+
+def _decode_with_opencv(data: bytes) -> NDArray[Any] | None:
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        with decoding(image_kind(data)):
+            return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 def _decode_pnm(data: bytes) -> Image:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 import tempfile
+import zlib
 from pathlib import Path
 
 import cv2
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from depthcli.core.errors import InputError
-from depthcli.io.disparity import read_disparity, read_pfm, write_disparity_png, write_pfm
+from depthcli.io.disparity import read_disparity, read_pfm, read_plane, write_disparity_png, write_pfm
 from depthcli.io.images import read_image, write_png
 
 maps = hnp.arrays(np.float32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.floats(width=32))
@@ -90,3 +92,58 @@ def test_npy(tmp_path: Path):
         np.save(path, bad, allow_pickle=True)
         with pytest.raises(InputError, match=r"a\.npy"):
             read_disparity(path)
+
+
+def _float_tiff(values: np.ndarray, order: str, deflated: bool, rows: int) -> bytes:
+    """Strips of ``rows`` rows, samples of 32 or 64 bit, little (<) or big (>) endian."""
+    height, width = values.shape
+    bits = 8 * values.dtype.itemsize
+    parts = [values[y : y + rows].astype(values.dtype.newbyteorder(order)).tobytes() for y in range(0, height, rows)]
+    parts = [zlib.compress(part) if deflated else part for part in parts]
+    places = [8 + sum(map(len, parts[:k])) for k in range(len(parts))]
+    head = {256: width, 257: height, 258: bits, 259: 8 if deflated else 1, 262: 1, 277: 1, 278: rows, 339: 3}
+    body = b"".join(parts)
+    lists, tables = {273: places, 279: [len(part) for part in parts]}, b""
+    for tag, numbers in lists.items():
+        head[tag] = 8 + len(body) + len(tables)
+        tables += struct.pack(f"{order}{len(numbers)}I", *numbers)
+    entries = b""
+    for tag, value in sorted(head.items()):
+        count = len(lists.get(tag, [0]))
+        entries += struct.pack(f"{order}HHII", tag, 4, count, lists[tag][0] if tag in lists and count == 1 else value)
+    start = struct.pack(f"{order}HI", 42, 8 + len(body) + len(tables))
+    order_mark = b"II" if order == "<" else b"MM"
+    return order_mark + start + body + tables + struct.pack(f"{order}H", len(head)) + entries + bytes(4)
+
+
+@pytest.mark.parametrize("deflated", [False, True])
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_float_tiff_of_either_width_and_byte_order(tmp_path: Path, dtype: type, order: str, deflated: bool):
+    values = np.random.default_rng(6).uniform(1, 90, (23, 17)).astype(dtype)
+    values[0, 0], values[5, 3], values[9, 9] = np.nan, np.inf, np.finfo(dtype).max
+    data = _float_tiff(values, order, deflated, rows=6)
+    path = tmp_path / "map.tif"
+    path.write_bytes(data)
+    with np.errstate(over="ignore"):
+        nearest = values.astype(np.float32)
+    plane = read_plane(path)
+    assert plane.dtype == np.float32
+    assert np.array_equal(plane, nearest, equal_nan=True)
+    expected = np.where(np.isfinite(nearest), nearest, np.nan)
+    assert np.array_equal(read_disparity(path), expected, equal_nan=True)
+    for size in range(0, len(data) - 4, max(1, len(data) // 50)):
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError):
+            read_plane(path)
+
+
+def test_float_tiff_of_several_channels_or_half_width_is_refused(tmp_path: Path):
+    color, path = np.ones((4, 5, 3), np.float64), tmp_path / "color.tiff"
+    assert cv2.imwrite(str(path), color)
+    with pytest.raises(InputError, match="3 x 64 bit floating point"):
+        read_plane(path)
+    half = _float_tiff(np.ones((4, 5), np.float16), "<", False, 4)
+    path.write_bytes(half)
+    with pytest.raises(InputError, match="1 x 16 bit floating point"):
+        read_plane(path)
