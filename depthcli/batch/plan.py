@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from depthcli.batch.making import Task, Work
 from depthcli.batch.resources import show_bytes
 from depthcli.batch.runner import Inspector, Options
 from depthcli.batch.tables import aligned
-from depthcli.core.config_file import dump_config
+from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import InputError
 from depthcli.io.headers import image_size
 from depthcli.io.items import Item
@@ -23,7 +23,7 @@ DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
 def plan(
     work: Work,
-    config: BaseModel,
+    config: BaseModel | Mapping[str, Any],
     items: Sequence[Item],
     output: Path,
     memory: Callable[[Any, Any], int | None],
@@ -55,11 +55,12 @@ def plan(
                 row |= {"status": BROKEN, "problem": str(error)}
         rows.append(row)
     refused = f"{output}: holds a run made with another config; it would want --overwrite" if other else ""
-    return {"command": work.name, "config": config.model_dump(mode="json", by_alias=True), "output": str(output),
-            "refused": refused, "scenes": rows}  # fmt: skip
+    values = config.model_dump(mode="json", by_alias=True) if isinstance(config, BaseModel) else dict(config)
+    about = {"command": work.name, "config": values, "output": str(output), "refused": refused}
+    return {**about, "scenes": rows}
 
 
-def plan_text(document: dict[str, Any], config: BaseModel) -> str:
+def plan_text(document: dict[str, Any], config: BaseModel | Mapping[str, Any]) -> str:
     """The same for people."""
     rows = document["scenes"]
     lines = [("scene", "status", "memory", "")]
@@ -72,7 +73,8 @@ def plan_text(document: dict[str, Any], config: BaseModel) -> str:
         if any(row["status"] == status for row in rows)
     )
     notes = [f"{len(rows)} scenes: {counts}", *filter(None, [document["refused"]]), "nothing was computed"]
-    return "\n".join([dump_config(config), aligned(lines), "", *notes]) + "\n"
+    text = dump_config(config) if isinstance(config, BaseModel) else to_yaml(dict(config))
+    return "\n".join([text, aligned(lines), "", *notes]) + "\n"
 
 
 def shape_of(file: Path) -> tuple[int, int]:

@@ -42,7 +42,7 @@ HOW = (
     Option("list_scenes", bool, "Print the names of the scenes; compute nothing.", default=False),
 )
 _EVALUATE = Option("evaluate", bool, "Compare with the ground truth of the input folder.", default=False)
-_DRY = Option("dry_run", bool, "Only say what would be done: config, scenes, memory, what is done.", default=False)
+DRY_RUN = Option("dry_run", bool, "Only say what would be done: config, scenes, memory, what is done.", default=False)
 _HTML = Option("html", bool, "As --evaluate, with evaluation/report.html to look at in a browser.", default=False)
 
 
@@ -159,7 +159,7 @@ class ConfigCommand(BatchCommand):
     def options(self) -> tuple[Option, ...]:
         """What the kinds of item declare, between what all batches share."""
         own = {option.name: option for kind in self.kinds for option in kind.options}
-        return (INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE, _HTML, _DRY)
+        return (INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE, _HTML, DRY_RUN)
 
     @abstractmethod
     def config_model(self) -> type[BaseModel]:

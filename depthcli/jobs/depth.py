@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.io.items import Item
-from depthcli.jobs._batch import HOW, OUTPUT, SCENES, BatchCommand, items_of
+from depthcli.jobs._batch import DRY_RUN, HOW, OUTPUT, SCENES, BatchCommand, items_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -92,6 +92,7 @@ class DepthCommand(BatchCommand):
             Option("ply", bool, "Write a colored point cloud of every scene, too.", default=False),
             Option("depth_scale", float, "Codes a meter of depth.png.", "CODES", default=1000.0, least=1e-3, most=1e6),
             *HOW,
+            DRY_RUN,
         )  # fmt: skip
 
     def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
@@ -147,6 +148,11 @@ class DepthCommand(BatchCommand):
     def settings(self, config: Any, item: DisparityItem) -> dict[str, str]:
         """The cameras of a file that holds several."""
         return {"cameras": f"{item.cameras}"}
+
+    def memory_of(self, config: Any, item: DisparityItem) -> None:
+        """No estimate: little more than the map itself; InputError where there is no calibration."""
+        if config["focal"] is None:
+            _geometry(config, item)
 
     def columns(self) -> tuple[Column, ...]:
         """Size, share of pixels with depth, how far they are, and what depth was computed with."""

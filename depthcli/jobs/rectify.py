@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.io.items.stereo import StereoItem
-from depthcli.jobs._batch import HOW, INPUT, LAYOUT, NAME, OUTPUT, SCENES, BatchCommand, find_scenes
+from depthcli.jobs._batch import DRY_RUN, HOW, INPUT, LAYOUT, NAME, OUTPUT, SCENES, BatchCommand, find_scenes
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from depthcli.batch.reporter import Reporter
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
-    from depthcli.core.stereo_rig import RectifiedRig
+    from depthcli.core.stereo_rig import RectifiedRig, StereoRig
     from depthcli.stereo.rectification import RectifyingHomographies
 
 _DOUBTFUL = 1.0  # median row error of a calibrated pair above which a scene says so, pixels
@@ -52,6 +52,7 @@ class RectifyCommand(BatchCommand):
             Option("alpha", float, "0: only what both images hold; 1: all that either holds.", "SHARE", default=0.0,
                    least=0, most=1),
             *HOW,
+            DRY_RUN,
         )  # fmt: skip
 
     def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
@@ -76,6 +77,11 @@ class RectifyCommand(BatchCommand):
     def files(self, config: Any, item: StereoItem) -> dict[str, Path]:
         """The pair and the calibration."""
         return item.input_files | {f"calibration_{k}": file for k, file in enumerate(self._calibration)}
+
+    def memory_of(self, config: Any, item: StereoItem) -> None:
+        """No estimate: little more than the images themselves; InputError where the calibration cannot be read."""
+        if not config["uncalibrated"]:
+            self._rig(config)
 
     def columns(self) -> tuple[Column, ...]:
         """Size, median row error before and after, share of the image that both cameras see."""
@@ -147,7 +153,6 @@ class RectifyCommand(BatchCommand):
     def _rectifier(
         self, config: Any, points: tuple[NDArray[np.float64], NDArray[np.float64]], left: Any, right: Any
     ) -> RectifiedRig | RectifyingHomographies:
-        from depthcli.io.stereo_rig import read_stereo_rig
         from depthcli.stereo.rectification import rectify_uncalibrated
 
         sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
@@ -155,9 +160,13 @@ class RectifyCommand(BatchCommand):
             if sizes[0] != sizes[1]:
                 raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
             return rectify_uncalibrated(*points, sizes[0])
+        return self._rig(config).rectified(*sizes, config["alpha"])
+
+    def _rig(self, config: Any) -> StereoRig:
+        from depthcli.io.stereo_rig import read_stereo_rig
+
         first, _, second = config["cameras"].partition(",")
-        rig = read_stereo_rig(self._calibration, config["unit"], config["fisheye"], (int(first), int(second)))
-        return rig.rectified(*sizes, config["alpha"])
+        return read_stereo_rig(self._calibration, config["unit"], config["fisheye"], (int(first), int(second)))
 
 
 def _grey8(image: Any) -> NDArray[np.uint8]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.jobs._batch import HOW, OUTPUT, BatchCommand
+from depthcli.jobs._batch import DRY_RUN, HOW, OUTPUT, BatchCommand
 from depthcli.samples import SampleItem, samples
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class SampleCommand(BatchCommand):
         for each in samples().values():
             for option in each.options:
                 own.setdefault(option.name, option)
-        return (OUTPUT, *flags, *own.values(), *HOW)
+        return (OUTPUT, *flags, *own.values(), *HOW, DRY_RUN)
 
     def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
         """Generate the scenes of the one kind that is asked for."""

@@ -94,6 +94,30 @@ def test_a_dry_run_lists_config_scenes_memory_and_what_is_done(
     assert "made with another config; it would want --overwrite" in capsys.readouterr().out
 
 
+def test_dry_runs_of_commands_without_a_config(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    output = tmp_path / "out"
+    assert main(["sample", "-o", str(output), "--dry-run"]) == 0
+    assert "6 to do" in capsys.readouterr().out
+    run = tmp_path / "run"
+    assert main(["stereo", "fast", "-i", str(scenes), "-o", str(run), "-q"]) == 0
+    assert main(["depth", str(run), "-o", str(output), "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "2 scenes: 2 cannot be used" in out
+    assert "no calibration beside the images" in out
+    by_hand = ("--focal", "500", "--baseline", "0.1")
+    assert main(["depth", str(run), "-o", str(output), *by_hand, "--dry-run", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["config"]["focal"] == 500
+    assert [row["status"] for row in document["scenes"]] == ["to do"] * 2
+    absent = str(tmp_path / "absent.yml")
+    command = ["rectify", "-i", str(scenes), "-o", str(output), "--dry-run"]
+    assert main([*command, "--calibration", absent]) == 0
+    assert absent in capsys.readouterr().out
+    assert main([*command, "--uncalibrated"]) == 0
+    assert "2 scenes: 2 to do" in capsys.readouterr().out
+    assert not output.exists()
+
+
 def test_completion(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     monkeypatch.setenv("_DEPTHCLI_COMPLETE", "complete_bash")
     for words, place, wanted in (("depthcli ste", "1", "stereo"), ("depthcli evaluate --thr", "2", "--threshold")):
