@@ -59,6 +59,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     curve_masks: ClassVar[tuple[str, ...]] = ("nonocc", "all")
     legend = LEGEND_TEXT
     quantity = "disparity"
+    threshold_axis = "threshold, px"
     visible = "nonocc"
     palette = STATUS_PALETTE
     thresholds: ClassVar[tuple[float, ...]]

@@ -165,7 +165,7 @@ def by_scene(section: Section, measure: Measure, mask: str) -> Matrix:
             values = tuple(r.by_key[key].value if key in r.by_key else math.nan for r in results)
             marks = tuple("*" * bool(r.error) for r in results)
             columns.append(Column(short(scene), values, larger, marks, scene=scene))
-    columns += _means(section, key, "mean") if len(section.scenes) > 1 else []
+    columns += _means(section, key, section.protocol.pooling) if len(section.scenes) > 1 else []
     headline = section.protocol.headline == measure
     if headline and len(section.runs) > 1 and len(section.scenes) > 1:
         ranks = tuple(average_rank(section, [key]).values())

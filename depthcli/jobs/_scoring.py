@@ -83,7 +83,7 @@ class Scoring:
             dense=tuple(judge.dense(estimate, truth)),
             curves=tuple(judge.curves(estimate, truth, confidences)),
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
-            size=next(region.size for region in judge.regions(truth).values()),
+            size=judge.size(truth),
             disparities=top if isinstance(top := row.get("max_disparity"), int) and top > 0 else 0,
             warning="; ".join(warnings),
             evidence=judge.evidence(estimate, truth),

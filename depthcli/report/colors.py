@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
 """Kinds of pixel; ``HIDDEN``: occluded in the other view."""
 
-WORDS = ("truth unknown", "right", "wrong", "right, occluded", "wrong, occluded", "no value")
-
 # From a small error to a large one. Blue and orange stay apart for every kind of color blindness, purple is apart from
 # both by lightness too; the darker, the worse.
 _RAMPS = {
@@ -26,6 +24,11 @@ _RAMPS = {
 }
 NO_VALUE = (90, 90, 90)
 """RGB of a pixel of a map that has no value; no color of the map's scale."""
+
+
+def words(right: str, wrong: str) -> tuple[str, ...]:
+    """The kinds in words."""
+    return ("truth unknown", right, wrong, f"{right}, occluded", f"{wrong}, occluded", "no value")
 
 
 @cache
@@ -63,6 +66,21 @@ def kinds(
 def error_picture(kind: NDArray[np.uint8], error: NDArray[np.floating[Any]], top: float) -> NDArray[np.uint8]:
     """(H, W, 3) RGB: hue by kind of pixel, lightness by error, the darkest from ``top`` on."""
     return error_scales()[kind, _index(error, 0.0, top, 64)]
+
+
+def over(
+    picture: NDArray[np.uint8], nothing: NDArray[np.bool_], under: NDArray[np.uint8] | None, opacity: float
+) -> NDArray[np.uint8]:
+    """(H, W, 3) RGB of a map over what it describes, which shows through, and alone where there is ``nothing``."""
+    if under is None or opacity >= 1:
+        return picture
+    mixed = np.rint(opacity * picture + (1 - opacity) * under).astype(np.uint8)
+    return np.where(nothing[..., None], under, mixed)
+
+
+def grey(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) grey levels as (H, W, 3) RGB."""
+    return np.repeat(levels[..., None], 3, axis=2)
 
 
 def _index(values: NDArray[np.floating[Any]], low: float, high: float, steps: int) -> NDArray[np.intp]:

@@ -96,7 +96,6 @@ class Page:
             "assets": [f"{ASSETS}/{entry.file.name}" if factor > 1 else None for entry in self._entries],
             "scale": colors.scale().tolist(),
             "errors": colors.error_scales().tolist(),
-            "words": colors.WORDS,
             "none": colors.NO_VALUE,
         }
         text = _template().render(
@@ -105,7 +104,8 @@ class Page:
             configs={run: text[:_MOST_CONFIG] for run, text in configs.items()}, factor=factor, assets=ASSETS,
             sections=[_Shown.of(section) for section in report.sections], overview=tables.overview(report),
             others=_other_tables(report), scenes=[_thumbs(report, entry) for entry in self._entries], data=data,
-            page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=_swatches(),
+            page=_script_json(json.dumps(page)), scores=_script_json(scores),
+            kinds=[_swatches(verdicts) for verdicts in dict.fromkeys(e.protocol.verdicts for e in self._entries)],
             number_of={entry.name: i for i, entry in enumerate(self._entries)},
         )  # fmt: skip
         write_text(self.folder / "report.html", text)
@@ -242,11 +242,11 @@ def _other_tables(report: EvaluationReport) -> list[Table]:
     return found
 
 
-def _swatches() -> list[tuple[str, str, str]]:
+def _swatches(verdicts: tuple[str, str]) -> list[tuple[str, str, str]]:
     """(words, color of a small error, color of a large one) of every kind of pixel."""
     scales = colors.error_scales()
     ends = [[f"rgb({','.join(map(str, scales[kind, k].tolist()))})" for k in (0, -1)] for kind in range(len(scales))]
-    return [(words, first, last) for words, (first, last) in zip(colors.WORDS, ends, strict=True)]
+    return [(words, first, last) for words, (first, last) in zip(colors.words(*verdicts), ends, strict=True)]
 
 
 def _template() -> Any:

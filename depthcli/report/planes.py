@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import math
 import zlib
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ Packed = dict[str, Any]
 
 _LEVEL = 4
 _TOP = 65535
+_AXES = "zyx"
+_MOST_PIXELS = 3_000_000  # of the slices of a volume
 
 
 def pack(values: NDArray[np.floating[Any]], low: float, high: float, levels: int = _TOP) -> Packed:
@@ -71,12 +74,46 @@ def _deflated(data: NDArray[np.uint8], shape: tuple[int, ...]) -> Packed:
     return {"height": shape[0], "width": shape[1], "data": text}
 
 
-def cuts(shape: tuple[int, ...]) -> list[tuple[str, tuple[Any, ...]]]:
-    """(name, index) of the planes of an array to look at: of an image itself, of a volume the middle of every axis."""
+@dataclass(frozen=True)
+class Cut:
+    """A plane of an array to look at.
+
+    Attributes
+    ----------
+    axis : across which it lies, -1 for an image itself
+    place, count : number of the slice along it, and how many there are
+    index : of the plane in the array
+    axes : names of the plane's columns and rows
+    """
+
+    axis: int
+    place: int
+    count: int
+    index: tuple[Any, ...]
+    axes: tuple[str, str]
+
+    @property
+    def name(self) -> str:
+        """For people; empty for an image."""
+        return "" if self.axis < 0 else f"{_AXES[self.axis]} {self.place} of {self.count}"
+
+
+def cuts(shape: tuple[int, ...], most: int = _MOST_PIXELS) -> list[Cut]:
+    """The planes to look at: an image itself; of a volume (Z, Y, X) slices across every axis, its middle ones included.
+
+    Parameters
+    ----------
+    most : about so many pixels all slices may have; where a volume has more, every second, third ... is taken
+    """
     if len(shape) == 2:
-        return [("", (...,))]
-    every = (slice(None),) * len(shape)
-    return [
-        (f"axis {axis}, slice {n // 2} of {n}", (*every[:axis], n // 2, *every[axis + 1 :]))
-        for axis, n in enumerate(shape)
-    ]
+        return [Cut(-1, 0, 1, (...,), ("x", "y"))]
+    planes = [tuple(n for other, n in enumerate(shape) if other != axis) for axis in range(3)]
+    axes = [axis for axis in range(3) if min(planes[axis]) > 1] or [0]  # an image of one slice has no others
+    step = max(1, math.ceil(len(axes) * math.prod(shape) / most))
+    found = []
+    for axis in axes:
+        rows, columns = (name for name in _AXES if name != _AXES[axis])
+        for place in range(shape[axis] // 2 % step, shape[axis], step):
+            index = tuple(place if other == axis else slice(None) for other in range(3))
+            found.append(Cut(axis, place, shape[axis], index, (columns, rows)))
+    return found

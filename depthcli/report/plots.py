@@ -33,7 +33,7 @@ def plots(section: Section) -> dict[str, str]:
     if len(section.scenes) > 2:
         made[f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"] = _boxes(section, what)
     if (curves := _by_threshold(section)) is not None:
-        made["Against the threshold: means over the scenes"] = curves
+        made["Against the threshold, over all scenes; dots: thresholds of the tables"] = curves
     if any(not math.isnan(r.seconds) for r in section.results):
         made[f"Time against {what}: means of a scene"] = _times(section, what)
     for (region, of), svg in _sparsifications(section):
@@ -77,7 +77,7 @@ def _by_threshold(section: Section) -> str | None:
             ]  # fmt: skip
             axes.plot([x for x, _ in dots], [y for _, y in dots], linestyle="", marker=_marker(i), ms=4,
                       color=_color(i))  # fmt: skip
-        axes.set_xlabel("threshold")
+        axes.set_xlabel(_plain(section.protocol.threshold_axis))
         axes.set_ylabel(_plain(f"{some.measure.metric}, {some.measure.unit}, {some.mask}"))
         if not some.measure.larger_is_better:
             axes.set_ylim(bottom=0)
@@ -95,6 +95,9 @@ def _times(section: Section, what: str) -> str:
                 axes.plot([seconds], [score.value], linestyle="", marker=_marker(i), ms=8, color=_color(i),
                           label=_plain(run))  # fmt: skip
         axes.set_xscale("log")
+        low, high = axes.dataLim.intervalx
+        if low > 0:  # room for two round numbers at least
+            axes.set_xlim(low / 2, 2 * high)
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("")

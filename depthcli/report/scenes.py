@@ -17,7 +17,7 @@ from depthcli.evaluation.results import Result
 from depthcli.io.items import Item
 from depthcli.io.pictures import read_status, status_color, status_words
 from depthcli.report import colors
-from depthcli.report.planes import Packed, cuts, pack, pack_bytes, thinned
+from depthcli.report.planes import Cut, Packed, cuts, pack, pack_bytes, thinned
 
 _CONFIDENCES = 4096  # levels of a confidence; noise below them would only fill the page
 _THUMB = 240  # pixels of a small picture's longer side, at most
@@ -31,6 +31,7 @@ class _Small:
     error: NDArray[np.floating[Any]]
     kind: NDArray[np.uint8]
     high: float
+    under: NDArray[np.uint8] | None
 
 
 @dataclass
@@ -41,7 +42,7 @@ class Scene:
     ----------
     name : of the scene
     judge : its protocol
-    image : (H, W, 3) RGB, or None
+    image : (H, W, 3) RGB or (Z, Y, X) grey, or None
     data : what the script reads
     thumbs : name of a picture -> data URI; of a run: ``map``, ``error``
     """
@@ -51,6 +52,7 @@ class Scene:
     image: NDArray[np.uint8] | None
     data: dict[str, Any] = field(default_factory=dict)
     thumbs: dict[str, dict[str, str]] = field(default_factory=dict)
+    _cuts: list[Cut] = field(default_factory=list)
     _small: dict[str, _Small] = field(default_factory=dict)
 
     @classmethod
@@ -64,23 +66,49 @@ class Scene:
         points = judge.true_values(truth)
         true = None if points is None else judge.laid_out(points, truth)
         low, high = _range(None if true is None else true[known])
+        scene._cuts = cuts(known.shape)
+        start = scene._start(known)
         scene.data = {"name": item.name, "protocol": judge.name, "quantity": judge.quantity, "unit": judge.unit,
-                      "low": low, "high": high, "hidden": bool(hidden.any()), "status": {}, "views": []}  # fmt: skip
-        for name, cut in cuts(known.shape):
-            plane = known[cut]
-            packed = None if true is None else pack(np.where(plane, true[cut], np.nan), *scene._reach)
-            image = scene._image(plane.shape)
+                      "low": low, "high": high, "hidden": bool(hidden.any()), "status": {}, "views": [],
+                      "words": colors.words(*judge.verdicts), "opacity": judge.opacity, "start": start}  # fmt: skip
+        spacing = judge.spacing(truth)
+        for cut in scene._cuts:
+            plane = known[cut.index]
+            packed = None if true is None else pack(np.where(plane, true[cut.index], np.nan), *scene._reach)
+            picture = scene._picture(cut, known.shape)
+            across = [1.0, 1.0] if spacing is None else [s for axis, s in enumerate(spacing) if axis != cut.axis]
             scene.data["views"].append(
-                {"name": name, "width": plane.shape[1], "height": plane.shape[0], "factor": 1, "image": image,
-                 "truth": packed, "region": pack_bytes(plane + 2 * hidden[cut].astype(np.uint8)), "runs": {}}
+                {"name": cut.name, "axis": cut.axis, "axes": cut.axes, "tall": across[0] / across[1],
+                 "width": plane.shape[1], "height": plane.shape[0], "factor": 1,
+                 "image": None if picture is None else _jpeg(picture), "truth": packed,
+                 "region": pack_bytes(plane + 2 * hidden[cut.index].astype(np.uint8)), "runs": {}}
             )  # fmt: skip
-        step = _step(known[cuts(known.shape)[0][1]].shape)
+        cut = scene._cuts[start]
         if scene.image is not None:
-            scene.thumbs[""] = {"image": _jpeg(_shrunk(scene.image))}
+            flat = scene.image if cut.axis < 0 else colors.grey(scene.image[cut.index])
+            scene.thumbs[""] = {"image": _jpeg(_shrunk(flat))}
         if true is not None:
-            small = np.where(known, true, np.nan)[cuts(known.shape)[0][1]][::step, ::step]
-            scene.thumbs.setdefault("", {})["truth"] = _png(colors.map_picture(small, low, high))
+            step = _step(known[cut.index].shape)
+            small = np.where(known[cut.index], true[cut.index], np.nan)[::step, ::step]
+            picture = colors.map_picture(small, low, high)
+            picture = colors.over(picture, np.isnan(small), scene._under(known.shape), judge.opacity)
+            scene.thumbs.setdefault("", {})["truth"] = _png(picture)
         return scene
+
+    def _start(self, known: NDArray[np.bool_]) -> int:
+        """The plane to begin with: of the first axis the one with most to see, of such ones the most central."""
+        first = [number for number, cut in enumerate(self._cuts) if cut.axis == self._cuts[0].axis]
+        middle = self._cuts[0].count // 2
+        seen = {n: int(np.count_nonzero(known[self._cuts[n].index])) for n in first}
+        return max(first, key=lambda n: (seen[n], -abs(self._cuts[n].place - middle)))
+
+    def _under(self, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
+        """The image of the plane to begin with, as small as the small pictures of maps."""
+        picture = self._picture(self._cuts[self.data["start"]], shape)
+        if picture is None:
+            return None
+        step = _step(picture.shape[:2])
+        return picture[::step, ::step]
 
     @property
     def _reach(self) -> tuple[float, float]:
@@ -101,7 +129,7 @@ class Scene:
         values, true = laid(judge.values(estimate, truth)), laid(judge.true_values(truth))
         follows = values is not None and true is not None and _same(error, np.abs(values - true), known)
         status = self._status(path, known.shape)
-        for view, (_, cut) in zip(self.data["views"], cuts(known.shape), strict=True):
+        for view, cut in zip(self.data["views"], (each.index for each in self._cuts), strict=True):
             run: dict[str, Packed | dict[str, Packed] | None] = {
                 "values": None if values is None else pack(values[cut], *self._reach),
                 # The script takes the difference where that is the error.
@@ -111,14 +139,17 @@ class Scene:
                 "confidence": {name: _pack_confidence(laid(plane)[cut]) for name, plane in confidences.items()},
             }
             view["runs"][result.run] = run
-        cut = cuts(known.shape)[0][1]
+        cut = self._cuts[self.data["start"]].index
         step = _step(known[cut].shape)
+        under = self._under(known.shape)
         kind = colors.kinds(known[cut], hidden[cut], wrong[cut], np.isnan(error[cut]))
         worst = error[wrong & ~np.isnan(error)]
         high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
-        self._small[result.run] = _Small(error[cut][::step, ::step], kind[::step, ::step], high)
+        self._small[result.run] = _Small(error[cut][::step, ::step], kind[::step, ::step], high, under)
         if values is not None:
-            picture = colors.map_picture(values[cut][::step, ::step], self.data["low"], self.data["high"])
+            small = values[cut][::step, ::step]
+            picture = colors.map_picture(small, self.data["low"], self.data["high"])
+            picture = colors.over(picture, np.isnan(small), under, judge.opacity)
             self.thumbs.setdefault(result.run, {})["map"] = _png(picture)
 
     def close(self) -> None:
@@ -128,18 +159,21 @@ class Scene:
         self.data["top"] = top
         for run, small in self._small.items():
             picture = colors.error_picture(small.kind, small.error, top)
+            picture = colors.over(picture, small.kind == colors.UNKNOWN, small.under, self.judge.opacity)
             self.thumbs.setdefault(run, {})["error"] = _png(picture)
         self._small, self.image = {}, None
 
-    def _image(self, shape: tuple[int, int]) -> str | None:
-        """The camera's picture at the size of the maps; None where it is of another shape."""
+    def _picture(self, cut: Cut, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
+        """What is beneath a plane of the maps, (H, W, 3) RGB at their size; None where it is of another shape."""
         if self.image is None:
             return None
+        if cut.axis >= 0:
+            return colors.grey(self.image[cut.index]) if self.image.shape == shape else None
         height, width = self.image.shape[:2]
         if abs(width * shape[0] - height * shape[1]) > 2 * max(width, height):
             return None
         fitted = self.image if (height, width) == shape else cv2.resize(self.image, shape[::-1])
-        return _jpeg(np.asarray(fitted, np.uint8))
+        return np.asarray(fitted, np.uint8)
 
     def _status(self, path: Any, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
         file = self.judge.status(path)

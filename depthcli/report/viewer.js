@@ -2,7 +2,7 @@
 // The viewer of a scene: one transform for all panels, pictures drawn from the numbers themselves.
 
 const viewer = $("viewer"), stage = $("stage"), readout = $("readout");
-const state = { number: 0, cut: 0, source: 0, other: "truth", layer: "map", mode: "flip", measure: "", zoom: 1, x: 0, y: 0 };
+const state = { number: 0, cut: 0, source: 0, other: "truth", layer: "map", mode: "flip", measure: "", opacity: 1, zoom: 1, x: 0, y: 0 };
 let scene = null, view = null, pictures = new Map(), panels = [], pointer = null, opening = 0;
 
 const runOf = (source) => typeof source === "number" ? view.runs[page.runs[source]] : undefined;
@@ -39,9 +39,20 @@ function painter(source, layer) {
   return (i) => Number.isNaN(confidence.values[i]) ? page.none : grey(place(confidence.values[i], ...confidence.shown, 256));
 }
 
+// Over the image, pixels of which nothing is known are left out.
+const over = (source) => Boolean(view.image) && source !== "image" && state.opacity < 1;
+
+function nothing(source, layer, i) {
+  const run = runOf(source), values = source === "truth" ? view.truth : run.values;
+  if (source !== "truth" && layer === "error") return !(view.region[i] & 1);
+  if (source !== "truth" && layer === "confidence") return Number.isNaN(run.confidence[state.measure].values[i]);
+  return (source === "truth" || layer === "map") && Number.isNaN(values[i]);
+}
+
 function drawn(source, layer) {
   if (source === "image") return view.image;
-  const key = `${source}/${source === "truth" ? "" : layer}/${layer === "confidence" ? state.measure : ""}`;
+  const see = over(source);
+  const key = `${source}/${source === "truth" ? "" : layer}/${layer === "confidence" ? state.measure : ""}/${see}`;
   if (!pictures.has(key)) {
     const color = painter(source, layer);
     let canvas = null;
@@ -51,7 +62,8 @@ function drawn(source, layer) {
       const words = new Uint32Array(data.data.buffer);
       for (let i = 0; i < words.length; i++) {
         const [r, g, b] = color(i);
-        words[i] = 0xff000000 | b << 16 | g << 8 | r;  // bytes in the order of all machines that run browsers
+        // Bytes in the order of all machines that run browsers.
+        words[i] = see && nothing(source, layer, i) ? 0 : 0xff000000 | b << 16 | g << 8 | r;
       }
       context.putImageData(data, 0, 0);
     }
@@ -78,8 +90,15 @@ function draw() {
       context.beginPath();
       context.rect(from, 0, to - from, box.height);
       context.clip();
-      if (image) context.drawImage(image, state.x, state.y, view.width * state.zoom, view.height * state.zoom);
-      else {
+      const place = [state.x, state.y, view.width * state.zoom, view.height * state.zoom * view.tall];
+      if (image) {
+        if (over(source)) {
+          context.drawImage(view.image, ...place);
+          context.globalAlpha = state.opacity;
+        }
+        context.drawImage(image, ...place);
+        context.globalAlpha = 1;
+      } else {
         context.fillStyle = "#9aa5ad";
         context.font = "14px sans-serif";
         context.fillText(`no ${source === "image" ? "image" : runOf(source) ? state.layer : "map"}`, from + 12, 44);
@@ -91,7 +110,7 @@ function draw() {
       context.fillRect(split - 1, 0, 2, box.height);
     }
     if (pointer && state.mode === "all") {
-      const [x, y] = [(pointer.x + .5) * state.zoom + state.x, (pointer.y + .5) * state.zoom + state.y];
+      const [x, y] = [(pointer.x + .5) * state.zoom + state.x, (pointer.y + .5) * state.zoom * view.tall + state.y];
       context.strokeStyle = "#fff";
       context.lineWidth = 1;
       context.strokeRect(x - 5, y - 5, 10, 10);
@@ -101,9 +120,9 @@ function draw() {
 
 function fit() {
   const box = panels[0].canvas.getBoundingClientRect();
-  state.zoom = Math.min(box.width / view.width, box.height / view.height) || 1;
+  state.zoom = Math.min(box.width / view.width, box.height / (view.height * view.tall)) || 1;
   state.x = (box.width - view.width * state.zoom) / 2;
-  state.y = (box.height - view.height * state.zoom) / 2;
+  state.y = (box.height - view.height * state.zoom * view.tall) / 2;
   draw();
 }
 
@@ -120,7 +139,7 @@ const middle = () => { const box = panels[0].canvas.getBoundingClientRect(); ret
 function setPanels() {
   const sources = state.mode === "all" ? ["image", "truth", ...page.runs.keys()] : [state.source];
   const box = stage.getBoundingClientRect();
-  const aspect = view.width / view.height;
+  const aspect = view.width / (view.height * view.tall);
   let columns = 1, best = 0;
   for (let n = 1; n <= sources.length; n++) {
     const w = box.width / n, h = box.height / Math.ceil(sources.length / n);
@@ -153,7 +172,7 @@ function setLegend() {
     entry(`${scene.quantity} ${shown(scene.low)}`, ramp(page.scale, 200), `${shown(scene.high)} ${scene.unit}`);
     entry(ramp([page.none], 16), "no value");
   } else if (state.layer === "error") {
-    page.words.forEach((words, kind) => {
+    scene.words.forEach((words, kind) => {
       if (words.includes("occluded") && !scene.hidden) return;
       const flat = kind === 0 || kind === 5;
       entry(flat ? "" : "0", ramp(page.errors[kind], flat ? 16 : 70), flat ? words : `${scene.top} ${scene.unit}: ${words}`);
@@ -172,14 +191,16 @@ const text = (value, digits = 2) =>
 
 function setReadout() {
   if (!pointer) {
-    readout.textContent = "Point at a pixel to read it. Keys: 1 to 9 runs, t truth, i image; m map, e error, s status, c confidence; f flip, w swipe (Shift+number: right side), a all; + - r zoom; arrows: scenes.";
+    readout.textContent = "Point at a pixel to read it. Keys: 1 to 9 runs, t truth, i image; m map, e error, s status, c confidence; f flip, w swipe (Shift+number: right side), a all; + - r zoom; left and right: scenes" +
+      (scene.views.length > 1 ? "; up and down: slices, v: another axis" : "") + (view.image ? "; o: over the image." : ".");
     return;
   }
   const i = pointer.y * view.width + pointer.x;
   const known = view.region[i] & 1;
   const where = known ? (view.region[i] & 2 ? ", occluded" : "") : ", truth unknown or not evaluated";
   const truth = view.truth ? ` · true ${scene.quantity} ${text(view.truth[i])} ${scene.unit}` : "";
-  const line = make("div", `x ${pointer.x * view.factor}, y ${pointer.y * view.factor}${truth}${where}`);
+  const place = view.axes.map((name, axis) => `${name} ${(axis ? pointer.y : pointer.x) * view.factor}`).join(", ");
+  const line = make("div", `${place}${view.name && `, ${view.name}`}${truth}${where}`);
   const table = make("table"), head = table.createTHead().insertRow();
   for (const title of ["run", `${scene.quantity}, ${scene.unit}`, `error, ${scene.unit}`, "", "status", "confidence"]) head.append(make("th", title));
   const body = table.createTBody();
@@ -190,8 +211,8 @@ function setReadout() {
     if (!run) return row.append(make("td", "no map"));
     const status = run.status && scene.status[run.status[i]];
     const confidences = Object.entries(run.confidence).map(([measure, { values }]) =>
-      `${measure} ${Number.isFinite(values[i]) ? +values[i].toPrecision(4) : values[i]}`);
-    const cells = [run.values ? text(run.values[i]) : "-", known ? text(errorAt(run, i)) : "-", page.words[kindAt(run, i)],
+      `${measure} ${Number.isFinite(values[i]) ? +values[i].toPrecision(4) : text(values[i])}`);
+    const cells = [run.values ? text(run.values[i]) : "-", known ? text(errorAt(run, i)) : "-", scene.words[kindAt(run, i)],
       status ? status.words : "-", confidences.join(", ") || "-"];
     for (const cell of cells) row.append(make("td", cell));
   });
@@ -212,9 +233,15 @@ function setButtons() {
   $("measure").value = state.measure;
   $("measure").hidden = state.layer !== "confidence" || measures.length < 2;
   $("swipe").hidden = state.mode !== "swipe";
-  $("cut").replaceChildren(...scene.views.map((each, number) => make("option", each.name, { value: number })));
-  $("cut").value = state.cut;
-  $("cut").hidden = scene.views.length < 2;
+  const slices = slicesOf(view.axis);
+  $("axis").replaceChildren(...axes().map((axis) => make("option", `across ${"zyx"[axis]}`, { value: axis })));
+  $("axis").value = view.axis;
+  $("slice").max = slices.length - 1;
+  $("slice").value = slices.indexOf(state.cut);
+  $("where").textContent = view.name;
+  $("slices").hidden = scene.views.length < 2;
+  $("opacity").value = 100 * state.opacity;
+  $("opacity").parentNode.hidden = !view.image;
   $("which").value = state.number;
   const sources = [["image", "i"], ["truth", "t"], ...page.runs.map((_, n) => [n, n < 9 ? `${n + 1}` : ""])];
   $("sources").replaceChildren(...sources.map(([source, key]) => {
@@ -250,6 +277,31 @@ function setMode(mode) {
   fit();
 }
 
+const axes = () => [...new Set(scene.views.map((each) => each.axis))];
+const slicesOf = (axis) => [...scene.views.keys()].filter((number) => scene.views[number].axis === axis);
+
+function setSlice(number) {
+  if (!(number in scene.views) || number === state.cut) return;
+  state.cut = number;
+  open(state.number);
+}
+
+// Across another axis, in the middle.
+function setAxis(axis) {
+  const slices = slicesOf(axis);
+  setSlice(slices[slices.length >> 1]);
+}
+
+function step(by) {
+  const slices = slicesOf(view.axis);
+  setSlice(slices[slices.indexOf(state.cut) + by]);
+}
+
+function setOpacity(share) {
+  state.opacity = share;
+  show(false);
+}
+
 function setLayer(layer) {
   if ([...$("layers").children].find((button) => button.dataset.layer === layer).disabled) return;
   state.layer = layer;
@@ -261,15 +313,18 @@ async function open(number, source) {
   viewer.dataset.ready = "";
   if (!viewer.open) viewer.showModal();
   const data = await sceneData(number);
-  const next = await unpackView(data.views[state.cut] || data.views[0]);
+  const other = scene !== data;
+  const cut = other ? data.start : state.cut;
+  const next = await unpackView(data.views[cut]);
   if (mine !== opening) return;  // another scene was asked for meanwhile
-  const sameSize = view && view.width === next.width && view.height === next.height && number === state.number;
+  const sameSize = view && view.width === next.width && view.height === next.height && !other;
   [scene, view, pictures, pointer] = [data, next, new Map(), null];
-  if (!data.views[state.cut]) state.cut = 0;
+  if (other) state.opacity = data.opacity;
+  state.cut = cut;
   state.number = number;
   if (source !== undefined) state.source = source;
   if (state.other === "truth" && page.runs.length > 1) state.other = state.source === 1 ? 0 : 1;
-  if (state.layer === "status" || state.layer === "confidence") state.layer = "map";
+  if (other && (state.layer === "status" || state.layer === "confidence")) state.layer = "map";
   show();
   if (!sameSize) fit();
   viewer.dataset.ready = `${number}`;
@@ -298,7 +353,9 @@ $("close").onclick = () => viewer.close();
 $("which").onchange = () => go(Number($("which").value));
 $("back").onclick = () => go(state.number - 1);
 $("on").onclick = () => go(state.number + 1);
-$("cut").onchange = () => { state.cut = Number($("cut").value); open(state.number); };
+$("axis").onchange = () => setAxis(Number($("axis").value));
+$("slice").oninput = () => setSlice(slicesOf(view.axis)[Number($("slice").value)]);
+$("opacity").oninput = () => setOpacity($("opacity").value / 100);
 $("measure").onchange = () => { state.measure = $("measure").value; show(false); };
 $("closer").onclick = () => zoom(1.5, ...middle());
 $("wider").onclick = () => zoom(1 / 1.5, ...middle());
@@ -315,7 +372,9 @@ addEventListener("keydown", (event) => {
   const keys = { t: () => choose("truth"), 0: () => choose("truth"), i: () => choose("image"), f: () => setMode("flip"),
     w: () => setMode("swipe"), a: () => setMode("all"), m: () => setLayer("map"), e: () => setLayer("error"),
     s: () => setLayer("status"), c: () => setLayer("confidence"), r: fit, "+": $("closer").onclick, "=": $("closer").onclick,
-    "-": $("wider").onclick, ArrowLeft: $("back").onclick, ArrowRight: $("on").onclick };
+    "-": $("wider").onclick, ArrowLeft: $("back").onclick, ArrowRight: $("on").onclick,
+    ArrowUp: () => step(1), ArrowDown: () => step(-1), v: () => setAxis(axes()[(axes().indexOf(view.axis) + 1) % axes().length]),
+    o: () => view.image && setOpacity(state.opacity < 1 ? 1 : .6) };
   if (digit && Number(digit[1]) > 0) {
     if (Number(digit[1]) <= page.runs.length) choose(Number(digit[1]) - 1, event.shiftKey);
   } else if (event.key in keys) keys[event.key]();
@@ -348,7 +407,8 @@ stage.addEventListener("dblclick", fit);
 
 function read(event) {
   if (!view || event.target.tagName !== "CANVAS") return;
-  const [x, y] = at(event).map((value, axis) => Math.floor((value - (axis ? state.y : state.x)) / state.zoom));
+  const [x, y] = at(event).map((value, axis) =>
+    Math.floor((value - (axis ? state.y : state.x)) / (state.zoom * (axis ? view.tall : 1))));
   const inside = x >= 0 && y >= 0 && x < view.width && y < view.height;
   const next = inside ? { x, y } : null;
   if (next && pointer && next.x === pointer.x && next.y === pointer.y) return;

@@ -71,3 +71,15 @@ def made(tmp_path_factory: pytest.TempPathFactory, scenes: Path, runs: list[Path
     output = tmp_path_factory.mktemp("report") / "out"
     assert main(["evaluate", *map(str, runs), "--truth", str(scenes), "--output", str(output), "--html", "-q"]) == 0
     return output
+
+
+@pytest.fixture(scope="session")
+def volumes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of a run on one small pair of volumes, which lie beside it."""
+    pytest.importorskip("SimpleITK", reason="no SimpleITK, which reads volumes")
+    folder = tmp_path_factory.mktemp("volumes")
+    scenes, run, output = folder / "set", folder / "run", folder / "out"
+    assert main(["sample", "--registration", "-n", "1", "-o", str(scenes), "-q"]) == 0
+    assert main(["register-confidence", "axes", "-i", str(scenes), "-o", str(run), "-q"]) == 0
+    assert main(["evaluate", str(run), "--truth", str(scenes), "-o", str(output), "--html", "-q"]) == 0
+    return output

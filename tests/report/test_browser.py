@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import pytest
 from depthcli.io.disparity import read_disparity, read_plane
 from depthcli.jobs.evaluate import evaluate
 from depthcli.report.page import Page
+from depthcli.report.planes import unpack
 from tests.report.conftest import ODD, SHAPE, truth_of
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -206,4 +208,53 @@ def test_full_size_comes_from_the_assets(browser: Any, tmp_path: Path, scenes: P
     assert "of their size" in visit.page.locator("#legend").inner_text()
     assert all("ERR_FILE_NOT_FOUND" in line for line in visit.said)
     visit.said.clear()
+    visit.close()
+
+
+def test_slices_are_stepped_through(browser: Any, volumes: Path):
+    visit = Visit(browser, volumes / "report.html")
+    data = json.loads(visit.page.locator("#data-0").text_content())
+    names = [view["name"] for view in data["views"]]
+    visit.page.evaluate("location.hash = '#scene-0/1'")
+    visit.ready(0)
+    keys, where, start = visit.page.keyboard, visit.page.locator("#where"), data["start"]
+
+    def shown(number: int) -> None:
+        visit.page.locator("#where", has_text=re.compile(f"^{names[number]}$")).wait_for(timeout=10_000)
+        visit.ready(0)
+
+    assert where.inner_text() == names[start]
+    keys.press("ArrowUp")
+    shown(start + 1)
+    keys.press("ArrowDown")
+    shown(start)
+    visit.page.locator("#slice").fill("0")
+    shown(0)
+    keys.press("ArrowDown")  # the first one: there is nothing before it
+    keys.press("v")
+    across = next(k for k, view in enumerate(data["views"]) if view["axis"] == 1)
+    count = sum(view["axis"] == 1 for view in data["views"])
+    shown(across + count // 2)
+    view = data["views"][across + count // 2]
+    box = visit.page.locator("#stage canvas").first.bounding_box()
+    visit.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    line, rows = visit.reading()
+    column, row = (int(n) for n in re.match(r"x (\d+), z (\d+), ", line).groups())
+    (run,) = view["runs"].values()
+    assert float(rows[0][1]) == pytest.approx(unpack(run["values"])[row, column], abs=0.0051)
+    assert float(re.search(r"error ([\d.]+) mm", line)[1]) == pytest.approx(
+        unpack(view["truth"])[row, column], abs=0.0051
+    )
+    # Beneath a map lies the volume: all of it at no opacity, nothing at full.
+    mixed = visit.color()
+    visit.page.locator("#opacity").fill("0")
+    beneath = visit.color()
+    keys.press("i")
+    assert visit.color() == beneath
+    assert len(set(beneath)) == 1
+    keys.press("1")
+    keys.press("o")
+    keys.press("o")
+    assert visit.page.locator("#opacity").input_value() == "60"
+    assert len({tuple(mixed), tuple(beneath), tuple(visit.color())}) == 3
     visit.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
 import re
@@ -10,6 +11,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -20,6 +22,8 @@ from depthcli.evaluation.results import EvaluationReport, Result
 from depthcli.evaluation.scores import Measure, Score
 from depthcli.io.disparity import read_disparity
 from depthcli.io.items import Item
+from depthcli.io.items.volume_pair import RegistrationTruth
+from depthcli.io.volumes import Grid, read_volume
 from depthcli.io.walk import BrokenItem
 from depthcli.jobs.evaluate import evaluate
 from depthcli.report import colors
@@ -259,10 +263,11 @@ def test_volumes_show_slices_of_their_errors(tmp_path: Path):
     page.map(result, tmp_path / "box", volume, judge.truth(item), {})
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})
     scene = json.loads(read(tmp_path).scripts["data-0"])
-    assert [view["name"] for view in scene["views"]] == [
-        f"axis {k}, slice {n // 2} of {n}" for k, n in enumerate((4, 6, 8))
-    ]
-    for view, plane in zip(scene["views"], (volume[2], volume[:, 3], volume[:, :, 4]), strict=True):
+    planes = [*volume, *volume.swapaxes(0, 1), *np.moveaxis(volume, 2, 0)]
+    names = [f"{axis} {k} of {n}" for axis, n in zip("zyx", (4, 6, 8), strict=True) for k in range(n)]
+    assert [view["name"] for view in scene["views"]] == names
+    assert scene["start"] == 2
+    for view, plane in zip(scene["views"], planes, strict=True):
         run = view["runs"]["run"]
         assert (view["truth"], view["image"], run["values"]) == (None, None, None)
         assert np.allclose(unpack(run["error"]), plane, atol=0.01)
@@ -301,18 +306,27 @@ def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
     assert ("data-0" in reader.scripts) == on_grid
     assert "1 run, 1 scene of" in reader.text
     if on_grid:
-        view = json.loads(reader.scripts["data-0"])["views"][0]
+        view = json.loads(reader.scripts["data-0"])["views"][2]
         assert np.array_equal(unpack(view["region"]) > 0, Points.places_of[2])
         error = unpack(view["runs"]["run"]["error"])
         assert np.allclose(error[Points.places_of[2]], points[truth.size // 2 :], atol=0.01)
         assert np.array_equal(unpack(view["runs"]["run"]["wrong"]), np.nan_to_num(error) > 100)
 
 
-def test_volumes_are_cut_in_the_middle():
+def test_volumes_are_cut_across_every_axis():
     volume = np.arange(4 * 6 * 8).reshape(4, 6, 8)
-    assert [volume[index].shape for _, index in cuts(volume.shape)] == [(6, 8), (4, 8), (4, 6)]
-    assert np.array_equal(volume[cuts(volume.shape)[1][1]], volume[:, 3])
-    assert cuts((3, 4))[0][0] == ""
+    every = cuts(volume.shape)
+    assert [volume[cut.index].shape for cut in every] == [(6, 8)] * 4 + [(4, 8)] * 6 + [(4, 6)] * 8
+    assert np.array_equal(volume[every[7].index], volume[:, 3])
+    assert every[7].axes == ("x", "z")
+    few = cuts(volume.shape, most=volume.size)
+    assert [(cut.axis, cut.place) for cut in few] == [(0, 2), (1, 0), (1, 3), (2, 1), (2, 4), (2, 7)]
+    assert {cut.axis for cut in cuts((1, 6, 8))} == {0}
+    assert cuts((3, 4))[0].name == ""
+    large = (300, 512, 512)
+    taken = cuts(large)
+    assert {(cut.axis, cut.place) for cut in taken} >= {(0, 150), (1, 256), (2, 256)}
+    assert sum(512 * 512 if cut.axis == 0 else 300 * 512 for cut in taken) < 4_000_000
 
 
 def test_colors_are_told_apart():
@@ -330,14 +344,51 @@ def test_colors_are_told_apart():
     assert colors.scale()[-1].sum() > colors.scale()[0].sum() + 200
 
 
+def registration_truth(error: np.ndarray, grid: Grid, places: np.ndarray | None, inside: np.ndarray | None):
+    points = np.zeros((0, 3)) if places is None else grid.to_point(places)
+    return PreparedTruth(error, places, inside, RegistrationTruth(grid, points, error))
+
+
 def test_registration_errors_lie_in_their_volume():
+    grid = Grid((5, 4, 3), (1.0, 1.0, 1.0))
     inside = np.zeros((3, 4, 5), bool)
     inside[1, 1:3] = True
     judge, error = RegistrationProtocol(), np.arange(10, dtype=np.float32)
-    dense = PreparedTruth(error, None, inside, None)
+    dense = registration_truth(error, grid, None, inside)
     volume = judge.laid_out(judge.true_values(dense), dense)
     assert np.array_equal(volume[inside], error)
     assert np.isnan(volume[~inside]).all()
     assert np.array_equal(judge.laid_out(error > 3, dense), np.nan_to_num(volume) > 3)
-    landmarks = PreparedTruth(error, np.zeros((10, 3)), None, None)
-    assert judge.laid_out(error, landmarks) is None
+
+
+def test_landmarks_are_balls_in_their_volume():
+    grid = Grid((128, 96, 40), (1.0, 1.0, 2.0), (5.0, 6.0, 7.0))
+    judge, error = RegistrationProtocol(), np.array([1, 2, 3], np.float32)
+    places = np.array([[20.2, 30.0, 40.4], [0, 0, 0], [20.2, 30.0, 42.0]])  # z, y, x; one at a corner
+    truth = registration_truth(error, grid, places, None)
+    volume = judge.laid_out(error, truth)
+    assert volume.shape == (40, 96, 128)
+    z, y, x = np.indices(volume.shape)
+    for place, value in zip(np.rint(places[:2]), error[:2], strict=True):
+        near = np.hypot(np.hypot(2 * (z - place[0]), y - place[1]), x - place[2]) <= 2.0
+        assert set(np.unique(volume[near])) <= {value, error[2]}
+    assert (volume[20, 30, 42], volume[20, 30, 38]) == (3, 1)
+    assert np.count_nonzero(~np.isnan(volume)) < 100
+    assert judge.size(truth) == 40 * 96 * 128
+    assert judge.spacing(truth) == (2.0, 1.0, 1.0)
+
+
+def test_slices_show_the_fixed_volume_beneath(volumes: Path):
+    data = json.loads(read(volumes).scripts["data-0"])
+    assert data["opacity"] < 1
+    view = data["views"][data["start"]]
+    (name,) = view["runs"]
+    code = base64.b64decode(view["image"].partition(",")[2])
+    picture = cv2.imdecode(np.frombuffer(code, np.uint8), cv2.IMREAD_GRAYSCALE).astype(float)
+    assert picture.shape == (view["height"], view["width"])
+    fixed = read_volume(volumes.parent / "set" / "pair_0" / "fixed.nii.gz").values[data["start"]]
+    assert np.corrcoef(picture.ravel(), np.clip(fixed, *np.percentile(fixed, (1, 99))).ravel())[0, 1] > 0.98
+    known = unpack(view["region"]) > 0
+    assert not known.all()  # the image shows through around the mask
+    assert np.array_equal(~np.isnan(unpack(view["runs"][name]["values"])), known)
+    assert data["words"][2] == "true error above 3 mm"

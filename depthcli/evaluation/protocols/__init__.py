@@ -85,6 +85,10 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     quantity : what a map holds, in a word
     visible : region of the pixels that both views see, where the others are occluded; empty: not told apart
     palette : colors and words of the status map beside a map
+    opacity : of a map's colors over ``image``, to begin with; below 1 the image shows where nothing is known
+    verdicts : what a person is told of a pixel that is not among ``wrong``, and of one that is
+    threshold_axis : what the thresholds of ``dense`` are
+    pooling : heading of what ``mean`` takes over the scenes
     takes : names of the settings that make a difference
     """
 
@@ -102,6 +106,10 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     quantity: ClassVar[str] = "value"
     visible: ClassVar[str] = ""
     palette: ClassVar[Palette] = {}
+    opacity: ClassVar[float] = 1.0
+    verdicts: ClassVar[tuple[str, str]] = ("right", "wrong")
+    threshold_axis: ClassVar[str] = "threshold"
+    pooling: ClassVar[str] = "mean"
     takes: ClassVar[tuple[str, ...]] = ("scale", "threshold")
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -179,8 +187,19 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """
         return points if points.ndim > 1 else None
 
+    def size(self, truth: Truth) -> int:
+        """Pixels or voxels that a run goes through, by which its seconds are divided."""
+        return next(region.size for region in self.regions(truth).values())
+
+    def spacing(self, truth: Truth) -> tuple[float, ...] | None:
+        """Size of a pixel or voxel along the axes of what is laid out; None: all are alike."""
+        return None
+
     def image(self, item: Item) -> NDArray[np.uint8] | None:
-        """(H, W, 3) RGB: the first of the item's input files, where that is a picture."""
+        """What the maps describe: (H, W, 3) RGB, or (Z, Y, X) grey levels of a volume; None: nothing to look at.
+
+        Here the first of the item's input files, where that is a picture.
+        """
         try:
             return color8(read_image(next(iter(item.input_files.values()))))
         except (InputError, StopIteration):

@@ -67,6 +67,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     mask_order = ("all", "gap", "occluded", "specular", "mismatch", "measured", "object", "transparent")
     legend = LEGEND_TEXT
     quantity = "depth"
+    threshold_axis = "ratio to the truth"
     palette = DEPTH_STATUS_PALETTE
     takes = ("scale", "threshold", "resize")
     mae = Measure("MAE", "mm", convention=ESTIMATED_ONLY)

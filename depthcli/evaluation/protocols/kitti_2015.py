@@ -26,6 +26,7 @@ class Kitti2015(Kitti2012):
     note = "D1: > 3 px and >= 5 %; out, avgerr: as KITTI 2012; est: estimated pixels only; means: all frames pooled"
     mask_order = ("occ", "occ_bg", "occ_fg", "noc", "noc_bg", "noc_fg")
     curve_masks = ("occ", "noc")
+    pooling = "pooled"
 
     @property
     def headline(self) -> Measure:

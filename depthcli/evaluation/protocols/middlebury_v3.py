@@ -42,6 +42,7 @@ class MiddleburyV3(DisparityProtocol):
     )
     thresholds = (0.5, 1.0, 2.0, 4.0)
     default_threshold = 2.0
+    threshold_axis = "threshold, px of the full size"
     takes = ("scale", "threshold", "resolution")
     rule = Measure("totbad", "%", convention=MISSING_IS_BAD, worst=100.0)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +31,7 @@ LIMITS = (3.0, 6.0)
 
 _KEPT = 20_000  # voxels of a dense truth that the pooled figures are over
 _ROBUST = 0.3
+_DOT = 1 / 64  # radius of a landmark in pictures, in lengths of the volume
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,23 @@ class PreparedTruth:
     inside: NDArray[np.bool_] | None
     truth: RegistrationTruth
 
+    @cached_property
+    def dots(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Voxels (flat indices) within small balls around the landmarks, and whose they are; for pictures."""
+        assert self.places is not None
+        shape, spacing = np.array(self.truth.grid.shape), np.array(self.truth.grid.spacing[::-1])
+        radius = float(max((shape * spacing).max() * _DOT, spacing.min()))
+        reach = [np.arange(-n, n + 1) for n in (radius / spacing).astype(int)]
+        ball = np.stack(np.meshgrid(*reach, indexing="ij"), -1).reshape(-1, 3)
+        ball = ball[np.linalg.norm(ball * spacing, axis=1) <= radius]
+        cells = np.rint(self.places).astype(np.intp)[:, None] + ball
+        there = np.all((cells >= 0) & (cells < shape), axis=2)
+        owner = np.broadcast_to(np.arange(len(cells))[:, None], there.shape)[there]
+        flat = np.ravel_multi_index(tuple(cells[there].T), tuple(shape))
+        # Where balls meet, the voxel is the last one's.
+        chosen, first = np.unique(flat[::-1], return_index=True)
+        return chosen, owner[::-1][first]
+
 
 class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
     """Expected against true error, in mm, at landmarks, or at every voxel where the true error is dense.
@@ -61,13 +81,17 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
     unit = "mm"
     quantity = "registration error"
     note = (
-        "TRE: true error, mm; AUC: share of point pairs, one with an error above 3 mm, one below, in the right order; "
+        "Spearman: how well the expected errors order the true ones, 1 = perfectly, 0 = by chance; TRE: true "
+        "error, mm; AUC: share of point pairs, one with an error above 3 mm, one below, in the right order; "
         "accuracy: of the classes < 3, 3-6, >= 6 mm; MAE: |expected - true|, mm; AUSE, AURG: mm; several pairs: pooled"
     )
     kind = VolumePairItem
     places = ("{scene}/expected_error", "{scene}")
     suffixes = (".nii.gz", ".nii", ".mha", ".nrrd")
     mask_order = ("landmarks", "voxels")
+    opacity = 0.65
+    verdicts = ("true error to 3 mm", "true error above 3 mm")
+    pooling = "pooled"
     spearman = Measure("Spearman", "", worst=-1.0, larger_is_better=True)
 
     @property
@@ -129,12 +153,34 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         return truth.error
 
     def laid_out(self, points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any] | None:
-        """(Z, Y, X), where the truth is dense."""
-        if truth.inside is None:
-            return None
-        volume = np.full(truth.inside.shape, False if points.dtype == np.bool_ else np.nan)
-        volume[truth.inside] = points
+        """(Z, Y, X); a landmark is a small ball."""
+        volume = np.full(truth.truth.grid.shape, False if points.dtype == np.bool_ else np.nan, points.dtype)
+        if truth.inside is not None:
+            volume[truth.inside] = points
+        else:
+            cells, owner = truth.dots
+            volume.ravel()[cells] = points[owner]
         return volume
+
+    def size(self, truth: PreparedTruth) -> int:
+        """All voxels of the fixed volume."""
+        return math.prod(truth.truth.grid.shape)
+
+    def spacing(self, truth: PreparedTruth) -> tuple[float, ...]:
+        """Of the voxels, mm."""
+        return truth.truth.grid.spacing[::-1]
+
+    def image(self, item: Item) -> NDArray[np.uint8] | None:
+        """(Z, Y, X) grey levels of the fixed volume, between its darkest and brightest half percent."""
+        from depthcli.io.volumes import read_volume
+
+        if not isinstance(item, VolumePairItem):
+            return None
+        values = read_volume(item.fixed).values
+        some = values.ravel()[:: max(1, values.size // _KEPT)]
+        low, high = np.percentile(some[np.isfinite(some)], (0.5, 99.5)) if np.isfinite(some).any() else (0.0, 1.0)
+        grey = (np.nan_to_num(values, nan=low) - low) * (255 / max(high - low, 1e-9))
+        return np.clip(grey, 0, 255).astype(np.uint8)
 
     def scores(self, estimate: Errors, truth: PreparedTruth) -> list[Score]:
         """Every measure."""
