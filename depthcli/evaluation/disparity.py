@@ -23,7 +23,7 @@ from depthcli.io.pictures import STATUS_PALETTE
 Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]
 
-_DENSE, _DENSE_TOP = 48, 6.0  # thresholds of a plot, and the largest, pixels
+_DENSE, _DENSE_TOP = 24, 6.0  # thresholds of a plot, and the largest, pixels
 
 
 @dataclass(frozen=True)
@@ -255,8 +255,7 @@ def scale_warning(estimate: Disparity, truth: Disparity) -> str | None:
     middle = float(np.median(ratio))
     factors = [float(f) for f in (2, 3, 4, 8, 16, 32, 64, 128, 256)]
     for factor in [-1.0, *factors, *(1 / f for f in factors)]:
-        near = np.abs(ratio / factor - 1) < 0.08
-        if abs(middle / factor - 1) < 0.08 and np.mean(near) >= 0.5:
+        if abs(middle / factor - 1) < 0.08 and np.mean(np.abs(ratio / factor - 1) < 0.08) >= 0.5:
             if factor == -1:
                 return "the values are about -1 times the truth: the sign is swapped"
             said = f"{factor:g}" if factor >= 1 else f"1/{1 / factor:g}"

@@ -41,13 +41,12 @@ def error_picture(
     -------
     (H, W, 3) uint8 RGB
     """
-    picture = np.empty((*wrong.shape, 3), np.uint8)
-    picture[...] = LEGEND["truth unknown or not evaluated"]
-    picture[evaluate] = LEGEND["right"]
-    picture[evaluate & wrong] = LEGEND["wrong"]
-    if visible is not None:
-        occluded = evaluate & ~visible
-        picture[occluded] = LEGEND["right, occluded"]
-        picture[occluded & wrong] = LEGEND["wrong, occluded"]
-    picture[evaluate & np.isnan(estimate)] = LEGEND["no value"]
-    return picture
+    names = list(LEGEND)
+    kind = np.full(wrong.shape, names.index("truth unknown or not evaluated"), np.uint8)
+    hidden = np.zeros_like(wrong) if visible is None else ~visible
+    for name, pixels in (
+        ("right", ~wrong & ~hidden), ("wrong", wrong & ~hidden), ("right, occluded", ~wrong & hidden),
+        ("wrong, occluded", wrong & hidden), ("no value", np.isnan(estimate)),
+    ):  # fmt: skip
+        np.copyto(kind, np.uint8(names.index(name)), where=pixels & evaluate)
+    return np.array(list(LEGEND.values()), np.uint8)[kind]

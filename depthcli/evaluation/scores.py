@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -91,13 +92,13 @@ class Tally:
     mask: str
     error: NDArray[np.floating[Any]]
 
-    @property
+    @cached_property
     def valid(self) -> NDArray[np.floating[Any]]:
         """The errors of the estimated pixels."""
         valid: NDArray[np.floating[Any]] = self.error[~np.isnan(self.error)]
         return valid
 
-    @property
+    @cached_property
     def density(self) -> float:
         """Percent of the pixels that have an estimate."""
         return percent(int(np.count_nonzero(~np.isnan(self.error))), self.error.size)

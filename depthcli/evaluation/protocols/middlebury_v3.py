@@ -109,7 +109,9 @@ def _measures(protocol: MiddleburyV3, tally: Tally, factor: int) -> list[Score]:
             here = t / factor
             label = f"{metric} {t:g}" + (f" ({here:g})" if factor > 1 else "")
             measure = Measure(metric, "%", t, convention, 100.0, label=label)
-            wrong = (error > np.float32(here)) | (missing & extra)
+            wrong = error > np.float32(here)
+            if extra:
+                wrong |= missing
             scores.append(tally.rate(measure, wrong))
     scores.append(tally.rate(Measure("invalid", "%", None, MISSING_APART, 100.0), missing))
     mean, *others = tally.means()
