@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from depthcli.fusion.pipeline import Fusion
-from depthcli.stereo.config import MaxDisparity, MinDisparity, check_range
+from depthcli.stereo.config import CalibrationFiles, MaxDisparity, MinDisparity, check_range
 
 
 class FuseConfig(Fusion):
@@ -15,6 +15,7 @@ class FuseConfig(Fusion):
 
     max_disparity: MaxDisparity = None
     min_disparity: MinDisparity = None
+    calibration: CalibrationFiles = None
     run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
 
     @model_validator(mode="after")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -12,6 +13,7 @@ from depthcli.io.items.stereo import StereoItem
 from depthcli.jobs._batch import ConfigCommand
 
 if TYPE_CHECKING:
+    from depthcli.batch.reporter import Reporter
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
     from depthcli.core.frames import StereoPair
@@ -46,9 +48,9 @@ class PairCommand(ConfigCommand):
         from depthcli.batch.plan import shape_of
 
         low, top = asked_range(config, item)
-        if top is None:
+        if top is None and config.calibration is None:
             raise _no_range(item)
-        if isinstance(low, str) or isinstance(top, str):
+        if top is None or isinstance(low, str) or isinstance(top, str):
             return None
         return self.peak_bytes(config, shape_of(item.left), top - low)
 
@@ -71,6 +73,24 @@ class PairCommand(ConfigCommand):
         reasons = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
         return (0, int(Status.SMOOTHED), *reasons, *(bit | int(Status.FILLED) for bit in reasons))
 
+    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+        """As every such command; a calibration that cannot be read is told before any scene is looked at."""
+        self._check_calibration(self.config(values))
+        return super().run(values, reporter)
+
+    def _check_calibration(self, config: Any) -> None:
+        if config.calibration is not None:
+            from depthcli.io.stereo_rig import read_stereo_rig
+
+            how = config.calibration
+            read_stereo_rig([Path(file) for file in how.files], how.unit, how.fisheye, how.cameras)
+
+    def files(self, config: Any, item: StereoItem) -> dict[str, Path]:
+        """The pair, and the calibration that rectifies it."""
+        from depthcli.jobs._rectified import calibration_files
+
+        return item.input_files | calibration_files(config.calibration)
+
     def settings(self, config: Any, item: StereoItem) -> dict[str, str]:
         """The search range, which may come from a file beside the images."""
         low, top = asked_range(config, item)
@@ -89,11 +109,18 @@ class PairCommand(ConfigCommand):
         from depthcli.batch.runner import Outcome
         from depthcli.core.maps import Status
         from depthcli.core.result import Clock
+        from depthcli.jobs._rectified import rectified_pair
         from depthcli.jobs._save import save_stereo
 
         clock = Clock()
-        pair = item.load()
-        clock.stop("load")
+        rows: dict[str, Any] = {}
+        warnings: list[str] = []
+        if config.calibration is None:
+            pair = item.load()
+            clock.stop("load")
+        else:
+            pair, rows, warnings = rectified_pair(config.calibration, item, folder)
+            clock.stop("rectify")
         search, said = _search_range(config, item, pair)
         clock.stop("range")
         shifted = search.shift(pair)
@@ -109,6 +136,7 @@ class PairCommand(ConfigCommand):
             "height": pair.shape[0],
             "max_disparity": search.top,
             **({"min_disparity": search.low} if search.low or said else {}),
+            **rows,
             **said,
             "density": round(result.disparity.density, 6),
             "measured": round(measured, 6),
@@ -121,7 +149,8 @@ class PairCommand(ConfigCommand):
         if "range_matches" not in said:
             del clock.seconds["range"]
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
-        return Outcome(facts, seconds, [*_warnings(pair, measured), *_range_warnings(result.disparity, search, said)])
+        warnings += [*_warnings(pair, measured), *_range_warnings(result.disparity, search, said)]
+        return Outcome(facts, seconds, warnings)
 
     def _check_memory(self, config: Any, pair: StereoPair, top: int, memory: int) -> None:
         from depthcli.batch.resources import show_bytes
@@ -145,10 +174,17 @@ def _no_range(item: StereoItem) -> InputError:
 
 
 def _search_range(config: Any, item: StereoItem, pair: StereoPair) -> tuple[SearchRange, dict[str, int]]:
-    """The range, and where key points were asked for it what they said."""
+    """The range, and where key points were asked for it what they said.
+
+    A pair that was rectified just now has the one that ``rectify`` would have suggested.
+    """
+    from depthcli.jobs._rectified import suggested_range
     from depthcli.stereo.search_range import SearchRange, range_of_key_points
 
     low, top = asked_range(config, item)
+    if top is None and config.calibration is not None:
+        ends = suggested_range(pair)
+        low, top = (low if low not in (0, "auto") else ends["min_disparity"]), ends["max_disparity"]
     if top is None:
         raise _no_range(item)
     said = {}

@@ -128,7 +128,9 @@ class DepthCommand(BatchCommand):
             calibration, cameras = None, (2, 3)
             if isinstance(origin, StereoItem):
                 left, calibration, cameras = origin.left, origin.calibration, origin.cameras
-            elif left is not None and (beside := left.parent / "calib.txt").is_file():
+            if (folder / "calib.txt").is_file() and (folder / "left.png").is_file():  # rectified for the map
+                left, calibration, cameras = folder / "left.png", folder / "calib.txt", (2, 3)
+            elif origin is None and left is not None and (beside := left.parent / "calib.txt").is_file():
                 calibration = beside
             status = folder / "status.png"
             found.append(

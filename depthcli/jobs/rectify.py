@@ -23,10 +23,9 @@ if TYPE_CHECKING:
     from depthcli.batch.reporter import Reporter
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
-    from depthcli.core.stereo_rig import RectifiedRig, StereoRig
+    from depthcli.core.stereo_rig import RectifiedRig
+    from depthcli.stereo.config import Calibration
     from depthcli.stereo.rectification import RectifyingHomographies
-
-_DOUBTFUL = 1.0  # median row error of a calibrated pair above which a scene says so, pixels
 
 
 class RectifyCommand(BatchCommand):
@@ -81,7 +80,10 @@ class RectifyCommand(BatchCommand):
     def memory_of(self, config: Any, item: StereoItem) -> None:
         """No estimate: little more than the images themselves; InputError where the calibration cannot be read."""
         if not config["uncalibrated"]:
-            self._rig(config)
+            from depthcli.io.stereo_rig import read_stereo_rig
+
+            how = self._calibrated(config)
+            read_stereo_rig(self._calibration, how.unit, how.fisheye, how.cameras)
 
     def columns(self) -> tuple[Column, ...]:
         """Size, median row error before and after, share of the image that both cameras see."""
@@ -108,44 +110,31 @@ class RectifyCommand(BatchCommand):
         from depthcli.core.result import Clock
         from depthcli.core.stereo_rig import RectifiedRig
         from depthcli.io.atomic import write_text
-        from depthcli.io.calibration import write_geometry
-        from depthcli.io.images import write_png
-        from depthcli.stereo.rectification import match_views, row_error
-        from depthcli.stereo.search_range import range_of_key_points
+        from depthcli.jobs import _rectified
 
         clock = Clock()
         left, right = item.load_views()
         clock.stop("load")
-        points = match_views(_grey8(left), _grey8(right))
+        points = _rectified.match_rows(left, right)
         clock.stop("key points")
         found = self._rectifier(config, points, left, right)
         views = found.images(left, right)
-        moved = found.points(*points)
+        rows, warnings = _rectified.row_errors(points, found)
         clock.stop("warp")
-        for name, view in zip(("left", "right"), views[:2], strict=True):
-            write_png(folder / f"{name}.png", view)
         meta: dict[str, Any] = {"source": f"rectified by depthcli from {item.name}"}
-        facts: dict[str, Any] = {"width": found.size[0], "height": found.size[1], "matches": len(points[0])}
-        facts |= {"row_error_before": _rounded(row_error(*points)), "row_error": _rounded(row_error(*moved))}
+        facts: dict[str, Any] = {"width": found.size[0], "height": found.size[1], **rows}
         facts["overlap"] = round(float(np.mean(views[2])), 6)
-        warnings = []
         same = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
         try:
-            pair = StereoPair(views[0], views[1]) if same else StereoPair(_grey8(views[0]), _grey8(views[1]))
-            search, _ = range_of_key_points(pair)
-            meta |= {"min_disparity": min(search.low, 0), "max_disparity": max(search.top, 1)}
-            facts |= {key: meta[key] for key in ("min_disparity", "max_disparity")}
+            alike = views[:2] if same else [_rectified.grey8(view) for view in views[:2]]
+            search = _rectified.suggested_range(StereoPair(*alike))
+            meta |= search
+            facts |= search
         except InputError as error:
             warnings.append(str(error))
         if isinstance(found, RectifiedRig):
-            geometry = found.geometry
-            write_geometry(folder / "calib.txt", geometry, meta.get("max_disparity"))
-            facts |= {"focal": geometry.left.fx, "baseline": geometry.baseline}
-            if (facts["row_error"] or 0) > _DOUBTFUL:
-                warnings.append(
-                    f"the rows of half of the {len(points[0])} matched key points are still more than "
-                    f"{facts['row_error']:.1f} px apart; is it the calibration of these images?"
-                )
+            facts |= {"focal": found.geometry.left.fx, "baseline": found.geometry.baseline}
+        _rectified.save_views(folder, views[0], views[1], found, meta.get("max_disparity"))
         write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
         clock.stop("save")
         return Outcome(facts, clock.seconds, warnings)
@@ -153,32 +142,25 @@ class RectifyCommand(BatchCommand):
     def _rectifier(
         self, config: Any, points: tuple[NDArray[np.float64], NDArray[np.float64]], left: Any, right: Any
     ) -> RectifiedRig | RectifyingHomographies:
+        from depthcli.jobs._rectified import rectified_rig
         from depthcli.stereo.rectification import rectify_uncalibrated
 
+        if not config["uncalibrated"]:
+            return rectified_rig(self._calibrated(config), left, right)
         sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
-        if config["uncalibrated"]:
-            if sizes[0] != sizes[1]:
-                raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
-            return rectify_uncalibrated(*points, sizes[0])
-        return self._rig(config).rectified(*sizes, config["alpha"])
+        if sizes[0] != sizes[1]:
+            raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
+        return rectify_uncalibrated(*points, sizes[0])
 
-    def _rig(self, config: Any) -> StereoRig:
-        from depthcli.io.stereo_rig import read_stereo_rig
+    def _calibrated(self, config: Any) -> Calibration:
+        from depthcli.stereo.config import Calibration
 
         first, _, second = config["cameras"].partition(",")
-        return read_stereo_rig(self._calibration, config["unit"], config["fisheye"], (int(first), int(second)))
-
-
-def _grey8(image: Any) -> NDArray[np.uint8]:
-    from depthcli.core.frames import StereoPair
-
-    return StereoPair(image, image).grey8[0]
-
-
-def _rounded(value: float) -> float | None:
-    import math
-
-    return None if math.isnan(value) else round(value, 4)
+        files = tuple(str(file) for file in self._calibration)
+        return Calibration(
+            files=files, unit=config["unit"], fisheye=config["fisheye"], cameras=(int(first), int(second)),
+            alpha=config["alpha"],
+        )  # fmt: skip
 
 
 COMMAND = RectifyCommand()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from depthcli.core.root_config import RootConfig
@@ -18,6 +18,37 @@ MaxDisparity = Annotated[
 MinDisparity = Annotated[
     _Pixels | Literal["auto"] | None,
     Field(description="smallest disparity searched, pixels; auto: by matched key points; null: the scene's, else 0"),
+]
+
+
+class Calibration(BaseModel):
+    """A calibration of two cameras, and how their images are rectified by it; a file's name alone is enough."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    files: tuple[str, ...] = Field(
+        min_length=1,
+        max_length=2,
+        description="OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain or KITTI calib_cam_to_cam",
+    )
+    unit: Literal["m", "cm", "mm"] = Field(default="m", description="unit of OpenCV's translation")
+    fisheye: bool = Field(default=False, description="the lenses of OpenCV's file are fisheye")
+    cameras: tuple[Annotated[int, Field(ge=0, le=9)], Annotated[int, Field(ge=0, le=9)]] = Field(
+        default=(2, 3), description="numbers of the left and right camera in KITTI's file"
+    )
+    alpha: float = Field(default=0.0, ge=0, le=1, description="0: only what both images hold; 1: all either holds")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_names(cls, data: Any) -> Any:
+        if isinstance(data, str):
+            return {"files": [data]}
+        return {"files": data} if isinstance(data, list) else data
+
+
+CalibrationFiles = Annotated[
+    Calibration | None,
+    Field(description="calibration file of cameras whose pairs are not rectified yet; null: they are"),
 ]
 
 
@@ -41,6 +72,7 @@ class StereoConfig(RootConfig):
     pipeline: Pipeline = Field(description="the data flow from image pair to map")
     max_disparity: MaxDisparity = None
     min_disparity: MinDisparity = None
+    calibration: CalibrationFiles = None
     device: str = Field("cpu", description="where to match: cpu, auto, opencl, cuda, opencl:N or cuda:N")
 
     @model_validator(mode="after")

@@ -226,6 +226,58 @@ def test_a_rectified_pair_has_rows_that_correspond_and_the_right_depth(kind: str
         check_depth(tmp_path / "scenes", taken, tmp_path)
 
 
+def test_a_config_rectifies_on_the_fly(pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    file = opencv(tmp_path / "c.yml", pinhole.rig)
+    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room")
+    assert run("rectify", *images, "--calibration", file, "-o", tmp_path / "scenes", "-q") == 0
+    assert run("stereo", "fast", "-i", tmp_path / "scenes", "-o", tmp_path / "two", "-q") == 0
+    config = tmp_path / "rig.yaml"
+    config.write_text(f"base: fast\ncalibration: {file}\n")
+    once = ("stereo", config, *images, "-o", tmp_path / "one")
+    assert run(*once, "-q") == 0
+    one, two = tmp_path / "one/room", tmp_path / "two/room"
+    for name in ("disp_left.pfm", "disp_left.png", "status.png", "preview.png"):
+        assert (one / name).read_bytes() == (two / name).read_bytes()
+    for name in ("left.png", "right.png"):
+        assert (one / name).read_bytes() == (tmp_path / "scenes/room" / name).read_bytes()
+    row = json.loads((tmp_path / "one/report.json").read_text())["scenes"][0]
+    assert row["row_error"] < 0.25 < 1.5 < row["row_error_before"]
+    # Meters without another word: the rectified pair and its calibration lie beside the map.
+    for name in ("one", "two"):
+        assert run("depth", tmp_path / name, "-o", tmp_path / f"depth-{name}", "--ply", "-q") == 0
+    for name in ("depth.pfm", "points.ply"):
+        assert (tmp_path / "depth-one/room" / name).read_bytes() == (tmp_path / "depth-two/room" / name).read_bytes()
+    # The option says the same; what was made is kept until the calibration changes.
+    capsys.readouterr()
+    assert run("stereo", "fast", *images, "--calibration", file, "-o", tmp_path / "one") == 0
+    assert "done already" in capsys.readouterr().err
+    opencv(file, rig(strength=0.75))
+    assert run(*once) == 0
+    said = capsys.readouterr().err
+    assert "done already" not in said
+    assert "is it the calibration of these images?" in said
+    assert (one / "disp_left.pfm").read_bytes() != (two / "disp_left.pfm").read_bytes()
+
+
+@pytest.mark.parametrize("damage", ["absent", "text", "other size"])
+def test_a_calibration_that_is_none_is_told_in_a_line(
+    damage: str, pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    file = tmp_path / "c.yml"
+    if damage == "text":
+        file.write_text("not: a calibration\n")
+    elif damage == "other size":
+        file = kalibr(tmp_path / "c.yaml", pinhole.rig)
+        file.write_text(file.read_text().replace(str(list(SIZE)), "[999, 77]"))
+    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room")
+    code = run("stereo", "fast", *images, "--calibration", file, "-o", tmp_path / "run", "-q")
+    error = capsys.readouterr().err
+    assert code == (3 if damage == "other size" else 2)
+    assert len(error.strip().splitlines()) == 1
+    assert ("999 x 77" if damage == "other size" else str(file)) in error
+    assert not (tmp_path / "run/room").exists()
+
+
 def test_fisheye_lenses(fish: Shot, tmp_path: Path):
     calibration = opencv(tmp_path / "c.yml", fish.rig)
     images = ("--left", fish.left, "--right", fish.right, "--name", "room", "--calibration", calibration)

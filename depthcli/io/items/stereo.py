@@ -71,6 +71,8 @@ class StereoItem(Item):
                sets="max_disparity"),
         Option("min_disparity", str, "Smallest disparity searched, also negative; default 0.", "PIXELS|auto",
                sets="min_disparity"),
+        Option("calibration", Path, "Calibration of cameras whose pairs are not rectified yet.", "FILE",
+               sets="calibration"),
     )  # fmt: skip
 
     left: Path
