@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from depthcli.labelling.regions import connected_components, merge_small_regions, region_graph
-from depthcli.segmentation.mean_shift import MeanShift
+from depthcli.segmentation.mean_shift import MeanShift, mode_colors
 from tests.naive import segments as naive
 
 
@@ -48,3 +49,13 @@ def test_small_regions_join_the_nearest_color():
 def test_one_region_smaller_than_the_limit_stays():
     image = np.zeros((2, 2, 3), np.uint8)
     assert np.array_equal(MeanShift(min_size=50)(image), np.zeros((2, 2), np.int32))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (30, 1), (17, 33), (40, 61)])
+@pytest.mark.parametrize(("spatial_radius", "color_radius"), [(5, 20), (2.5, 60), (0.4, 20), (9, 255), (50, 30)])
+def test_modes_are_those_of_opencv(shape, spatial_radius, color_radius):
+    rng = np.random.default_rng(sum(shape))
+    image = np.clip(rng.normal(120, 40, (*shape, 3)), 0, 255).astype(np.uint8)
+    image[shape[0] // 2 :] //= 3
+    expected = cv2.pyrMeanShiftFiltering(image, spatial_radius, color_radius, maxLevel=0)
+    np.testing.assert_array_equal(mode_colors(image, spatial_radius, color_radius), expected)
