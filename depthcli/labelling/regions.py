@@ -71,6 +71,20 @@ def _join_all(parent, first, second):  # type: ignore[no-untyped-def]
         join(parent, first[i], second[i])
 
 
+@jit
+def _best_neighbors(edges, rank, wanted):  # type: ignore[no-untyped-def]
+    """(N,) int32 neighbor of the smallest rank of every wanted region, the first of equal ones; -1 where none."""
+    best = np.full(wanted.size, -1, np.int32)
+    least = np.empty(wanted.size, np.float64)
+    for e in range(edges.shape[0]):
+        for side in range(2):
+            n, m = edges[e, side], edges[e, 1 - side]
+            if wanted[n] and (best[n] < 0 or rank[e] < least[n] or (rank[e] == least[n] and m < best[n])):
+                best[n] = m
+                least[n] = rank[e]
+    return best
+
+
 def connected_components(color: NDArray[np.uint8], max_distance: float) -> NDArray[np.int32]:
     """Label 4-connected pixels of an (H, W, C) image whose Euclidean color distance is <= ``max_distance``.
 
@@ -96,12 +110,14 @@ class RegionGraph:
     means : (N, C) float64 mean color of every region
     edges : (E, 2) int32 pairs i < j of 4-neighboring regions, sorted
     boundary : (E,) int64 number of 4-neighbor pixel pairs along the common boundary
+    sums : (N, C) float64 sum of the colors of every region
     """
 
     sizes: NDArray[np.int64]
     means: NDArray[np.float64]
     edges: NDArray[np.int32]
     boundary: NDArray[np.int64]
+    sums: NDArray[np.float64]
 
 
 def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
@@ -111,15 +127,43 @@ def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
     sizes = np.bincount(flat, minlength=count)
     channels = image.reshape(flat.size, -1)
     sums = np.stack([np.bincount(flat, channels[:, c], count) for c in range(channels.shape[1])], axis=1)
-    means = sums.astype(np.float64) / np.maximum(sizes, 1)[:, None]
-    pairs = []
+    keys = []
     for one, other in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
         touching = one != other
-        low, high = np.minimum(one, other)[touching], np.maximum(one, other)[touching]
-        pairs.append(low.astype(np.int64) * count + high)
-    keys, boundary = np.unique(np.concatenate(pairs), return_counts=True)
-    edges = np.stack([keys // max(count, 1), keys % max(count, 1)], axis=1).astype(np.int32)
-    return RegionGraph(sizes, means, edges, boundary)
+        keys.append(_pair_keys(one[touching], other[touching], count))
+    return _graph(sizes.astype(np.int64), sums.astype(np.float64), np.concatenate(keys), None)
+
+
+def _pair_keys(one: NDArray[np.int32], other: NDArray[np.int32], count: int) -> NDArray[np.int64]:
+    return np.minimum(one, other).astype(np.int64) * count + np.maximum(one, other)
+
+
+def _graph(
+    sizes: NDArray[np.int64], sums: NDArray[np.float64], keys: NDArray[np.int64], lengths: NDArray[np.int64] | None
+) -> RegionGraph:
+    """The graph of pairs given by ``i * N + j``, each as often as it is there, or ``lengths`` times."""
+    count = max(len(sizes), 1)
+    if lengths is None:
+        pairs, boundary = np.unique(keys, return_counts=True)
+    else:
+        pairs, place = np.unique(keys, return_inverse=True)
+        boundary = np.bincount(place, lengths, len(pairs)).astype(np.int64)
+    edges = np.stack([pairs // count, pairs % count], axis=1).astype(np.int32)
+    return RegionGraph(sizes, sums / np.maximum(sizes, 1)[:, None], edges, boundary, sums)
+
+
+def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> tuple[RegionGraph, NDArray[np.int32]]:
+    """The graph after the regions ``source`` have joined ``target``, and the new number of every region."""
+    parent = np.arange(len(graph.sizes), dtype=np.int32)
+    _join_all(parent, source.astype(np.int32), target.astype(np.int32))
+    group: NDArray[np.int32] = consecutive(parent)
+    count = int(group.max()) + 1
+    sizes = np.bincount(group, graph.sizes, count).astype(np.int64)
+    sums = np.stack([np.bincount(group, column, count) for column in graph.sums.T], axis=1).astype(np.float64)
+    first, second = group[graph.edges.T]
+    apart = first != second
+    keys = _pair_keys(first[apart], second[apart], count)
+    return _graph(sizes, sums, keys, graph.boundary[apart]), group
 
 
 def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min_size: int) -> NDArray[np.int32]:
@@ -128,23 +172,16 @@ def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min
     Regions join in rounds until all are large enough (or only one is left). Labels as in
     :func:`connected_components`.
     """
-    while True:
-        graph = region_graph(labels, image)
-        small = graph.sizes < min_size
-        if len(graph.sizes) < 2 or not small.any():
-            return labels
+    graph = region_graph(labels, image)
+    number = np.arange(len(graph.sizes), dtype=np.int32)
+    while len(graph.sizes) >= 2 and (small := graph.sizes < min_size).any():
         first, second = graph.edges.T
         apart = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
-        source = np.concatenate([first, second])
-        target = np.concatenate([second, first])
-        distance = np.concatenate([apart, apart])
-        wanted = small[source]
-        source, target, distance = source[wanted], target[wanted], distance[wanted]
-        order = np.lexsort((target, distance, source))
-        source, nearest = np.unique(source[order], return_index=True)
-        parent = np.arange(len(graph.sizes), dtype=np.int32)
-        _join_all(parent, source.astype(np.int32), target[order][nearest].astype(np.int32))
-        labels = consecutive(parent)[labels]
+        target = _best_neighbors(graph.edges, apart, small)
+        source = np.flatnonzero(target >= 0)
+        graph, group = _merged(graph, source, target[source])
+        number = group[number]
+    return number[labels]
 
 
 def joined_regions(count: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -160,19 +197,15 @@ def merge_small_labels(pieces: NDArray[np.int32], parents: NDArray[np.int32], mi
 
     ``parents`` (H, W) is the map the pieces (H, W) were cut from; a piece that is all of its parent stays.
     """
+    graph = region_graph(pieces, parents[..., None].astype(np.float64))
+    number = np.arange(len(graph.sizes), dtype=np.int32)
     while True:
-        graph = region_graph(pieces, parents[..., None].astype(np.float64))
         first, second = graph.edges.T
         inside = graph.means[first, 0] == graph.means[second, 0]
-        first, second, boundary = first[inside], second[inside], graph.boundary[inside]
-        source, target = np.concatenate([first, second]), np.concatenate([second, first])
-        longest = np.concatenate([boundary, boundary])
-        wanted = graph.sizes[source] < min_size
-        if not wanted.any():
-            return pieces
-        source, target, longest = source[wanted], target[wanted], longest[wanted]
-        order = np.lexsort((target, -longest, source))
-        source, best = np.unique(source[order], return_index=True)
-        parent = np.arange(len(graph.sizes), dtype=np.int32)
-        _join_all(parent, source.astype(np.int32), target[order][best].astype(np.int32))
-        pieces = consecutive(parent)[pieces]
+        rank = -graph.boundary[inside].astype(np.float64)
+        target = _best_neighbors(graph.edges[inside], rank, graph.sizes < min_size)
+        source = np.flatnonzero(target >= 0)
+        if len(source) == 0:
+            return number[pieces]
+        graph, group = _merged(graph, source, target[source])
+        number = group[number]
