@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.kernels.exponential import bits_float, exp_minus, float_bits
+from depthcli.kernels.curve import attainable_likelihood, likelihood, peak_ratio
+from depthcli.kernels.exponential import bits_float, float_bits
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Order of the planes written by `measure_curves`.
@@ -113,19 +114,19 @@ def measure_curves(costs: Any, valid: Any, rate: Any, eps: Any, planes: Any, win
 
             # t is the distance to the minimum in standard deviations. MLM and NEM see powers of one exponential:
             # exp(-2 t) and exp(-4 t). Clipped where it no longer matters, so that nothing becomes denormal.
-            likelihood = np.float32(0.0)
+            likelihoods = np.float32(0.0)
             partition = np.float32(0.0)
             moment = np.float32(0.0)
             attainable = np.float32(0.0)
             cells = z[:length]
             for k in range(cells.size):
                 t = min((cells[k] - c1) * rate, np.float32(20.0))
-                squared = exp_minus(np.float32(2.0) * t)
+                squared = likelihood(t)
                 fourth = squared * squared
-                likelihood += squared
+                likelihoods += squared
                 partition += fourth
                 moment += fourth * np.float32(4.0) * t
-                attainable += exp_minus(np.float32(8.0) * t * t)
+                attainable += attainable_likelihood(t)
 
             left = z[place - 1] if place > 0 else (z[place + 1] if n > 1 else c1)
             right = z[place + 1] if place + 1 < n else (z[place - 1] if n > 1 else c1)
@@ -148,13 +149,13 @@ def measure_curves(costs: Any, valid: Any, rate: Any, eps: Any, planes: Any, win
 
             planes[0, r, i] = -c1
             planes[1, r, i] = left + right - np.float32(2.0) * c1
-            planes[2, r, i] = (c2m + eps) / (c1 + eps)
-            planes[3, r, i] = (c2 + eps) / (c1 + eps)
+            planes[2, r, i] = peak_ratio(c1, c2m, eps)
+            planes[3, r, i] = peak_ratio(c1, c2, eps)
             planes[4, r, i] = c2m - c1
             planes[5, r, i] = c2 - c1
             planes[6, r, i] = (c2m - c1) / (total + eps)
             planes[7, r, i] = (c2 - c1) / (total + eps)
-            planes[8, r, i] = np.float32(1.0) / likelihood
+            planes[8, r, i] = np.float32(1.0) / likelihoods
             planes[9, r, i] = np.float32(1.0) / attainable
             planes[10, r, i] = -moment / partition - np.log(partition)
             planes[11, r, i] = -np.float32(valleys)

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.kernels.exponential import exp_minus
+from depthcli.kernels.curve import attainable_likelihood, likelihood, peak_ratio
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Order of the planes written by `search_tiles`.
 PLANES = (
     "eshift", "square", "shift_z", "shift_y", "shift_x", "mlm0", "aml0", "shift", "rank0", "cur0", "cost0", "msm",
-    "border", "mlm", "aml",
+    "border", "mlm", "aml", "pkr",
 )  # fmt: skip
 
 
@@ -150,11 +150,13 @@ def _measure_row(
     neighbors: Any,
     power: Any,
     scale: Any,
-    squared: bool,
+    every: bool,
     rows: Any,
     out: Any,
 ) -> None:
     """Measures of one row of curves, (K, n) uint16 costs with displacement zero first, into (planes, n) ``out``.
+
+    Leaves the mean cost in ``rows[1]`` and the index of the smallest one in ``rows[8]``.
 
     Every loop touches few arrays: beyond that the compiler no longer proves them apart, and does not vectorize.
     """
@@ -180,28 +182,29 @@ def _measure_row(
         for i in range(n):
             sums[i] += t[i]
             squares[i] += t[i] * t[i]
-    every = np.float32(1.0 / count)
+    share = np.float32(1.0 / count)
     for i in range(n):
-        mean = sums[i] * every
-        variance = max(squares[i] * every - mean * mean, np.float32(0.0))
+        mean = sums[i] * share
+        variance = max(squares[i] * share - mean * mean, np.float32(0.0))
+        sums[i] = mean + base[i]
         # A curve without any variation says nothing against displacement zero.
-        rate[i] = np.float32(2.0) / np.sqrt(variance) if variance > 0 else np.float32(0.0)
+        rate[i] = np.float32(1.0) / np.sqrt(variance) if variance > 0 else np.float32(0.0)
     weight[:] = 0
     soft[:] = 0
     hard[:] = 0
     out[:5] = 0
-    limit = np.float32(80.0 / power)  # no power of the exponential may become denormal
+    limit = np.float32(40.0 / power)  # no power of the exponential may become denormal
     for k in range(count):
         row = costs[k]
         for i in range(n):
             t[i] = min((np.float32(row[i]) - lowest[i]) * rate[i], limit)
-        if squared:
+        if every:
             for i in range(n):
-                e[i] = exp_minus(t[i] * t[i])
+                e[i] = attainable_likelihood(t[i])
             for i in range(n):
                 hard[i] += e[i]
         for i in range(n):
-            t[i] = exp_minus(t[i])
+            t[i] = likelihood(t[i])
         for i in range(n):
             soft[i] += t[i]
             e[i] = t[i]
@@ -221,13 +224,14 @@ def _measure_row(
         for m in range(5):
             out[m, i] *= inverse
         away = (base[i] - lowest[i]) * rate[i]
-        out[5, i] = np.float32(1.0) if flat else exp_minus(away) / soft[i]
-        out[6, i] = np.float32(1.0) if flat else exp_minus(away * away) / max(hard[i], np.float32(1e-30))
+        out[5, i] = np.float32(1.0) if flat else likelihood(away) / soft[i]
+        out[6, i] = np.float32(1.0) if flat else attainable_likelihood(away) / max(hard[i], np.float32(1e-30))
         best = 0
         while np.float32(costs[best, i]) != lowest[i]:
             best += 1
+        t[i] = np.float32(best)
         out[7, i] = lengths[best]
-        out[8, i] = cheaper[i] * every
+        out[8, i] = cheaper[i] * share
         total = np.float32(0.0)
         for j in range(neighbors.size):
             total += np.float32(costs[neighbors[j], i]) - base[i]
@@ -239,11 +243,48 @@ def _measure_row(
         out[14, i] = np.float32(0.0) if flat else np.float32(1.0) / max(hard[i], np.float32(1e-30))
 
 
+@jit
+def _peak_row(costs: Any, before: Any, after: Any, best: Any, mean: Any, rows: Any, out: Any) -> None:
+    """Peak ratio of one row of curves: second smallest local minimum over smallest cost.
+
+    As in stereo a local minimum is below the neighbors that come earlier and not above the later ones, and without a
+    second one the largest cost stands for it. Neighbors are the 26 around a displacement, as far as they are searched.
+    """
+    second, highest, early, late = rows[2], rows[3], rows[4], rows[5]
+    n = out.size
+    far = np.float32(1e30)
+    second[:] = far
+    highest[:] = 0
+    for k in range(costs.shape[0]):
+        row = costs[k]
+        early[:] = far
+        late[:] = far
+        for j in range(before.shape[1]):
+            if before[k, j] >= 0:
+                other = costs[before[k, j]]
+                for i in range(n):
+                    early[i] = min(early[i], np.float32(other[i]))
+            if after[k, j] >= 0:
+                other = costs[after[k, j]]
+                for i in range(n):
+                    late[i] = min(late[i], np.float32(other[i]))
+        for i in range(n):
+            value = np.float32(row[i])
+            highest[i] = max(highest[i], value)
+            valley = (value < early[i]) & (value <= late[i]) & (np.float32(k) != best[i])
+            second[i] = min(second[i], value if valley else far)
+    for i in range(n):
+        lowest = np.float32(costs[int(best[i]), i])
+        rival = second[i] if second[i] < far else highest[i]
+        eps = np.float32(1e-3) * mean[i] if mean[i] > 0 else np.float32(1e-3)
+        out[i] = peak_ratio(lowest, rival, eps)
+
+
 @parallel_jit
 def search_tiles(
-    fixed: Any, warped: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, half: Any, reach: Any,
-    stride: Any, tiles: Any, tile: Any, shift: Any, scale: Any, power: Any, few: bool, squared: bool, sums: Any,
-    scratch: Any, out: Any,
+    fixed: Any, warped: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, before: Any, after: Any, half: Any,
+    reach: Any, stride: Any, tiles: Any, tile: Any, shift: Any, scale: Any, power: Any, few: bool, every: bool,
+    sums: Any, scratch: Any, out: Any,
 ) -> None:  # fmt: skip
     """Search every tile and write its measures, at every ``stride``-th voxel.
 
@@ -252,12 +293,13 @@ def search_tiles(
     fixed : (C, Z + 2 hz, Y + 2 hy, sx, Xs) uint8, voxel x at [x % sx, x // sx]; warped : the same, wider by the reach
     offsets : (K, 3) int64, zero first; lengths : (K,) float32, mm
     edge : (K,) bool, on the border of the search; neighbors : indices of the unit displacements
+    before, after : (K, 13) indices of the displacements around each, -1: not searched
     stride : (3,) int64, at most the window's size along each axis
     tiles : (N, 3) int64 first places, of those measured; tile : largest size
     shift, scale : bits dropped and what one unit stands for
-    power : 0.5 / k; few : no value above 85; squared : AML0 is wanted
+    power : 0.5 / k; few : no value above 85; every : AML0, AML and PKR are wanted too
     sums : empty array of the type that holds the sum of a window's layer
-    scratch : (workers, tz, ty, K, tx or more) uint16; out : (15, nz, ny, nx) float32, in the order of PLANES
+    scratch : (workers, tz, ty, K, tx or more) uint16; out : (16, nz, ny, nx) float32, in the order of PLANES
     """
     workers = scratch.shape[0]
     extent = out.shape
@@ -280,7 +322,7 @@ def search_tiles(
         layers = np.empty((2 * half[0] + 1, tile[1], width), sums.dtype)
         volumes = np.empty((tile[1], width), np.uint32)
         work = np.empty((11, width), np.float32)
-        measured = np.empty((15, width), np.float32)
+        measured = np.empty((16, width), np.float32)
         for t in range(w, tiles.shape[0], workers):
             origin = tiles[t]
             for a in range(3):
@@ -296,8 +338,10 @@ def search_tiles(
             )
             for z in range(size[0]):
                 for y in range(size[1]):
-                    _measure_row(costs[z, y], offsets, lengths, edge, neighbors, power, scale, squared, work, measured)
+                    _measure_row(costs[z, y], offsets, lengths, edge, neighbors, power, scale, every, work, measured)
+                    if every:
+                        _peak_row(costs[z, y], before, after, work[8], work[1], work, measured[15])
                     # What lies behind the tile's end is measured with it, and not copied.
-                    for m in range(15):
+                    for m in range(len(PLANES)):
                         target = out[m, origin[0] + z, origin[1] + y, origin[2] : origin[2] + last]
                         target[:] = measured[m, :last]

@@ -17,7 +17,7 @@ from depthcli.registration._volume import gaussian, moved, resample
 from depthcli.registration.calibration import evidence, fit, misregister, monotone, random_error, structured
 from depthcli.registration.feature import Feature
 from depthcli.registration.feature.mind import Mind
-from depthcli.registration.search import MEASURES, SURER_IF_LARGER, Curves, Span, search, search_bytes
+from depthcli.registration.search import COSTLY, MEASURES, SURER_IF_LARGER, Curves, Span, search, search_bytes
 
 IN_MILLIMETERS = ("eshift", "vshift", "shift")
 
@@ -151,7 +151,7 @@ class RegistrationConfidence(BaseModel):
                 half = self.half_window if level == 0 else min(self.half_window, 2)
                 curves = search(
                     *channels, iso * 2**level, self.radius, half, self.sharpness, self.search,
-                    squared=self.measure in ("aml0", "aml"), stride=min(self.stride, 2 * half + 1),
+                    every=self.measure in COSTLY, stride=min(self.stride, 2 * half + 1),
                 )  # fmt: skip
                 (fine if level == 0 else coarse).append(_enlarged(curves, measured, level))
                 clock.stop("search")

@@ -23,12 +23,16 @@ MEASURES = {
     "rank0": "share of displacements that are cheaper than zero",
     "cur0": "Laplacian of the costs at zero",
     "cost0": "cost at zero: no search",
-    "msm": "minus the smallest cost: stereo's measure, which does not know zero, like the next two",
+    "msm": "minus the smallest cost: stereo's measure, which does not know zero, like the next three",
     "mlm": "likelihood of the cheapest displacement, k = 0.5",
     "aml": "the same with squared cost differences",
+    "pkr": "peak ratio: second smallest local minimum among the 26 neighbors / smallest cost",
 }
-SURER_IF_LARGER = frozenset({"mlm0", "aml0", "cur0", "msm", "mlm", "aml"})
+SURER_IF_LARGER = frozenset({"mlm0", "aml0", "cur0", "msm", "mlm", "aml", "pkr"})
 """Measures that grow with confidence; the others grow with the error."""
+
+COSTLY = frozenset({"aml0", "aml", "pkr"})
+"""Measures that are computed only where they are asked for: together they take as long as all others."""
 
 FEW = 85
 """Largest value of features of many channels: three differences then fit a byte, which the search is faster with."""
@@ -76,7 +80,7 @@ def search(
     half_window: int = 3,
     sharpness: int = 5,
     span: Span = "cube",
-    squared: bool = False,
+    every: bool = False,
     stride: int = 1,
     tile: tuple[int, int, int] | None = None,
 ) -> Curves:
@@ -93,7 +97,7 @@ def search(
     half_window : h, voxels
     sharpness : 0.5 / k, k of the likelihoods of ``eshift`` and ``vshift`` in deviations of the curve
     span : which displacements: all, those in the three planes, or on the three axes
-    squared : compute ``aml0`` and ``aml`` too, which costs as much again as all likelihoods together
+    every : compute the measures of ``COSTLY`` too
     stride : measure every ``stride``-th voxel along each axis, from the first one on; at most 2 half_window + 1
     tile : places measured at once; changes time and memory, never the result
 
@@ -120,6 +124,7 @@ def search(
     lengths = (np.linalg.norm(offsets, axis=1) * spacing).astype(np.float32)
     edge = np.abs(offsets).max(axis=1) == radius
     neighbors = np.flatnonzero((offsets**2).sum(axis=1) == 1)
+    before, after = _around(offsets)
     size = np.array(tile or _tile(measured, len(offsets)), np.int64)
     grid = np.stack(np.meshgrid(*(np.arange(0, n, s) for n, s in zip(measured, size, strict=True)), indexing="ij"), -1)
     tiles = np.ascontiguousarray(grid.reshape(-1, 3), np.int64)
@@ -128,17 +133,29 @@ def search(
     scratch = memory.empty((workers, int(size[0]), int(size[1]), len(offsets), width), np.uint16)
     out = np.empty((len(PLANES), *measured), np.float32)
     search_tiles(
-        _phases(fixed, half, steps), _phases(warped, half + reach, steps), offsets, lengths, edge, neighbors, half,
-        reach, steps, tiles, size, np.uint32(shift), np.float32((1 << shift) / largest), sharpness, top == FEW,
-        squared, layer, scratch, out,
+        _phases(fixed, half, steps), _phases(warped, half + reach, steps), offsets, lengths, edge, neighbors, before,
+        after, half, reach, steps, tiles, size, np.uint32(shift), np.float32((1 << shift) / largest), sharpness,
+        top == FEW, every, layer, scratch, out,
     )  # fmt: skip
     planes = dict(zip(PLANES, out, strict=True))
     displacement = out[2:5] * np.float32(spacing)
-    left_out = {"vshift"} if squared else {"vshift", "aml0", "aml"}
+    left_out = {"vshift"} if every else {"vshift", *COSTLY}
     maps = {name: planes[name] for name in MEASURES if name not in left_out}
     maps["vshift"] = np.sqrt((displacement**2).sum(axis=0))
     variance = np.maximum(planes["square"] - maps["vshift"] ** 2, 0)
     return Curves({name: maps[name] for name in MEASURES if name in maps}, displacement, variance, planes["border"] > 0)
+
+
+def _around(offsets: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(K, 13) indices of the neighbors of each displacement that come before and after it; -1: not searched."""
+    place = {tuple(offset): k for k, offset in enumerate(offsets.tolist())}
+    steps = [step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]
+    before, after = (np.full((len(offsets), len(steps)), -1, np.int64) for _ in range(2))
+    for k, (z, y, x) in enumerate(offsets.tolist()):
+        for j, (c, b, a) in enumerate(steps):
+            after[k, j] = place.get((z + c - 1, y + b - 1, x + a - 1), -1)
+            before[k, j] = place.get((z - c + 1, y - b + 1, x - a + 1), -1)
+    return before, after
 
 
 def search_bytes(

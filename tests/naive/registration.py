@@ -37,7 +37,7 @@ def curves(fixed, warped, radius, half, span):
 
 def measures(costs, offsets, spacing, power):
     """What the formulas say, one curve at a time."""
-    names = ("eshift", "vshift", "shift", "mlm0", "aml0", "rank0", "cur0", "cost0", "msm", "mlm", "aml")
+    names = ("eshift", "vshift", "shift", "mlm0", "aml0", "rank0", "cur0", "cost0", "msm", "mlm", "aml", "pkr")
     out = {name: np.zeros(costs.shape[1:]) for name in names}
     offsets = np.array(offsets, float)
     lengths = np.linalg.norm(offsets, axis=1) * spacing
@@ -45,11 +45,11 @@ def measures(costs, offsets, spacing, power):
     for p in np.ndindex(*costs.shape[1:]):
         c = costs[(slice(None), *p)]
         s = c.std()
-        t = 2 * (c - c.min()) / s if s > 1e-9 else None
+        t = (c - c.min()) / s if s > 1e-9 else None
         if t is None:
             values, stereo = (0, 0, 0, 1, 1), (0, 0)
         else:
-            sharp, soft, squared = np.exp(-power * t), np.exp(-t), np.exp(-t * t)
+            sharp, soft, squared = np.exp(-2 * power * t), np.exp(-2 * t), np.exp(-8 * t * t)
             q = sharp / sharp.sum()
             values = (
                 (q * lengths).sum(),
@@ -60,6 +60,20 @@ def measures(costs, offsets, spacing, power):
             )
             stereo = (1 / soft.sum(), 1 / squared.sum())
         rest = ((c < c[0]).mean(), (c[near] - c[0]).sum(), c[0], -c.min())
-        for name, value in zip(names, (*values, *rest, *stereo), strict=True):
+        for name, value in zip(names, (*values, *rest, *stereo, peak_ratio(c, offsets)), strict=True):
             out[name][p] = value
     return out
+
+
+def peak_ratio(curve, offsets):
+    """(second smallest local minimum + eps) / (smallest cost + eps), eps a thousandth of the mean cost."""
+    cost = {tuple(int(v) for v in d): c for d, c in zip(offsets, curve, strict=True)}
+    best = min(cost, key=lambda d: (cost[d], sum(v * v for v in d)))
+    rivals = []
+    for d, c in cost.items():
+        around = [(step, cost.get(tuple(np.add(d, step).tolist()))) for step in itertools.product((-1, 0, 1), repeat=3)]
+        low = all(other is None or (c < other if step < (0, 0, 0) else c <= other) for step, other in around)
+        if low and d != best:
+            rivals.append(c)
+    eps = 1e-3 * curve.mean() or 1e-3
+    return (min(rivals, default=curve.max()) + eps) / (cost[best] + eps)
