@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
+    from depthcli.io.forests import Forest
 
 _BORDER = 0.2  # share of best matches on the border of the search above which errors are larger than it
 
@@ -29,6 +31,16 @@ class RegisterConfidenceCommand(ConfigCommand):
         from depthcli.registration.config import RegisterConfidenceConfig
 
         return RegisterConfidenceConfig
+
+    def config(self, values: Mapping[str, Any]) -> BaseModel:
+        """The config, with a forest that can be read and fits it."""
+        config = super().config(values)
+        _forest(config)
+        return config
+
+    def files(self, config: Any, item: VolumePairItem) -> dict[str, Path]:
+        """The pair's, and the forest's."""
+        return super().files(config, item) | ({"model": config.model} if config.model is not None else {})
 
     def columns(self) -> tuple[Column, ...]:
         """Size, side of a working voxel, mean expected error, share of best matches on the border."""
@@ -68,7 +80,7 @@ class RegisterConfidenceCommand(ConfigCommand):
                 f"{show_bytes(memory)} may be used; see --max-memory, --jobs, max_voxels, iso"
             )
         clock.stop("load")
-        result = config(loaded.pair)
+        result = config(loaded.pair, _forest(config))
         clock.stop("other")
         clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
         known = points is not None and item.has_truth and item.error_true is None
@@ -79,6 +91,18 @@ class RegisterConfidenceCommand(ConfigCommand):
         facts = {"width": width, "height": height, "slices": slices, **result.figures}
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
         return Outcome(facts, seconds, _warnings(result.figures["border"]))
+
+
+def _forest(config: Any) -> Forest | None:
+    """The forest of the config, if it wants one; InputError or ConfigError where it does not fit."""
+    if config.model is None:
+        return None
+    from depthcli.io.forests import read_forest
+    from depthcli.registration.forest import check_forest
+
+    forest = read_forest(config.model)
+    check_forest(forest, config.settings, config.measures_made())
+    return forest
 
 
 def _warnings(border: float) -> list[str]:

@@ -1,12 +1,9 @@
-"""Measures to millimeters: on the pair's own scale, or learned from errors that are known because they were put in.
+"""Measures to millimeters: on the scale of the pair itself, or by a monotone model fitted to known errors.
 
 No single measure is safe, and none has the right unit: where tissue has no texture, the likelihood of the displacements
-is as broad as the search, and its expected length says more about the search than about the registration. ``self``
-needs no landmarks and no training set. It moves the warped volume to where the search says it belongs, moves it away
-again by smooth random fields, searches again, and fits a model that never falls with any measure to the errors that
-are now known. Sources: simulated errors as a training set after Sokooti et al. (Medical Image Analysis 2019), here of
-the pair itself; isotonic regression by pool-adjacent-violators (Ayer et al. 1955); stagewise additive fitting after
-Friedman (Annals of Statistics 2001).
+is as broad as the search, and its expected length says more about the search than about the registration. What is
+fitted here never falls with any measure. Sources: isotonic regression by pool-adjacent-violators (Ayer et al.
+1955); stagewise additive fitting after Friedman (Annals of Statistics 2001).
 """
 
 from __future__ import annotations
@@ -17,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.registration._volume import gaussian, moved, resample
+from depthcli.registration._volume import gaussian
 from depthcli.registration.search import SURER_IF_LARGER, Curves
-from depthcli.synthetic.deformed_volumes import smooth_noise
 
 Maps = dict[str, NDArray[np.float32]]
 
@@ -28,7 +24,6 @@ _STRUCTURED = 0.8  # quantile of the gradient above which a voxel counts as stru
 _BINS = 200
 _USED = ("eshift", "vshift", "mlm0", "rank0", "cur0", "cost0")
 _SMOOTH = (1.0, 2.0, 4.0)  # working voxels
-_COARSE = 4  # a random field is made on every fourth voxel
 _ROUNDS, _RATE = 200, 0.1
 
 
@@ -43,6 +38,12 @@ def structured(volume: NDArray[np.float32], inside: NDArray[np.bool_], share: fl
     strength = square.ravel()[places]
     chosen = places[strength >= np.quantile(strength, share)]
     return chosen[:: max(1, len(chosen) // _SAMPLES)]
+
+
+def evidence_names(fine: int, coarse: int) -> list[str]:
+    """What :func:`evidence` makes of so many searches."""
+    names = [f"{name}_{k}" for k in range(fine + coarse) for name in _USED]
+    return [*names, *(f"smooth_{sigma:g}" for sigma in _SMOOTH), *(f"coarse_{k}" for k in range(coarse))]
 
 
 def evidence(fine: list[Curves], coarse: list[Curves], iso: float, stride: int) -> tuple[Maps, NDArray[np.float32]]:
@@ -67,50 +68,17 @@ def evidence(fine: list[Curves], coarse: list[Curves], iso: float, stride: int) 
     smooth = mean
     for sigma in _SMOOTH:
         smooth = _weighted(mean, total * total, sigma / stride)
-        maps[f"smooth_{sigma:g}"] = _length(smooth)
+        maps[f"smooth_{sigma:g}"] = length(smooth)
         if sigma == 2:
             displacement = smooth
     for k, curves in enumerate(coarse):
         weight = np.reciprocal(curves.variance + np.float32(floor * 4 ** (k + 1)))
         far = _weighted(curves.displacement, weight * weight, 3.0 * 2**k / stride)
-        maps[f"coarse_{k}"] = _length(far)
+        maps[f"coarse_{k}"] = length(far)
         reach = np.float32(5 * iso * 2**k)
-        share = np.clip(_length(far) / reach - np.float32(0.6), 0, 1)
+        share = np.clip(length(far) / reach - np.float32(0.6), 0, 1)
         displacement = displacement + share * (far - displacement)
     return maps, displacement
-
-
-def random_error(rng: np.random.Generator, shape: tuple[int, ...], largest: float, wave: float) -> NDArray[np.float32]:
-    """(3, Z, Y, X) smooth field in voxels, ``largest`` long at most; ``wave``: its correlation length, voxels."""
-    sizes = tuple(-(-n // _COARSE) + 1 if n > 1 else 1 for n in shape)
-    step = [1 / _COARSE if n > 1 else 1.0 for n in shape]
-    small = (sizes[0], sizes[1], sizes[2])
-    whole = (shape[0], shape[1], shape[2])
-    field = np.stack([smooth_noise(rng, small, wave / _COARSE) for _ in range(3)])
-    for axis in range(3):
-        if shape[axis] == 1:
-            field[axis] = 0
-    field = np.stack([resample(part, whole, step, (0.0, 0.0, 0.0)) for part in field])
-    field *= np.float32(largest / max(float(_length(field).max()), 1e-6))
-    return field
-
-
-def misregister(
-    warped: NDArray[np.float32], correction: NDArray[np.float32], error: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The warped volume first corrected, then moved by ``error``, with one interpolation; and the length of its error.
-
-    Where the corrected volume W' fits, the match of x in W'(y + u(y)) is at x + r with r = -u(x + r).
-
-    Parameters
-    ----------
-    correction, error : (3, Z, Y, X) voxels
-    """
-    both = error + np.stack([moved(part, error) for part in correction])
-    residual = -error
-    for _ in range(4):
-        residual = -np.stack([moved(part, residual) for part in error])
-    return moved(warped, both), _length(residual)
 
 
 @dataclass(frozen=True)
@@ -224,6 +192,7 @@ def _weighted(field: NDArray[np.float32], weight: NDArray[np.float32], sigma: fl
     return np.stack([gaussian(part * weight, sigma) / total for part in field])
 
 
-def _length(field: NDArray[np.float32]) -> NDArray[np.float32]:
-    length: NDArray[np.float32] = np.sqrt((field * field).sum(axis=0))
-    return length
+def length(field: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(Z, Y, X) lengths of (3, Z, Y, X) vectors."""
+    found: NDArray[np.float32] = np.sqrt((field * field).sum(axis=0))
+    return found

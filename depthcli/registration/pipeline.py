@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -12,19 +13,20 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from depthcli.core.result import Clock, Result
 from depthcli.core.volumes import RegisteredPair
+from depthcli.io.forests import Forest
 from depthcli.kernels.jit import threads
-from depthcli.registration._volume import gaussian, moved, resample
-from depthcli.registration.calibration import evidence, fit, misregister, monotone, random_error, structured
+from depthcli.registration._volume import gaussian, resample
+from depthcli.registration.calibration import Maps, evidence, evidence_names, monotone, structured
 from depthcli.registration.feature import Feature
 from depthcli.registration.feature.mind import Mind
+from depthcli.registration.forest import check_forest, predict
+from depthcli.registration.own_errors import learn
 from depthcli.registration.search import COSTLY, MEASURES, SURER_IF_LARGER, Curves, Span, search, search_bytes
 
-IN_MILLIMETERS = ("eshift", "vshift", "shift")
+WorkingGrid = tuple[tuple[int, int, int], tuple[float, float, float], tuple[float, float, float]]
+"""Shape, and step and place of the first voxel in voxels of the fixed volume."""
 
-# Errors put in by calibration self: largest one in units of the pair's own, and correlation length, working voxels.
-_ERRORS = ((0.5, 3.0), (1.0, 6.0), (2.0, 4.0), (2.0, 9.0))
-_SAMPLES = 20_000
-_LEAST = 1000
+IN_MILLIMETERS = ("eshift", "vshift", "shift")
 
 
 @dataclass(kw_only=True)
@@ -76,9 +78,11 @@ class RegistrationConfidence(BaseModel):
         1, ge=1, le=3, description="resolutions: every further one is half as fine and finds errors twice as large"
     )
     measure: str = Field("eshift", description="what orders the voxels; eshift gives one without unit its mm")
-    calibration: Literal["none", "self"] = Field(
-        "none", description="self: all measures together, fitted to errors that are put into the pair itself"
+    calibration: Literal["none", "self", "forest"] = Field(
+        "none",
+        description="self: all measures together, fitted to errors that are put into the pair itself; forest: by model",
     )
+    model: Path | None = Field(None, description="of calibration forest: what scripts/registration_forest.py wrote")
     seed: int = Field(0, ge=0, description="of the errors that calibration self puts in")
 
     @field_validator("measure")
@@ -97,21 +101,52 @@ class RegistrationConfidence(BaseModel):
 
     @model_validator(mode="after")
     def _together(self) -> RegistrationConfidence:
-        if self.calibration == "self" and self.measure != "eshift":
-            raise ValueError("calibration self chooses its measures; leave out measure")
+        if self.calibration != "none" and self.measure != "eshift":
+            raise ValueError(f"calibration {self.calibration} chooses its measures; leave out measure")
+        if (self.model is None) != (self.calibration != "forest"):
+            raise ValueError("calibration forest and model want each other: `calibration: forest, model: FILE`")
         return self
 
-    def __call__(self, pair: RegisteredPair) -> RegistrationResult:
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the values of the measures depend on: a forest fits configs that agree in it."""
+        names = {"features", "iso", "intensity_range", "search", "radius", "half_window", "stride", "sharpness"}
+        return self.model_dump(mode="json", include={*names, "levels"})
+
+    def measures_made(self) -> list[str]:
+        """Names of what :meth:`evidence` gives."""
+        return evidence_names(len(self.features), self.levels - 1)
+
+    def evidence(self, pair: RegisteredPair) -> tuple[Maps, tuple[float, float, float], tuple[float, float, float]]:
+        """Everything that a forest may look at: measure -> (z, y, x), and ``step`` and ``start`` of these maps."""
+        fixed, warped, grid = self._working(pair)
+        iso = grid[1][2] * pair.spacing[2]
+        maps, _ = evidence(*self._searches(fixed, warped, iso, Clock()), iso, self.stride)
+        return maps, self._step(grid), grid[2]
+
+    def __call__(self, pair: RegisteredPair, forest: Forest | None = None) -> RegistrationResult:
         """Search, measure, calibrate.
+
+        Parameters
+        ----------
+        forest : what ``model`` holds, where calibration is ``forest``
 
         Returns
         -------
         Maps on the working grid. ``figures``: ``border``, the share of voxels of interest whose cheapest
         displacement lies on the border of the coarsest search; ``iso``, mm; ``mean_error``, mm.
+
+        Raises
+        ------
+        ConfigError
+            The forest was trained with other settings.
         """
+        if forest is not None:
+            check_forest(forest, self.settings, self.measures_made())
+        elif self.calibration == "forest":
+            raise ValueError("calibration forest wants the forest")
         clock = Clock()
-        grid = self.grid(pair.shape, pair.spacing)
-        fixed, warped = (self._on_grid(volume, pair, grid) for volume in (pair.fixed, pair.warped))
+        fixed, warped, grid = self._working(pair)
         inside = np.ones(fixed.shape, np.bool_)
         if pair.mask is not None:
             inside = resample(pair.mask.astype(np.float32), *grid) >= 0.5
@@ -122,6 +157,10 @@ class RegistrationConfidence(BaseModel):
         chosen = chosen if chosen.any() else np.ones_like(chosen)
         if self.calibration == "self":
             error, displacement = self._learned(fixed, warped, chosen, fine, coarse, iso, clock)
+        elif forest is not None:
+            maps, displacement = evidence(fine, coarse, iso, self.stride)
+            error = predict(forest, maps)
+            clock.stop("calibration")
         else:
             error, displacement = self._error(fine, coarse, structured(_every(fixed, self.stride), chosen), iso)
             clock.stop("calibration")
@@ -131,11 +170,21 @@ class RegistrationConfidence(BaseModel):
             "border": round(float(last.border[chosen].mean()), 6),
             "mean_error": round(float(error[chosen].mean(dtype=np.float64)), 6),
         }
-        step = tuple(s * (self.stride if n > 1 else 1) for s, n in zip(grid[1], grid[0], strict=True))
         return RegistrationResult(
             expected_error=error, certainty=np.exp(-error / np.float32(3)), shift=displacement, measures=fine[0].maps,
-            step=(step[0], step[1], step[2]), start=grid[2], seconds=clock.seconds, figures=figures,
+            step=self._step(grid), start=grid[2], seconds=clock.seconds, figures=figures,
         )  # fmt: skip
+
+    def _step(self, grid: WorkingGrid) -> tuple[float, float, float]:
+        """Step of measured places, in voxels of the fixed volume."""
+        z, y, x = (s * (self.stride if n > 1 else 1) for s, n in zip(grid[1], grid[0], strict=True))
+        return z, y, x
+
+    def _working(self, pair: RegisteredPair) -> tuple[NDArray[np.float32], NDArray[np.float32], WorkingGrid]:
+        """Both volumes on the working grid."""
+        grid = self.grid(pair.shape, pair.spacing)
+        fixed, warped = (self._on_grid(volume, pair, grid) for volume in (pair.fixed, pair.warped))
+        return fixed, warped, grid
 
     def _searches(
         self, fixed: NDArray[np.float32], warped: NDArray[np.float32], iso: float, clock: Clock
@@ -176,38 +225,17 @@ class RegistrationConfidence(BaseModel):
         structure = structured(_every(fixed, self.stride), chosen)
         usual = float(np.quantile(maps["smooth_2"].ravel()[structure], 0.9))
         reach = self.radius * iso * 2 ** (self.levels - 1)
-        step = [1 / self.stride if n > 1 else 1.0 for n in fixed.shape]
-        whole = (fixed.shape[0], fixed.shape[1], fixed.shape[2])
-        correction = np.stack([resample(part, whole, step, (0.0, 0.0, 0.0)) for part in displacement / np.float32(iso)])
-        # Once more from there: places that the search still does not call aligned cannot teach what an error is.
         clock.stop("calibration")
-        aligned = self._searches(fixed, moved(warped, correction), iso, clock)
-        found, rest = evidence(*aligned, iso, self.stride)
-        further = np.stack([resample(part, whole, step, (0.0, 0.0, 0.0)) for part in rest / np.float32(iso)])
-        correction = further + np.stack([moved(part, further) for part in correction])
-        places = np.flatnonzero(chosen & (found["smooth_2"] <= iso))
-        if len(places) < _LEAST:
-            places = np.flatnonzero(chosen)
-        rng = np.random.default_rng(self.seed)
-        tables: list[dict[str, NDArray[np.float32]]] = []
-        known: list[NDArray[np.float32]] = []
-        for times, wave in _ERRORS:
-            largest = min(max(times * usual, iso), reach)
-            displaced, error = misregister(warped, correction, random_error(rng, fixed.shape, largest / iso, wave))
-            clock.stop("calibration")
-            found, _ = evidence(*self._searches(fixed, displaced, iso, clock), iso, self.stride)
-            some = rng.choice(places, min(len(places), _SAMPLES), replace=False)
-            tables.append({name: values.ravel()[some] for name, values in found.items()})
-            known.append((_every(error, self.stride).ravel()[some] * np.float32(iso)).astype(np.float32))
-        table = {name: np.concatenate([each[name] for each in tables]) for name in maps}
-        learned = fit(table, np.concatenate(known))(maps)
+        model = learn(
+            fixed, warped, displacement, chosen, usual, reach, iso, self.stride,
+            lambda one, other: self._searches(one, other, iso, clock), self.seed,
+        )  # fmt: skip
+        learned = model(maps)
         own, _ = self._error(fine, coarse, structure, iso)
         clock.stop("calibration")
         return np.sqrt(learned * own), displacement
 
-    def grid(
-        self, shape: tuple[int, int, int], spacing: tuple[float, float, float]
-    ) -> tuple[tuple[int, int, int], tuple[float, float, float], tuple[float, float, float]]:
+    def grid(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> WorkingGrid:
         """Shape of the working grid, its step and the place of its first voxel, in voxels of the fixed volume.
 
         Working voxels are cubes; the outer faces of the first ones are those of the volume. An axis of one voxel
@@ -241,12 +269,7 @@ class RegistrationConfidence(BaseModel):
             kept = 3 * kept + 12 * 4 * voxels
         return 8 * voxels + max(making, searching + 2 * channels * voxels) + kept
 
-    def _on_grid(
-        self,
-        volume: NDArray[np.float32],
-        pair: RegisteredPair,
-        grid: tuple[tuple[int, int, int], tuple[float, float, float], tuple[float, float, float]],
-    ) -> NDArray[np.float32]:
+    def _on_grid(self, volume: NDArray[np.float32], pair: RegisteredPair, grid: WorkingGrid) -> NDArray[np.float32]:
         bounds = self.intensity_range
         if bounds is None and min(pair.fixed.min(), pair.warped.min()) < -500:
             bounds = (-1000.0, 400.0)

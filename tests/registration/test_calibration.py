@@ -7,7 +7,8 @@ import pytest
 
 from depthcli.io.volumes import linear
 from depthcli.registration._volume import moved
-from depthcli.registration.calibration import fit, isotonic, misregister, monotone, random_error
+from depthcli.registration.calibration import fit, isotonic, monotone
+from depthcli.registration.own_errors import misregister, random_error
 
 
 def test_isotonic_pools_what_falls():

@@ -119,7 +119,9 @@ def test_inputs_are_left_alone_and_the_result_is_the_same(deformed):
 @pytest.mark.parametrize(
     ("fields", "match"),
     [({"measure": "nothing"}, "no measure"), ({"intensity_range": (5, 5)}, "below the second"),
-     ({"calibration": "self", "measure": "cost0"}, "chooses its measures"), ({"field": "spm"}, "pattern")],
+     ({"calibration": "self", "measure": "cost0"}, "chooses its measures"),
+     ({"calibration": "forest"}, "want each other"), ({"model": "a.npz"}, "want each other"),
+     ({"field": "spm"}, "pattern")],
 )  # fmt: skip
 def test_wrong_configs(fields, match):
     with pytest.raises(ValidationError, match=match):
