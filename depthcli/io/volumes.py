@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.io.files import naming, open_regular, read_bytes, shown
+from depthcli.io.headers import image_size
 from depthcli.io.images import IMAGE_SUFFIXES, read_grey
 
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img")
@@ -152,12 +153,37 @@ def read_volume(path: Path, vector: bool = False) -> Volume:
         return volume
 
 
+def read_grid(path: Path) -> Grid:
+    """Where the voxels of a volume are, by its header alone; InputError as :func:`read_volume`."""
+    with naming(path):
+        if suffix_of(path) in IMAGE_SUFFIXES:
+            plane = image_size(path)
+            return Grid((plane.width, plane.height, 1), (1.0, 1.0, 1.0))
+        if suffix_of(path) == ".img":
+            return _dirlab_grid(path)
+        reader = simple_itk().ImageFileReader()
+        reader.SetFileName(str(path))
+        with _one_line(), quiet():
+            reader.ReadImageInformation()
+        size, spacing = reader.GetSize()[:3], reader.GetSpacing()[:3]
+        if not 2 <= reader.GetDimension() <= 4 or not all(np.isfinite(s) and s > 0 for s in spacing):
+            raise InputError(f"{reader.GetDimension()}-D, with a spacing of {spacing}")
+        size, spacing = (*size, 1)[:3], (*spacing, 1.0)[:3]
+        return Grid((size[0], size[1], size[2]), (spacing[0], spacing[1], spacing[2]))
+
+
 def read_image(path: Path) -> Any:
     """The SimpleITK image; InputError with the reason in one line."""
     sitk = simple_itk()
+    with _one_line(), quiet():
+        return sitk.ReadImage(str(path))
+
+
+@contextlib.contextmanager
+def _one_line() -> Any:
+    """Errors of SimpleITK as an InputError with the reason in one line."""
     try:
-        with quiet():
-            return sitk.ReadImage(str(path))
+        yield
     except RuntimeError as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         reason = next((line.partition("ERROR: ")[2] or line for line in lines if "ERROR" in line), lines[-1])
@@ -294,8 +320,8 @@ def nifti_header(path: Path) -> dict[str, Any]:
             raise InputError("cut off, or not a gzip file") from None
 
 
-def _dirlab(path: Path) -> Volume:
-    """DIR-Lab: little-endian int16, x fastest, slices in the order in which its landmarks count them."""
+def _dirlab_grid(path: Path) -> Grid:
+    """What the file beside a raw volume says."""
     meta_file = path.parent / "meta.json"
     try:
         meta = json.loads(read_bytes(meta_file, 1 << 20))
@@ -305,9 +331,14 @@ def _dirlab(path: Path) -> Volume:
         raise InputError(f'a raw file wants "size" and "spacing" (x, y, z) in {shown(meta_file)}') from None
     if len(size) != 3 or len(spacing) != 3 or min(size) < 1 or not all(np.isfinite(s) and s > 0 for s in spacing):
         raise InputError(f"{shown(meta_file)}: want three positive sizes and spacings")
+    return Grid((size[0], size[1], size[2]), (spacing[0], spacing[1], spacing[2]))
+
+
+def _dirlab(path: Path) -> Volume:
+    """DIR-Lab: little-endian int16, x fastest, slices in the order in which its landmarks count them."""
+    grid = _dirlab_grid(path)
     data = read_bytes(path)
-    wanted = 2 * size[0] * size[1] * size[2]
+    wanted = 2 * grid.size[0] * grid.size[1] * grid.size[2]
     if len(data) != wanted:
-        raise InputError(f"{len(data)} bytes, want {wanted} for {size[0]} x {size[1]} x {size[2]} int16")
-    values = np.frombuffer(data, "<i2").reshape(size[::-1]).astype(np.float32)
-    return Volume(values, Grid((size[0], size[1], size[2]), (spacing[0], spacing[1], spacing[2])))
+        raise InputError(f"{len(data)} bytes, want {wanted} for {' x '.join(map(str, grid.size))} int16")
+    return Volume(np.frombuffer(data, "<i2").reshape(grid.shape).astype(np.float32), grid)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
     from depthcli.io.forests import Forest
+    from depthcli.io.volumes import Grid
 
 _BORDER = 0.2  # share of best matches on the border of the search above which errors are larger than it
 
@@ -41,6 +42,10 @@ class RegisterConfidenceCommand(ConfigCommand):
     def files(self, config: Any, item: VolumePairItem) -> dict[str, Path]:
         """The pair's, and the forest's."""
         return super().files(config, item) | ({"model": config.model} if config.model is not None else {})
+
+    def memory_of(self, config: Any, item: VolumePairItem) -> int:
+        """By the header of the fixed volume."""
+        return _need(config, *item.size(config.max_voxels))
 
     def columns(self) -> tuple[Column, ...]:
         """Size, side of a working voxel, mean expected error, share of best matches on the border."""
@@ -70,10 +75,7 @@ class RegisterConfidenceCommand(ConfigCommand):
         clock = Clock()
         loaded = item.load(config.field, config.max_voxels)
         points = item.landmarks(loaded.grid)
-        shape = loaded.pair.shape
-        # Beside the search: the pair. Before it: one whole volume as it is read, 2 bytes a voxel and 4 as numbers.
-        whole = loaded.grid.size[0] * loaded.grid.size[1] * loaded.grid.size[2]
-        need = max(config.peak_bytes(shape, loaded.pair.spacing) + 2 * loaded.pair.fixed.nbytes, 6 * whole)
+        need = _need(config, loaded.grid, loaded.pair.shape, loaded.pair.spacing)
         if need > memory:
             raise InputError(
                 f"needs about {show_bytes(need)} of memory ({' x '.join(map(str, loaded.grid.size))} voxels), "
@@ -91,6 +93,14 @@ class RegisterConfidenceCommand(ConfigCommand):
         facts = {"width": width, "height": height, "slices": slices, **result.figures}
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
         return Outcome(facts, seconds, _warnings(result.figures["border"]))
+
+
+def _need(config: Any, grid: Grid, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> int:
+    """Estimate of the peak working memory of a pair that is loaded as ``shape`` voxels, bytes."""
+    # Beside the search: the pair. Before it: one whole volume as it is read, 2 bytes a voxel and 4 as numbers.
+    whole = grid.size[0] * grid.size[1] * grid.size[2]
+    need: int = max(config.peak_bytes(shape, spacing) + 8 * shape[0] * shape[1] * shape[2], 6 * whole)
+    return need
 
 
 def _forest(config: Any) -> Forest | None:

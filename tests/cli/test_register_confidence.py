@@ -179,6 +179,42 @@ def test_options_that_do_not_fit(tmp_path, capsys, options, said):
     assert said in capsys.readouterr().err
 
 
+def test_a_forest_from_training_to_expected_errors(pairs, tmp_path, capsys):
+    pytest.importorskip("sklearn")
+    from scripts import registration_forest
+
+    model, run = tmp_path / "forest.npz", tmp_path / "run"
+    for threads in ("1", "2"):
+        arguments = ["x", str(pairs), str(model), "--config", "mind", "--set", "radius=3", "half_window=1"]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("sys.argv", [*arguments, "--jobs", threads])
+            assert registration_forest.main() == 0
+        model = tmp_path / "again.npz"
+    assert model.read_bytes() == (tmp_path / "forest.npz").read_bytes()
+    command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(run), "--set", "calibration=forest"]
+    assert main([*command, *SMALL, "--set", f"model={model}", "--evaluate"]) == 0
+    assert (run / "pair_0" / "expected_error.nii.gz").is_file()
+    capsys.readouterr()
+    for settings, said in (
+        (["--set", "radius=4"], "the forest was trained with radius: 3, the config says 4"),
+        (["--set", "model=nowhere.npz"], "nowhere.npz: no such file"),
+    ):
+        assert main([*command, *SMALL, "--set", f"model={model}", *settings]) in (2, 3)
+        lines = capsys.readouterr().err.strip().splitlines()
+        assert len(lines) == 1 and said in lines[0]
+
+
+@pytest.mark.parametrize("preset", ["mind", "self"])
+def test_same_bytes_at_any_number_of_jobs(pairs, tmp_path, preset):
+    for jobs, threads in ((1, 1), (2, 2)):
+        command = ["register-confidence", preset, "-i", str(pairs), "-o", str(tmp_path / str(jobs)), *SMALL]
+        assert main([*command, "--jobs", str(jobs), "--threads", str(threads)]) == 0
+    files = sorted(path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.nii.gz"))
+    assert len(files) == 6
+    for file in files:
+        assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes(), file
+
+
 def test_large_volumes_are_read_as_means_of_blocks(pairs, tmp_path):
     command = ["register-confidence", "mind", "-i", str(pairs), "--scenes", "pair_0", *SMALL]
     for name, more in (("whole", []), ("blocks", ["--set", "max_voxels=9000"])):
@@ -187,6 +223,16 @@ def test_large_volumes_are_read_as_means_of_blocks(pairs, tmp_path):
     assert blocks.grid.same_as(whole.grid)
     inside = read_volume(pairs / "pair_0" / "mask.nii.gz").values > 0
     assert np.corrcoef(whole.values[inside], blocks.values[inside])[0, 1] > 0.4
+
+
+def test_a_dry_run_says_the_memory_that_a_run_is_refused_under(pairs, tmp_path, capsys):
+    command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(tmp_path / "run")]
+    assert main([*command, "--dry-run", "--json"]) == 0
+    scenes = json.loads(capsys.readouterr().out)["scenes"]
+    assert [row["status"] for row in scenes] == ["to do", "to do"] and not (tmp_path / "run").exists()
+    need = scenes[0]["memory"]
+    assert main([*command, "-q", "--scenes", "pair_0", "--max-memory", str(need - 1)]) == 3
+    assert f"needs about {need / 2**20:.0f} MiB" in capsys.readouterr().err
 
 
 def test_too_little_memory_is_said(pairs, tmp_path, capsys):

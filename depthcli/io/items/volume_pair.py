@@ -166,8 +166,17 @@ class VolumePairItem(Item):
         second = block_means(self._usable(moved, inside, source), blocks)
         if inside is not None and max(blocks) > 1:
             inside = block_means(inside, blocks) >= 0.5
-        z, y, x = (s * n for s, n in zip(grid.spacing[::-1], blocks, strict=True))
-        return LoadedPair(RegisteredPair(first, second, (z, y, x), inside), grid, blocks)
+        return LoadedPair(RegisteredPair(first, second, _spacing(grid, blocks), inside), grid, blocks)
+
+    def size(self, most: int | None = None) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
+        """Grid of the fixed volume, and shape and spacing (z, y, x) of what :meth:`load` makes of it, by its header."""
+        from depthcli.io.volumes import read_grid
+
+        self.check()
+        grid = read_grid(self.fixed)
+        blocks = _blocks(grid, most)
+        z, y, x = (-(-n // b) for n, b in zip(grid.shape, blocks, strict=True))
+        return grid, (z, y, x), _spacing(grid, blocks)
 
     def truth(self, convention: str = "auto") -> RegistrationTruth:
         """True errors: dense where there is such a file, or at the landmarks |T(p) - q|.
@@ -269,6 +278,11 @@ class VolumePairItem(Item):
         if have == want:
             have, want = (f"spacing {each.spacing} from {each.origin}" for each in (grid, fixed))
         raise InputError(f"{file}: another grid than the fixed volume's ({have}, want {want})")
+
+
+def _spacing(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:
+    z, y, x = (s * n for s, n in zip(grid.spacing[::-1], blocks, strict=True))
+    return z, y, x
 
 
 def _blocks(grid: Grid, most: int | None) -> tuple[int, int, int]:
