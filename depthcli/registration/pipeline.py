@@ -73,6 +73,13 @@ class RegistrationConfidence(BaseModel):
     stride: int = Field(
         2, ge=1, le=4, description="measure every n-th working voxel along each axis, interpolate between them"
     )
+    smoothing: float = Field(
+        2.0,
+        ge=0,
+        le=8,
+        description="deviation of the Gaussian that expected errors are averaged with, each weighted by how narrow its "
+        "likelihood is, working voxels; the window's own is 2",
+    )
     sharpness: int = Field(5, ge=1, le=20, description="of the likelihoods: 0.5 / k, k in deviations of a curve")
     levels: int = Field(
         1, ge=1, le=3, description="resolutions: every further one is half as fine and finds errors twice as large"
@@ -280,9 +287,22 @@ class RegistrationConfidence(BaseModel):
     def _error(
         self, fine: list[Curves], coarse: list[Curves], structure: NDArray[np.int64], iso: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Expected error (mm) and displacement, with the coarse searches where an error leaves the fine one."""
+        """Expected error (mm) and displacement, with the coarse searches where an error leaves the fine one.
+
+        An error is smooth where a registration is, and the curves of places without texture say little: what is
+        expected is averaged over features and surroundings, weighted by the inverse variance of the displacement.
+        """
         in_mm = self.measure if self.measure in IN_MILLIMETERS else "eshift"
-        error = _mean([curves.maps[in_mm] for curves in fine])
+        sigma = self.smoothing / self.stride
+        error = np.zeros_like(fine[0].variance)
+        total = np.zeros_like(error)
+        for curves in fine:
+            weight = np.reciprocal(curves.variance + np.float32(0.5 * iso**2))
+            # Windows that do not differ by half a level of the features are the same: nothing is in doubt there.
+            doubt = np.minimum(curves.maps["cost0"] * np.float32(2 * 255), 1)
+            error += gaussian(curves.maps[in_mm] * weight * doubt, sigma)
+            total += gaussian(weight, sigma)
+        error /= total
         displacement = _mean([curves.displacement for curves in fine])
         for k, curves in enumerate(coarse):
             far = curves.maps[in_mm]
@@ -292,7 +312,7 @@ class RegistrationConfidence(BaseModel):
             displacement = displacement + share * (curves.displacement - displacement)
         if self.measure not in IN_MILLIMETERS:
             sign = np.float32(-1 if self.measure in SURER_IF_LARGER else 1)
-            score = _mean([sign * curves.maps[self.measure] for curves in fine])
+            score = gaussian(_mean([sign * curves.maps[self.measure] for curves in fine]), sigma)
             return monotone(score, error, structure), displacement
         return error, displacement
 

@@ -7,7 +7,9 @@ import itertools
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy import ndimage
 
+from depthcli.core.result import Clock
 from depthcli.core.volumes import RegisteredPair
 from depthcli.evaluation.protocols.registration import correlation, ranks
 from depthcli.registration.config import RegisterConfidenceConfig
@@ -36,6 +38,13 @@ def test_identical_volumes_are_certain_inside():
     assert result.figures["border"] == 0
 
 
+def test_where_identical_volumes_have_no_texture_nothing_is_in_doubt():
+    volume = texture((24, 28, 28)) * (np.arange(28) < 14) + np.float32(1e-3) * texture((24, 28, 28), 1)
+    result = config()(RegisteredPair(volume, volume.copy(), (1.5, 1.5, 1.5)))
+    assert result.measures["eshift"].max() > 1.5  # flat curves: by themselves they say nothing
+    assert result.certainty.min() > 0.95
+
+
 def test_confidence_falls_and_error_follows_a_uniform_shift():
     wide = texture((24, 24, 32))
     means, inner = [], (slice(6, -6),) * 3
@@ -59,9 +68,26 @@ def test_orders_a_smooth_error(deformed, calibration):
     assert np.abs(found - known).mean() < 0.6 * known.mean()
 
 
+def test_an_error_is_averaged_with_its_surroundings_by_how_sure_they_are(deformed):
+    """Gaussian mean of eshift, weights 1 / (variance + iso^2 / 2), over features and places."""
+    pair, _ = deformed
+    features = ("mind", "local_ncc")
+    result = config(features=features, smoothing=1.5)(pair)
+    total = weights = np.float32(0)
+    for feature in features:
+        method = config(features=[feature], smoothing=0)
+        alone = method(pair)
+        fixed, warped, _ = method._working(pair)
+        variance = method._searches(fixed, warped, 1.0, Clock())[0][0].variance
+        weight = 1 / (variance.astype(float) + 0.5)
+        total = total + ndimage.gaussian_filter(weight * alone.expected_error, 1.5, mode="nearest", truncate=3.4)
+        weights = weights + ndimage.gaussian_filter(weight, 1.5, mode="nearest", truncate=3.4)
+    np.testing.assert_allclose(result.expected_error, total / weights, rtol=2e-3, atol=2e-3)
+
+
 def test_stride_only_leaves_places_out(deformed):
     pair, _ = deformed
-    every, some = (config(stride=stride)(pair) for stride in (1, 3))
+    every, some = (config(stride=stride, smoothing=0)(pair) for stride in (1, 3))
     assert np.array_equal(some.expected_error, every.expected_error[::3, ::3, ::3])
     assert np.array_equal(some.shift, every.shift[:, ::3, ::3, ::3])
 
