@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Chapter 7: how well confidence and expected error of registrations say where they are wrong, in tables.
 
-    scripts/registration_experiments.py PAIRS [--only real synthetic search parameters baselines shifts speed]
+    scripts/registration_experiments.py PAIRS [--only real synthetic search parameters baselines forest shifts
+                                        speed]
                                         [--presets NAME ...] [--pairs GLOB ...] [--data DATA]
 
 PAIRS is what ``scripts/register_pairs.py`` wrote. ``real``: every measure and ``self`` at the landmarks of registered
@@ -9,7 +10,8 @@ pairs, Spearman, AUC above 3 mm, mean absolute error of expected against true; `
 random B-splines of at most 3, 6 and 10 mm, with noise (25 HU, or 3 % of the range of a magnetic resonance image), at
 every voxel of interest; ``search``: planes and axes beside the cube; ``parameters``: k, h and R on the lung pairs;
 ``baselines``: local variance, the Jacobian's determinant, and with DATA, for which it registers again, inverse
-consistency and the variance over five registrations; ``shifts``: identical volumes, and whole shifts of 1 to 4 voxels;
+consistency and the variance over five registrations; ``forest``: random forests on the landmarks of the other pairs, and
+of the other sets; ``shifts``: identical volumes, and whole shifts of 1 to 4 voxels;
 ``speed``: seconds for 3.2 million voxels. Everything is seeded.
 """
 
@@ -43,7 +45,7 @@ from depthcli.synthetic.deformed_volumes import smooth_noise
 Values = NDArray[np.floating[Any]]
 
 SEED = 11
-PARTS = ("real", "synthetic", "search", "parameters", "baselines", "shifts", "speed")
+PARTS = ("real", "synthetic", "search", "parameters", "baselines", "forest", "shifts", "speed")
 HEAD = ("pair", "what", "Spearman", "AUC > 3 mm", "MAE mm", "expected mm", "true mm", "points")
 
 
@@ -80,11 +82,10 @@ def real(items: list[VolumePairItem], presets: Iterable[str]) -> list[Table]:
         places = loaded.grid.to_index(truth.points)
         for preset in presets:
             result = config(preset)(loaded.pair)
+            rows.append(row(item.name, preset, at_points(result, result.expected_error, places), truth.error))
             if preset == "mind":
                 for name, values in measures(result, places):
                     rows.append(row(item.name, f"mind {name}", values, truth.error, name.endswith("shift")))
-            else:
-                rows.append(row(item.name, preset, at_points(result, result.expected_error, places), truth.error))
             rows.append((item.name, f"{preset}: border", f"{100 * result.figures['border']:.0f} %", *[""] * 5))
     return [Table("Real registrations, at landmarks", HEAD, tuple(rows))]
 
@@ -219,6 +220,24 @@ def registered_again(items: list[VolumePairItem], data: Path) -> list[tuple[str,
     return rows
 
 
+def forest(items: list[VolumePairItem]) -> list[Table]:
+    """Forests that have not seen a pair, and that have not seen its set: lung, dataset18, dataset19."""
+    from depthcli.registration.forest import predict, train
+    from scripts.registration_forest import columns, joined
+
+    method = config("self")
+    known = {item.name: columns(item, method) for item in items}
+    rows = []
+    for left_out, depth in (("pair", -1), ("set", 1)):
+        for name, (table, true) in known.items():
+            # a and b are two registrations of one pair: neither is trained on where the other is told
+            same = "_".join(name.split("_")[:depth])
+            rest = [other for other in known if not f"{other}_".startswith(f"{same}_")]
+            trained = train(*joined([known[other] for other in rest]), method.settings, rest, SEED)
+            rows.append(row(name, f"without its {left_out}", predict(trained, table), true))
+    return [Table("Random forest on landmarks of other pairs", HEAD, tuple(rows))]
+
+
 def shifts(items: list[VolumePairItem]) -> list[Table]:
     rows = []
     for item in [item for item in items if item.name.startswith(("lung_a", "dataset19_cyc_1_6_a"))]:
@@ -282,6 +301,7 @@ def main() -> int:
         "search": lambda: varied(items, "Fast searches", [(), ("search=planes",), ("search=axes", "sharpness=2")]),
         "parameters": lambda: parameters(items),
         "baselines": lambda: baselines(items, options.data),
+        "forest": lambda: forest(items),
         "shifts": lambda: shifts(items),
         "speed": speed,
     }
