@@ -10,9 +10,9 @@ pairs, Spearman, AUC above 3 mm, mean absolute error of expected against true; `
 random B-splines of at most 3, 6 and 10 mm, with noise (25 HU, or 3 % of the range of a magnetic resonance image), at
 every voxel of interest; ``search``: planes and axes beside the cube; ``parameters``: k, h and R on the lung pairs;
 ``baselines``: local variance, the Jacobian's determinant, and with DATA, for which it registers again, inverse
-consistency and the variance over five registrations; ``forest``: random forests on the landmarks of the other pairs, and
-of the other sets; ``shifts``: identical volumes, and whole shifts of 1 to 4 voxels;
-``speed``: seconds for 3.2 million voxels. Everything is seeded.
+consistency and the variance over five registrations; ``forest``: random forests on the landmarks of the other pairs,
+and of the other sets; ``shifts``: identical volumes, and whole shifts of 1 to 4 voxels; ``speed``: seconds for 3.2
+million voxels. Everything is seeded.
 """
 
 from __future__ import annotations
