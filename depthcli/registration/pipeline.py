@@ -272,8 +272,8 @@ class RegistrationConfidence(BaseModel):
         making = 4 * voxels * (channels + 4) + channels * voxels
         searching = search_bytes(sizes, channels, self.radius, self.half_window, self.stride, threads())
         kept = (len(self.features) + self.levels - 1) * 17 * 4 * measured
-        if self.calibration == "self":
-            kept = 3 * kept + 12 * 4 * voxels
+        if self.calibration != "none":
+            kept += 4 * measured * (len(self.measures_made()) + 12)
         return 8 * voxels + max(making, searching + 2 * channels * voxels) + kept
 
     def _on_grid(self, volume: NDArray[np.float32], pair: RegisteredPair, grid: WorkingGrid) -> NDArray[np.float32]:

@@ -204,10 +204,11 @@ def test_a_forest_from_training_to_expected_errors(pairs, tmp_path, capsys):
         assert len(lines) == 1 and said in lines[0]
 
 
-@pytest.mark.parametrize("preset", ["mind", "self"])
-def test_same_bytes_at_any_number_of_jobs(pairs, tmp_path, preset):
+@pytest.mark.parametrize("calibration", ["none", "self"])
+def test_same_bytes_at_any_number_of_jobs(pairs, tmp_path, calibration):
     for jobs, threads in ((1, 1), (2, 2)):
-        command = ["register-confidence", preset, "-i", str(pairs), "-o", str(tmp_path / str(jobs)), *SMALL]
+        command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(tmp_path / str(jobs)), *SMALL]
+        command += ["--set", f"calibration={calibration}", "--set", "stride=3"]
         assert main([*command, "--jobs", str(jobs), "--threads", str(threads)]) == 0
     files = sorted(path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.nii.gz"))
     assert len(files) == 6

@@ -34,9 +34,7 @@ def figures(pair, transform):
     fixed = sitk.GetArrayFromImage(pair.fixed)
     low = float(sitk.GetArrayViewFromImage(pair.moving).min())
     warped = sitk.GetArrayFromImage(sitk.Resample(pair.moving, pair.fixed, transform, sitk.sitkLinear, low))
-    grid = Grid(
-        pair.fixed.GetSize(), pair.fixed.GetSpacing(), pair.fixed.GetOrigin(), tuple(pair.fixed.GetDirection())
-    )
+    grid = Grid(pair.fixed.GetSize(), pair.fixed.GetSpacing(), pair.fixed.GetOrigin(), tuple(pair.fixed.GetDirection()))
     result = RegisterConfidenceConfig()(RegisteredPair(fixed, warped, grid.spacing[::-1]))
     places = (grid.to_index(pair.points) - np.array(result.start)) / np.array(result.step)
     true = errors(transform, pair)
