@@ -193,11 +193,14 @@ def _measure_row(
     soft[:] = 0
     hard[:] = 0
     out[:5] = 0
-    limit = np.float32(40.0 / power)  # no power of the exponential may become denormal
+    tiny = np.float32(np.exp(-80.0 / power))  # no power of the likelihood may become denormal
+    leading = 1
+    while 2 * leading <= power:
+        leading *= 2
     for k in range(count):
         row = costs[k]
         for i in range(n):
-            t[i] = min((np.float32(row[i]) - lowest[i]) * rate[i], limit)
+            t[i] = (np.float32(row[i]) - lowest[i]) * rate[i]
         if every:
             for i in range(n):
                 e[i] = attainable_likelihood(t[i])
@@ -207,10 +210,16 @@ def _measure_row(
             t[i] = likelihood(t[i])
         for i in range(n):
             soft[i] += t[i]
+            t[i] = max(t[i], tiny)
             e[i] = t[i]
-        for _ in range(power - 1):
+        bit = leading // 2
+        while bit > 0:  # squares and products instead of as many products as the power
             for i in range(n):
-                e[i] *= t[i]
+                e[i] *= e[i]
+            if power & bit:
+                for i in range(n):
+                    e[i] *= t[i]
+            bit //= 2
         for i in range(n):
             weight[i] += e[i]
         _add_scaled(e, lengths[k], out[0])

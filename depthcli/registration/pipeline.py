@@ -80,7 +80,7 @@ class RegistrationConfidence(BaseModel):
         description="deviation of the Gaussian that expected errors are averaged with, each weighted by how narrow its "
         "likelihood is, working voxels; the window's own is 2",
     )
-    sharpness: int = Field(5, ge=1, le=20, description="of the likelihoods: 0.5 / k, k in deviations of a curve")
+    sharpness: int = Field(10, ge=1, le=40, description="of the likelihoods: 0.5 / k, k in deviations of a curve")
     levels: int = Field(
         1, ge=1, le=3, description="resolutions: every further one is half as fine and finds errors twice as large"
     )

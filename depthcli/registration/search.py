@@ -78,7 +78,7 @@ def search(
     spacing: float,
     radius: int = 5,
     half_window: int = 3,
-    sharpness: int = 5,
+    sharpness: int = 10,
     span: Span = "cube",
     every: bool = False,
     stride: int = 1,
