@@ -40,10 +40,27 @@ def structured(volume: NDArray[np.float32], inside: NDArray[np.bool_], share: fl
     return chosen[:: max(1, len(chosen) // _SAMPLES)]
 
 
+def expected(searches: list[Curves], measure: str, iso: float, sigma: float) -> NDArray[np.float32]:
+    """A measure in mm, averaged over searches and surroundings with the inverse variance of the displacement.
+
+    An error is smooth where a registration is, and the curves of places without texture, or of a feature that is blind
+    to it, say little. ``iso``: mm a voxel; ``sigma`` of the surroundings, places.
+    """
+    error = np.zeros_like(searches[0].variance)
+    total = np.zeros_like(error)
+    for curves in searches:
+        weight = np.reciprocal(curves.variance + np.float32(0.5 * iso**2))
+        # Windows that do not differ by half a level of the features are the same: nothing is in doubt there.
+        doubt = np.minimum(curves.maps["cost0"] * np.float32(2 * 255), 1)
+        error += gaussian(curves.maps[measure] * weight * doubt, sigma)
+        total += gaussian(weight, sigma)
+    return error / total
+
+
 def evidence_names(fine: int, coarse: int) -> list[str]:
     """What :func:`evidence` makes of so many searches."""
     names = [f"{name}_{k}" for k in range(fine + coarse) for name in _USED]
-    return [*names, *(f"smooth_{sigma:g}" for sigma in _SMOOTH), *(f"coarse_{k}" for k in range(coarse))]
+    return [*names, "mean", *(f"smooth_{sigma:g}" for sigma in _SMOOTH), *(f"coarse_{k}" for k in range(coarse))]
 
 
 def evidence(fine: list[Curves], coarse: list[Curves], iso: float, stride: int) -> tuple[Maps, NDArray[np.float32]]:
@@ -57,6 +74,7 @@ def evidence(fine: list[Curves], coarse: list[Curves], iso: float, stride: int) 
         for name in _USED:
             values = curves.maps[name]
             maps[f"{name}_{k}"] = -values if name in SURER_IF_LARGER else values
+    maps["mean"] = expected(fine + coarse, "eshift", iso, 2 / stride)
     floor = 0.5 * iso**2
     weights = [np.reciprocal(curves.variance + np.float32(floor)) for curves in fine]
     total = np.zeros_like(weights[0])

@@ -26,7 +26,8 @@ Search = Callable[[Volume, Volume], tuple[list[Curves], list[Curves]]]
 _ERRORS = ((0.5, 3.0), (1.0, 6.0), (2.0, 4.0), (2.0, 9.0))
 _SIDE = 48  # of a block, working voxels
 _MARGIN = 12  # what a block's face that is not the volume's spoils
-_SHARE, _FEWEST, _MOST = 0.3, 2, 8  # of the volume; blocks
+_SHARE, _FEWEST, _MOST = 0.25, 2, 12  # of the volume; blocks
+_EACH = 2  # errors put into one block
 _SAMPLES, _LEAST = 20_000, 1000
 _COARSE = 4  # a random field is made on every fourth voxel
 
@@ -105,8 +106,8 @@ def learn(
     known: list[NDArray[np.float32]] = []
     trusted: list[NDArray[np.bool_]] = []
     found_blocks = blocks(chosen, fixed.shape, stride, rng)
-    most = _SAMPLES // len(found_blocks)
-    for block in found_blocks:
+    most = _SAMPLES * len(_ERRORS) // (len(found_blocks) * _EACH)
+    for k, block in enumerate(found_blocks):
         part = np.ascontiguousarray(block.of(fixed), np.float32)
         steps = [1 / stride if n > 1 else 1.0 for n in fixed.shape]
         starts = [start * step for start, step in zip(block.start, steps, strict=True)]
@@ -118,7 +119,8 @@ def learn(
         aligned = found["smooth_2"] <= iso
         first = [start // (stride if n > 1 else 1) for start, n in zip(block.start, fixed.shape, strict=True)]
         inside = chosen[tuple(slice(a, a + n) for a, n in zip(first, aligned.shape, strict=True))][block.core]
-        for times, wave in _ERRORS:
+        for j in range(_EACH if len(found_blocks) > 1 else len(_ERRORS)):
+            times, wave = _ERRORS[(_EACH * k + j) % len(_ERRORS)]
             largest = min(max(times * usual, iso), reach)
             field = random_error(rng, block.shape, largest / iso, wave)
             displaced, error = misregister(warped, correction, field, block.start)

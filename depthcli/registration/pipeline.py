@@ -16,7 +16,7 @@ from depthcli.core.volumes import RegisteredPair
 from depthcli.io.forests import Forest
 from depthcli.kernels.jit import threads
 from depthcli.registration._volume import gaussian, resample
-from depthcli.registration.calibration import Maps, evidence, evidence_names, monotone, structured
+from depthcli.registration.calibration import Maps, evidence, evidence_names, expected, monotone, structured
 from depthcli.registration.feature import Feature
 from depthcli.registration.feature.mind import Mind
 from depthcli.registration.forest import check_forest, predict
@@ -226,7 +226,7 @@ class RegistrationConfidence(BaseModel):
         """Expected error (mm) and displacement, by a model fitted to errors put into the pair itself.
 
         The errors that are put in are smoother than those that a registration leaves, and teach the model to trust
-        its surroundings; what the search says of the place itself does not. The answer is their geometric mean.
+        its surroundings; what all searches together say of the place does less. The answer is their geometric mean.
         """
         maps, displacement = evidence(fine, coarse, iso, self.stride)
         structure = structured(_every(fixed, self.stride), chosen)
@@ -238,7 +238,7 @@ class RegistrationConfidence(BaseModel):
             lambda one, other: self._searches(one, other, iso, clock), self.seed,
         )  # fmt: skip
         learned = model(maps)
-        own, _ = self._error(fine, coarse, structure, iso)
+        own = expected(fine + coarse, "eshift", iso, self.smoothing / self.stride)
         clock.stop("calibration")
         return np.sqrt(learned * own), displacement
 
@@ -287,22 +287,10 @@ class RegistrationConfidence(BaseModel):
     def _error(
         self, fine: list[Curves], coarse: list[Curves], structure: NDArray[np.int64], iso: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Expected error (mm) and displacement, with the coarse searches where an error leaves the fine one.
-
-        An error is smooth where a registration is, and the curves of places without texture say little: what is
-        expected is averaged over features and surroundings, weighted by the inverse variance of the displacement.
-        """
+        """Expected error (mm) and displacement, with the coarse searches where an error leaves the fine one."""
         in_mm = self.measure if self.measure in IN_MILLIMETERS else "eshift"
         sigma = self.smoothing / self.stride
-        error = np.zeros_like(fine[0].variance)
-        total = np.zeros_like(error)
-        for curves in fine:
-            weight = np.reciprocal(curves.variance + np.float32(0.5 * iso**2))
-            # Windows that do not differ by half a level of the features are the same: nothing is in doubt there.
-            doubt = np.minimum(curves.maps["cost0"] * np.float32(2 * 255), 1)
-            error += gaussian(curves.maps[in_mm] * weight * doubt, sigma)
-            total += gaussian(weight, sigma)
-        error /= total
+        error = expected(fine, in_mm, iso, sigma)
         displacement = _mean([curves.displacement for curves in fine])
         for k, curves in enumerate(coarse):
             far = curves.maps[in_mm]
