@@ -129,7 +129,7 @@ def synthetic(items: list[VolumePairItem], presets: Iterable[str]) -> list[Table
     rows, done = [], set()
     methods: tuple[tuple[str, Callable[[], RegisterConfidenceConfig]], ...] = (
         ("mind", lambda: config("mind")), ("intensity", lambda: config("intensity")),
-        ("mind, intensity", lambda: config("mind", "features=[mind, intensity]")),
+        ("mind, intensity", lambda: config("intensity", "features=[mind, intensity]")),
         *([("self", lambda: config("self"))] if "self" in presets else []),
     )  # fmt: skip
     for item in items:
@@ -168,7 +168,7 @@ def varied(items: list[VolumePairItem], title: str, settings: Iterable[tuple[str
 
 def parameters(items: list[VolumePairItem]) -> list[Table]:
     chosen = [item for item in items if item.name.startswith("lung")]
-    changes = [(), *((f"sharpness={v}",) for v in (1, 2, 10)), *((f"half_window={v}",) for v in (2, 4)),
+    changes = [(), *((f"sharpness={v}",) for v in (1, 5, 20)), *((f"smoothing={v}",) for v in (0, 1, 4)), *((f"half_window={v}",) for v in (2, 4)),
                *((f"radius={v}",) for v in (4, 6, 7)), *((f"stride={v}",) for v in (1, 3))]  # fmt: skip
     return varied(chosen, "Parameters (k = 0.5 / sharpness)", changes)
 
@@ -287,7 +287,7 @@ def main() -> int:
     parser.add_argument(
         "--presets",
         nargs="+",
-        default=["mind", "intensity", "coarse", "self"],
+        default=["mind", "cost0", "intensity", "coarse", "self"],
         help="of `real`; of `synthetic` self can be left out",
     )
     parser.add_argument("--pairs", nargs="+", default=["*"])

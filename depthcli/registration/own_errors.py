@@ -23,10 +23,10 @@ Volume = NDArray[np.float32]
 Search = Callable[[Volume, Volume], tuple[list[Curves], list[Curves]]]
 
 # Errors put in: largest one in units of the pair's own, and correlation length, working voxels.
-_ERRORS = ((0.5, 3.0), (1.0, 6.0), (2.0, 4.0), (2.0, 9.0))
-_SIDE = 48  # of a block, working voxels
+_ERRORS = ((1.0, 3.0), (2.0, 6.0), (4.0, 4.0), (4.0, 9.0))
+_SIDE = 44  # of a block, working voxels
 _MARGIN = 12  # what a block's face that is not the volume's spoils
-_SHARE, _FEWEST, _MOST = 0.25, 2, 12  # of the volume; blocks
+_SHARE, _FEWEST, _MOST = 0.2, 2, 12  # of the volume; blocks
 _EACH = 2  # errors put into one block
 _SAMPLES, _LEAST = 20_000, 1000
 _COARSE = 4  # a random field is made on every fourth voxel
