@@ -168,8 +168,14 @@ def varied(items: list[VolumePairItem], title: str, settings: Iterable[tuple[str
 
 def parameters(items: list[VolumePairItem]) -> list[Table]:
     chosen = [item for item in items if item.name.startswith("lung")]
-    changes = [(), *((f"sharpness={v}",) for v in (1, 5, 20)), *((f"smoothing={v}",) for v in (0, 1, 4)), *((f"half_window={v}",) for v in (2, 4)),
-               *((f"radius={v}",) for v in (4, 6, 7)), *((f"stride={v}",) for v in (1, 3))]  # fmt: skip
+    values = {
+        "sharpness": (1, 5, 20),
+        "smoothing": (0, 1, 4),
+        "half_window": (2, 4),
+        "radius": (4, 6, 7),
+        "stride": (1, 3),
+    }
+    changes = [(), *((f"{key}={value}",) for key, tried in values.items() for value in tried)]
     return varied(chosen, "Parameters (k = 0.5 / sharpness)", changes)
 
 
