@@ -8,7 +8,7 @@ import pytest
 from depthcli.io.volumes import linear
 from depthcli.registration._volume import moved
 from depthcli.registration.calibration import fit, isotonic, monotone
-from depthcli.registration.own_errors import misregister, random_error
+from depthcli.registration.own_errors import blocks, misregister, random_error
 
 
 def test_isotonic_pools_what_falls():
@@ -35,6 +35,33 @@ def test_moved_is_linear_interpolation_with_repeated_borders():
         places = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij")) + field
         expected = linear(volume, places.reshape(3, -1).T.astype(float)).reshape(shape)
         np.testing.assert_allclose(moved(volume, field), expected, atol=1e-4)
+
+
+def test_a_part_is_moved_as_the_whole_is():
+    rng = np.random.default_rng(2)
+    volume = rng.standard_normal((9, 10, 11)).astype(np.float32)
+    field = (2 * rng.standard_normal((3, *volume.shape))).astype(np.float32)
+    part = (slice(2, 7), slice(3, 9), slice(4, 5))
+    found = moved(volume, field[(slice(None), *part)], (2, 3, 4))
+    np.testing.assert_allclose(found, moved(volume, field)[part], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("shape", "stride"), [((100, 90, 120), 2), ((60, 60, 60), 3), ((1, 200, 90), 2), ((20, 20, 20), 2)]
+)
+def test_blocks_lie_inside_and_their_cores_away_from_faces_that_are_not_the_volumes(shape, stride):
+    steps = [stride if n > 1 else 1 for n in shape]
+    chosen = np.ones([-(-n // step) for n, step in zip(shape, steps, strict=True)], bool)
+    found = blocks(chosen, shape, stride, np.random.default_rng(5))
+    assert found == blocks(chosen, shape, stride, np.random.default_rng(5))
+    assert len(found) == 1 if max(shape) <= 44 else len(found) >= 2
+    for block in found:
+        for start, side, core, n, step in zip(block.start, block.shape, block.core, shape, steps, strict=True):
+            assert 0 <= start <= start + side <= n and start % step == 0
+            first, last = start + core.start * step, start + (core.stop - 1) * step
+            assert first < last <= start + side - 1 or n == 1
+            assert first == 0 or first - start >= 12
+            assert n - 1 - last < step or start + side - 1 - last >= 11
 
 
 def test_the_error_put_in_is_the_one_reported():
