@@ -24,7 +24,7 @@ Search = Callable[[Volume, Volume], tuple[list[Curves], list[Curves]]]
 
 # Errors put in: largest one in units of the pair's own, and correlation length, working voxels.
 _ERRORS = ((1.0, 3.0), (2.0, 6.0), (4.0, 4.0), (4.0, 9.0))
-_SIDE = 44  # of a block, working voxels
+_SIDES = (40, 40, 64)  # of a block, working voxels: along x, whole vectors of the search at a stride of 2
 _MARGIN = 12  # what a block's face that is not the volume's spoils
 _SHARE, _FEWEST, _MOST = 0.2, 2, 12  # of the volume; blocks
 _EACH = 2  # errors put into one block
@@ -59,7 +59,7 @@ def blocks(chosen: NDArray[np.bool_], shape: tuple[int, ...], stride: int, rng: 
     chosen : (z, y, x) places of interest, at least one, at every ``stride``-th voxel
     shape : of the working grid
     """
-    size = [min(_SIDE, n) for n in shape]
+    size = [min(side, n) for side, n in zip(_SIDES, shape, strict=True)]
     wanted = round(_SHARE * float(np.prod(shape)) / float(np.prod(size)))
     count = 1 if size == list(shape) else min(max(wanted, _FEWEST), _MOST)
     found = []

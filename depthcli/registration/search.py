@@ -173,7 +173,10 @@ def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:
     width = min(widths, key=lambda w: -(-shape[2] // w) * (w + 8))
     cells = _SCRATCH // (2 * count)
     side = max(1, int(np.sqrt(cells / width)))
-    return min(shape[0], side, 32), min(shape[1], side, 32), min(shape[2], width)
+    z, y, x = min(shape[0], side, 32), min(shape[1], side, 32), min(shape[2], width)
+    if -(-shape[0] // z) * -(-shape[1] // y) * -(-shape[2] // x) < threads():
+        z = -(-shape[0] // threads())  # a small volume is for all threads, too
+    return z, y, x
 
 
 def _phases(channels: NDArray[np.uint8], width: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.uint8]:
