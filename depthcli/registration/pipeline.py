@@ -226,7 +226,8 @@ class RegistrationConfidence(BaseModel):
         """Expected error (mm) and displacement, by a model fitted to errors put into the pair itself.
 
         The errors that are put in are smoother than those that a registration leaves, and teach the model to trust
-        its surroundings; what all searches together say of the place does less. The answer is their geometric mean.
+        its surroundings; what all searches together say of the place does less. So they order the places, and the mm
+        are those of the geometric mean of both, pooled over places of one rank.
         """
         maps, displacement = evidence(fine, coarse, iso, self.stride)
         structure = structured(_every(fixed, self.stride), chosen)
@@ -239,8 +240,9 @@ class RegistrationConfidence(BaseModel):
         )  # fmt: skip
         learned = model(maps)
         own = expected(fine + coarse, "eshift", iso, self.smoothing / self.stride)
+        error = monotone(own, np.sqrt(learned * own), np.flatnonzero(chosen))
         clock.stop("calibration")
-        return np.sqrt(learned * own), displacement
+        return error, displacement
 
     def grid(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> WorkingGrid:
         """Shape of the working grid, its step and the place of its first voxel, in voxels of the fixed volume.
