@@ -6,6 +6,7 @@ import contextlib
 import fnmatch
 import os
 import shutil
+import time
 import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,6 +51,9 @@ class Work(Protocol):
 
     def settings(self, config: Any, item: Any, /) -> dict[str, str]:
         """What else the result depends on, beside the config."""
+
+    def effort(self, config: Any, item: Any, /) -> int | None:
+        """About how much work it is, in any unit; None: it follows the size of its files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +100,14 @@ def run_one(task: Task, work: Work, config: Any, limit: int) -> dict[str, Any]:
     """One item from its files to its folder; whatever goes wrong is the row's reason."""
     resources.reset_peak()
     row: dict[str, Any]
+    mine, lost = None, False
     try:
         task.item.check()
         task.hidden.mkdir(parents=True)
+        mine = os.open(task.hidden, os.O_RDONLY)  # open, so that no other folder gets its number
         outcome = work.compute(config, task.item, task.hidden, limit)
         _leave(task)
-        _install(task, outcome)
+        _install(task, outcome, mine)
         seconds = {name: round(value, 6) for name, value in outcome.seconds.items()}
         row = {"scene": task.item.name, "status": "done", "error": "", **outcome.facts, "seconds": seconds}
         row |= {"peak_memory": resources.peak_memory(), "source": task.source, "warnings": outcome.warnings}
@@ -118,8 +124,12 @@ def run_one(task: Task, work: Work, config: Any, limit: int) -> dict[str, Any]:
         row = failed_row(task, f"{BUG}{what}; the traceback is in {task.trace.name}, please report it")
     finally:
         memory.release()
+        # Of a run that has ended while its item was made: another one may have the item by now.
+        lost = mine is not None and not _is_open(task.hidden, mine)
+        if mine is not None:
+            os.close(mine)
         shutil.rmtree(task.hidden, ignore_errors=True)
-    if row["status"] == "failed":
+    if row["status"] == "failed" and not lost:
         # What an earlier run left for other inputs must not pass for this item's result.
         known = record.read_record(task.target)
         if known is not None:
@@ -136,11 +146,30 @@ def _leave(task: Task) -> None:
             path.unlink()
 
 
-def _install(task: Task, outcome: Outcome) -> None:
-    """Move a finished item into place, its record last."""
+def discard(folder: Path) -> None:
+    """Delete a folder in which items are made; who still writes there finds it gone as a whole, not file by file."""
+    away = folder.with_name(f"{folder.name}-{time.time_ns()}")
+    try:
+        folder.rename(away)
+    except OSError:
+        away = folder
+    shutil.rmtree(away, ignore_errors=True)
+
+
+def _is_open(folder: Path, opened: int) -> bool:
+    try:
+        return os.path.samestat(os.stat(folder), os.fstat(opened))
+    except OSError:
+        return False
+
+
+def _install(task: Task, outcome: Outcome, mine: int) -> None:
+    """Move a finished item into place, its record last; ``mine`` is the open folder that it was made in."""
     try:
         made = sorted(path for path in task.hidden.rglob("*") if path.is_file())
         files = {path.relative_to(task.hidden).as_posix(): record.file_digest(path) for path in made}
+        if not _is_open(task.hidden, mine):
+            raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
         known = {"scene": task.item.name, "run": task.run, "inputs": task.inputs, "files": files}
         record.write_record(task.hidden, {**known, "facts": outcome.facts})
         before = record.read_record(task.target)

@@ -44,7 +44,8 @@ def plan(
     other = record.holds_another(output, text)
     look = Inspector(work, config, output, run, options.keep)
     rows = []
-    for item in items if options.shard is None else options.shard.of(items):
+    own = items if options.shard is None else options.shard.of(items, lambda item: work.effort(config, item))
+    for item in own:
         row: dict[str, Any] = {"scene": item.name, "status": BROKEN, "memory": None, "problem": item.problem}
         if not item.problem:
             task = Task(item, output, output, 0, run, *look.inputs(item))

@@ -11,7 +11,6 @@ import contextlib
 import os
 import platform
 import re
-import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from typing import Any
 from depthcli.batch import record, resources
 from depthcli.batch.making import BUG as BUG
 from depthcli.batch.making import Outcome as Outcome
-from depthcli.batch.making import Task, Work, failed_row, remove, run_one
+from depthcli.batch.making import Task, Work, discard, failed_row, remove, run_one
 from depthcli.batch.report import ReportWriter, row_of
 from depthcli.batch.reporter import Reporter
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock, Shard
@@ -44,6 +43,7 @@ class Options:
     shard : the part of the items that this process does, beside others in the same folder; None: all, alone
     fail_fast : stop at the first item that fails
     keep : shell patterns of the files that stay of an item; none: all
+    scheduler : of a dask.distributed cluster whose workers compute; None: this machine does
     """
 
     jobs: int = 1
@@ -53,6 +53,7 @@ class Options:
     shard: Shard | None = None
     fail_fast: bool = False
     keep: tuple[str, ...] = ()
+    scheduler: str | None = None
 
     def threads_each(self) -> int:
         """Threads of one worker."""
@@ -88,9 +89,9 @@ def run_items(
     OutputError
         The folder cannot be used.
     IncompleteError
-        Everything was computed, but the report cannot be written.
+        Everything was computed, but the report cannot be written; or the scheduler was lost.
     """
-    own = list(items) if options.shard is None else options.shard.of(items)
+    own = list(items) if options.shard is None else options.shard.of(items, lambda item: work.effort(config, item))
     _check_names(work, config, own, output)
     text = record.run_text(work.name, config)
     with FolderLock(output, options.shard is not None, reporter.info) as lock:
@@ -162,7 +163,7 @@ def run_items(
             for task in tasks:
                 if task.item.name in rows:
                     rows[task.item.name] = _still_there(task, rows[task.item.name])
-            shutil.rmtree(making, ignore_errors=True)
+            discard(making)
             writer.close(lock)
             if lock.alone:
                 _clean(output)
@@ -249,7 +250,7 @@ def _clean(output: Path) -> None:
     """Remove what killed runs left."""
     for leftover in (*output.glob(f"{_HIDDEN}*"), *output.glob(".*.partial~"), output / LOCKS_FILE):
         if leftover.is_dir() and not leftover.is_symlink():
-            shutil.rmtree(leftover, ignore_errors=True)
+            discard(leftover)
         else:
             with contextlib.suppress(OSError):
                 leftover.unlink(missing_ok=True)
@@ -274,6 +275,11 @@ def _compute(
     from depthcli.batch import workers
 
     if not tasks:
+        return
+    if options.scheduler is not None:
+        from depthcli.batch import cluster
+
+        yield from cluster.compute(tasks, work, config, options, reporter, claim)
         return
     jobs = min(options.jobs, len(tasks))
     if jobs > 1:

@@ -36,11 +36,24 @@ class Shard:
     def __str__(self) -> str:
         return f"{self.index}-of-{self.count}"
 
-    def of(self, items: Sequence[Item]) -> list[Item]:
-        """Its items: the same division in every process, by how large their files are."""
+    def of(self, items: Sequence[Item], effort: Callable[[Item], int | None] = lambda item: None) -> list[Item]:
+        """Its items: the same division in every process.
+
+        Parameters
+        ----------
+        effort : about how much an item takes, in any unit; where it is not known of one, the sizes of all items' files
+            are taken instead
+        """
         parts = [(0, number) for number in range(1, self.count + 1)]
         mine = []
-        for size, item in sorted(((_bytes(item), item) for item in items), key=lambda pair: (-pair[0], pair[1].name)):
+        efforts: list[int] = []
+        for item in items:
+            needs = 0 if item.problem else effort(item)
+            if needs is None:
+                efforts = [_bytes(item) for item in items]
+                break
+            efforts.append(needs)
+        for size, item in sorted(zip(efforts, items, strict=True), key=lambda pair: (-pair[0], pair[1].name)):
             load, number = heapq.heappop(parts)
             if number == self.index:
                 mine.append(item)

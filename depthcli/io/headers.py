@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from depthcli.core.errors import InputError
-from depthcli.io.files import naming, read_bytes
+from depthcli.io.files import naming, open_regular, read_bytes
 from depthcli.io.npy import NPY_MAGIC, npy_shape
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ _PFM_GAP = rb"\s+(?:#[^\n]*\n\s*)*"
 _PFM_HEADER = re.compile(rb"(P[fF])" + (_PFM_GAP + rb"(\d{1,9})") * 2 + _PFM_GAP + rb"([-+0-9.eE]{1,40})(?:\r\n|\s)")
 
 _MOST_DECODED = 1 << 31
+_PEEKED = 1 << 14
 # The densest codes: 12 bits of LZW stand for up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
 _DENSEST = 3000
 _SIZE_TAGS, _BITS_TAG, _SAMPLES_TAG, _TILE_TAGS = (256, 257), 258, 277, (322, 323)
@@ -124,6 +125,15 @@ def image_size(source: Path | str | bytes) -> ImageSize:
     if not (size.height > 0 and size.width > 0):
         raise InputError(f"damaged image ({size.width} x {size.height} pixels)")
     return size
+
+
+def peeked_size(path: Path) -> ImageSize | None:
+    """Size of an image or map from the first bytes of its file; None where they do not tell."""
+    try:
+        with open_regular(path) as file:
+            return image_size(file.read(_PEEKED))
+    except InputError:
+        return None
 
 
 def check_size(size: ImageSize, stored: int, max_bytes: int | None) -> None:

@@ -38,6 +38,7 @@ HOW = (
     Option("overwrite", bool, "Replace what an earlier run with another config left.", default=False),
     Option("keep", str, "Files that stay of a scene, such as disp_left.pfm,status.png. Default: all.", "NAMES"),
     Option("shard", str, "Part I of N of the scenes, beside others in one folder. Default: Slurm's job array.", "I/N"),
+    Option("scheduler", str, "Compute on the workers of a dask.distributed cluster.", "tcp://HOST:PORT"),
     Option("fail_fast", bool, "Stop at the first scene that fails.", default=False),
     Option("list_scenes", bool, "Print the names of the scenes; compute nothing.", default=False),
 )
@@ -66,6 +67,10 @@ class BatchCommand(Command):
         """What else the result depends on, beside the config: facts that the layout found."""
         return {}
 
+    def effort(self, config: Any, item: Any) -> int | None:
+        """About how much work an item is, in any unit, told quickly; None: it follows the size of its files."""
+        return None
+
     def run_on(self, config: Any, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> int:
         """The batch itself, its table and report; the exit code."""
         if values.get("dry_run"):
@@ -76,7 +81,7 @@ class BatchCommand(Command):
 
         options = run_options(values)
         if values["list_scenes"]:
-            own = items if options.shard is None else options.shard.of(items)
+            own = items if options.shard is None else options.shard.of(items, lambda item: self.effort(config, item))
             names = [item.name for item in own]
             if values["json"]:
                 reporter.data(record.to_json({"command": self.name, "scenes": names}))
@@ -255,8 +260,12 @@ def run_options(values: Mapping[str, Any]) -> Any:
     shard = parse_shard(values["shard"], os.environ)
     if shard is not None and _evaluates(values):
         raise ConfigError("--evaluate wants all scenes: run depthcli evaluate when all shards are done")
+    scheduler = values["scheduler"]
+    if scheduler is not None and values["jobs"] != 1:
+        raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
     keep = tuple(name.strip() for name in (values["keep"] or "").split(",") if name.strip())
-    return Options(values["jobs"], values["threads"], memory, values["overwrite"], shard, values["fail_fast"], keep)
+    return Options(values["jobs"], values["threads"], memory, values["overwrite"], shard, values["fail_fast"], keep,
+                   scheduler)  # fmt: skip
 
 
 def _evaluates(values: Mapping[str, Any]) -> bool:

@@ -54,6 +54,18 @@ class PairCommand(ConfigCommand):
             return None
         return self.peak_bytes(config, shape_of(item.left), top - low)
 
+    def effort(self, config: Any, item: StereoItem) -> int | None:
+        """Pixels times disparities, from the beginning of the left image's file."""
+        from depthcli.io.headers import peeked_size
+
+        size = peeked_size(item.left)
+        if size is None:
+            return None
+        low, top = asked_range(config, item)
+        # Ranges by key points are in proportion to the width.
+        span = top - low if isinstance(low, int) and isinstance(top, int) else size.width // 4
+        return size.height * size.width * max(span + 1, 1)
+
     def columns(self) -> tuple[Column, ...]:
         """Size of the map, share of pixels with a value, share that was measured rather than filled."""
         from depthcli.batch.tables import SIZE, Column, percent

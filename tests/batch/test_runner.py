@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from depthcli.batch import record
+from depthcli.batch.making import Task, discard, run_one
 from depthcli.batch.record import RECORD_FILE
 from depthcli.batch.reporter import Reporter
 from depthcli.batch.runner import Options, Outcome, run_items
@@ -400,3 +402,31 @@ def test_of_many_items_the_table_shows_failures_and_totals():
     assert "59 done" in lines[-1]
     assert "60.00" in lines[-1]
     assert len(run_table(rows[:50], ()).splitlines()) == 51
+
+
+def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path: Path):
+    """A worker of a cluster may outlive its run: its half item must not pass for a whole one, nor remove another's."""
+    made = dict.fromkeys(("a.txt", "b.txt"), "whole")
+    gone = []
+
+    class Slow(Repeat):
+        def compute(self, config, item, folder, memory):
+            for number, (name, text) in enumerate(made.items()):
+                if number == 1 and not gone:
+                    gone.append(folder)
+                    discard(folder.parent)  # the run ends, and the next one makes the item
+                    assert run_one(task(tmp_path / "next"), self, config, memory)["status"] == "done"
+                folder.mkdir(parents=True, exist_ok=True)  # as the writers of files do
+                (folder / name).write_text(text)
+            return Outcome()
+
+    def task(place: Path) -> Task:
+        item = Text(name="item", folder=tmp_path, file=tmp_path / "item.txt")
+        return Task(item, tmp_path / "run", place, 0, "run", {}, "")
+
+    row = run_one(task(tmp_path / "making"), Slow(), None, 1 << 30)
+    assert row["status"] == "failed"
+    assert "the run has ended" in row["error"]
+    known = record.read_record(tmp_path / "run/item")
+    assert set(known["files"]) == set(made)
+    assert record.is_done(tmp_path / "run/item", "run", {}, known)

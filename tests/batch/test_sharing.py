@@ -11,6 +11,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from depthcli.batch import record
@@ -18,7 +19,10 @@ from depthcli.batch.report import joined_rows
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock, Shard, parse_shard
 from depthcli.cli import main
 from depthcli.core.errors import ConfigError
+from depthcli.io.images import write_png
 from depthcli.io.items.stereo import StereoItem
+from depthcli.jobs.stereo import COMMAND as STEREO
+from depthcli.stereo.config import StereoConfig
 
 FAST = "opencv-bm"
 
@@ -62,6 +66,34 @@ def test_what_a_shard_is():
     for text in ("0/4", "5/4", "3", "a/b", "-1/4", "1/0"):
         with pytest.raises(ConfigError, match="want part/parts"):
             parse_shard(text, {})
+
+
+def test_shards_are_balanced_by_pixels_and_disparities(tmp_path: Path):
+    """A large flat image takes longer than a small one of noise, whatever their files take."""
+    rng = np.random.default_rng(0)
+    config = StereoConfig.model_validate({"pipeline": "opencv-bm"})
+    items = []
+    for number in range(24):
+        large = number % 4 == 0
+        image = np.zeros((80, 120), np.uint8) if large else rng.integers(0, 256, (20, 30)).astype(np.uint8)
+        file = tmp_path / f"{number:02}.png"
+        write_png(file, image)
+        items.append(StereoItem(name=file.stem, folder=tmp_path, left=file, max_disparity=40 if large else 10))
+    assert items[0].left.stat().st_size < items[1].left.stat().st_size
+
+    def effort(item: StereoItem) -> int | None:
+        return STEREO.effort(config, item)
+
+    assert [effort(item) for item in items[:2]] == [80 * 120 * 41, 20 * 30 * 11]
+    parts = [Shard(index, 3).of(items, effort) for index in (1, 2, 3)]
+    assert sorted(item.name for part in parts for item in part) == [item.name for item in items]
+    assert [sum(item.max_disparity == 40 for item in part) for part in parts] == [2, 2, 2]
+    wide = config.model_copy(update={"max_disparity": 10})
+    assert STEREO.effort(wide, items[0]) == 80 * 120 * 11
+    # Of one file the header does not tell: all go by their files' sizes, alike in every process.
+    items[5].left.write_bytes(b"no image")
+    assert effort(items[5]) is None
+    assert [Shard(k, 3).of(items, effort) for k in (1, 2, 3)] == [Shard(k, 3).of(items) for k in (1, 2, 3)]
 
 
 def test_shards_are_apart_complete_and_balanced(tmp_path: Path):

@@ -1,0 +1,125 @@
+"""A real scheduler and two workers on this machine: the same bytes, whoever is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from depthcli.batch import record
+from depthcli.cli import main
+
+PRESET = "opencv-sgbm"
+SCENES = 48
+
+
+class Cluster:
+    """Processes of dask.distributed, which find each other by a file."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.file = folder, folder / "scheduler.json"
+        self.scheduler = self._start("dask_scheduler", "--host", "127.0.0.1", "--port", "0")
+        while not (self.file.exists() and self.file.stat().st_size):
+            assert self.scheduler.poll() is None, (folder / "log").read_text()
+            time.sleep(0.05)
+        self.address: str = json.loads(self.file.read_text())["address"]
+        self.workers = [self._start("dask_worker", "--no-nanny", "--nthreads", "1") for _ in range(2)]
+
+    def _start(self, program: str, *options: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.{program}", "--no-dashboard", "--scheduler-file", self.file]
+        with (self.folder / "log").open("a") as log:
+            return subprocess.Popen([*command, *options], stdout=log, stderr=log, cwd=self.folder)
+
+    def close(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cluster]:
+    pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
+    # The workers run elsewhere than this process and must find the package that is tested.
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(record.__file__).parents[2]), *sys.path]))
+    (tmp_path / "dask").mkdir()
+    made = Cluster(tmp_path / "dask")
+    yield made
+    made.close()
+
+
+def start(*arguments: str | Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "depthcli", *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file but the reports, hidden ones included."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in record.REPORT_FILES)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+
+def wait_for(folder: Path, scenes: int, process: subprocess.Popen[Any]) -> None:
+    """Until so many scenes are done; the run must not be over by then."""
+    end = time.monotonic() + 120
+    while len(list(folder.glob(f"*/{record.RECORD_FILE}"))) < scenes:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    return json.loads((folder / "report.json").read_text())["scenes"]
+
+
+def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    scenes, whole, output = tmp_path / "scenes", tmp_path / "whole", tmp_path / "run"
+    size = ("-n", str(SCENES), "--width", "96", "--height", "72", "--max-disparity", "12")
+    assert main(["sample", "-o", str(scenes), *size, "-q"]) == 0
+    assert main(["stereo", PRESET, "-i", str(scenes), "-o", str(whole), "-q"]) == 0
+    command = ("stereo", PRESET, "-i", scenes, "-o", output, "--scheduler", cluster.address)
+
+    run = start(*command)
+    wait_for(output, 5, run)
+    os.kill(cluster.workers[0].pid, signal.SIGKILL)
+    _, said = run.communicate(timeout=120)
+    assert run.returncode == 0, said
+    assert "workers at tcp://" in said
+    assert f"{SCENES} of {SCENES} scenes done" in said
+    assert contents(output) == contents(whole)
+    assert [row["scene"] for row in rows(output)] == [row["scene"] for row in rows(whole)]
+    assert sum(bool(row["seconds"]) for row in rows(output)) >= SCENES - 10
+
+    # Some scenes are to do again, the scheduler goes: what is done is reported, the rest can be resumed, by anyone.
+    again = sorted(path.parent.name for path in output.glob(f"*/{record.RECORD_FILE}"))[:40]
+    for name in again:
+        (output / name / record.RECORD_FILE).unlink()
+    run = start(*command)
+    wait_for(output, SCENES - 36, run)
+    os.kill(cluster.scheduler.pid, signal.SIGKILL)
+    _, said = run.communicate(timeout=120)
+    assert run.returncode == 3, said
+    assert "the scheduler was lost" in said
+    assert "Traceback" not in said, said
+    done = {row["scene"] for row in rows(output)}
+    assert SCENES - 40 < len(done) < SCENES
+    capfd.readouterr()
+    assert main(["stereo", PRESET, "-i", str(scenes), "-o", str(output)]) == 0
+    assert "scenes are done already" in capfd.readouterr().err
+    assert contents(output) == contents(whole)
+
+
+def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], made_scenes: Path):
+    pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
+    command = ["stereo", PRESET, "-i", str(made_scenes), "-o", str(tmp_path / "run"), "-q"]
+    assert main([*command, "--scheduler", "nonsense://x"]) == 2
+    assert "no scheduler answers there" in capsys.readouterr().err
+    assert main([*command, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"]) == 2
+    assert "exclude each other" in capsys.readouterr().err
