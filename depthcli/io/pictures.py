@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,7 @@ def write_status(path: Path | str, status: NDArray[np.uint8], palette: Palette) 
     if status.ndim != 2 or status.dtype != np.uint8:
         raise ValueError(f"want (H, W) uint8, got {status.shape} {status.dtype}")
     picture = Image.frombytes("P", status.shape[::-1], np.ascontiguousarray(status).tobytes())
-    picture.putpalette(bytes(channel for value in range(256) for channel in status_color(value, palette)))
+    picture.putpalette(_all_colors(tuple(palette.items())))
     _save(path, picture)
 
 
@@ -101,6 +102,13 @@ def status_color(value: int, palette: Palette) -> tuple[int, int, int]:
         mixed = mixed + _TINT * (color - mixed)
     red, green, blue = (int(channel) for channel in np.rint(mixed))
     return red, green, blue
+
+
+@cache
+def _all_colors(entries: tuple[tuple[int, tuple[str, tuple[int, int, int]]], ...]) -> bytes:
+    """Colors of all 256 values, of a palette's items: made once, not for each of many small maps."""
+    palette = dict(entries)
+    return bytes(channel for value in range(256) for channel in status_color(value, palette))
 
 
 def status_words(value: int, palette: Palette) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -317,3 +318,26 @@ def test_shards_and_evaluation_exclude_each_other(made_scenes: Path, tmp_path: P
     assert "want part/parts" in capsys.readouterr().err
     assert run("merge", tmp_path / "absent") == 2
     assert run("merge", made_scenes.parent) == 2
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash, which runs the job script")
+def test_the_job_array_of_slurm(made_scenes: Path, whole: Path, tmp_path: Path):
+    """The script that sbatch takes, its tasks one after the other as a job array would start them."""
+    script = Path(__file__).parents[2] / "scripts/cluster/shards.sbatch"
+    out = tmp_path / "run"
+    slurm = {"SLURM_ARRAY_TASK_COUNT": "3", "SLURM_ARRAY_TASK_MIN": "1", "SLURM_CPUS_PER_TASK": "1"}
+    more = {"DEPTHCLI": f"{sys.executable} -m depthcli"}
+    done = []
+    for task in ("1", "2", "3"):
+        environment = os.environ | slurm | more | {"SLURM_ARRAY_TASK_ID": task}
+        command = ["bash", str(script), FAST, str(made_scenes), str(out)]
+        process = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert (process.returncode, process.stderr) == (0, "")
+        done.append(len(report(out)))
+    assert 0 < done[0] < done[1] < done[2] == len(report(whole))
+    assert contents(out) == contents(whole)
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("SLURM_")}
+    for words, missing in (([], "usage"), ([FAST, str(made_scenes), str(out)], "job array")):
+        process = subprocess.run(["bash", str(script), *words], env=plain, capture_output=True, text=True, check=False)
+        assert process.returncode != 0
+        assert missing in process.stderr
