@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from depthcli.stereo.rectification import Points
 
 _DOUBTFUL = 1.0  # median row error of a calibrated pair above which a scene says so, pixels
+_FLAT = 1.0  # spread of the disparities below which a pair without calibration says so, pixels
 
 
 def calibration_files(calibration: Calibration | None) -> dict[str, Path]:
@@ -77,10 +78,13 @@ def match_rows(left: NDArray[Any], right: NDArray[Any]) -> tuple[Points, Points]
 
 def row_errors(points: tuple[Points, Points], rig: Any) -> tuple[dict[str, Any], list[str]]:
     """How far the rows of matched points are apart before and after, and a warning where that is too much."""
+    import numpy as np
+
     from depthcli.core.stereo_rig import RectifiedRig
     from depthcli.stereo.rectification import row_error
 
-    after = _rounded(row_error(*rig.points(*points)))
+    moved = rig.points(*points)
+    after = _rounded(row_error(*moved))
     facts = {"matches": len(points[0]), "row_error_before": _rounded(row_error(*points)), "row_error": after}
     warnings = []
     if isinstance(rig, RectifiedRig) and (after or 0) > _DOUBTFUL:
@@ -88,6 +92,13 @@ def row_errors(points: tuple[Points, Points], rig: Any) -> tuple[dict[str, Any],
             f"the rows of half of the {len(points[0])} matched key points are still more than {after:.1f} px apart; "
             "is it the calibration of these images?"
         )
+    if not isinstance(rig, RectifiedRig) and len(points[0]):
+        low, high = np.quantile(moved[0][:, 0] - moved[1][:, 0], (0.05, 0.95))
+        if high - low < _FLAT:
+            warnings.append(
+                f"the disparities of most matched key points lie within {high - low:.1f} px: the cameras stand at one "
+                "place, or see one flat thing; there is no depth to be found"
+            )
     return facts, warnings
 
 

@@ -278,6 +278,19 @@ def test_a_calibration_that_is_none_is_told_in_a_line(
     assert not (tmp_path / "run/room").exists()
 
 
+def test_a_turned_camera_is_no_second_one(pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    left = read_image(pinhole.left)
+    matrix = np.array([[200.0, 0, 119.5], [0, 200, 89.5], [0, 0, 1]])
+    turned = cv2.warpPerspective(left, matrix @ rotation(2, 3, 1) @ np.linalg.inv(matrix), SIZE, flags=cv2.INTER_CUBIC)
+    write_png(tmp_path / "turned.png", turned)
+    images = ("--left", pinhole.left, "--right", tmp_path / "turned.png", "--name", "room")
+    assert run("rectify", *images, "--uncalibrated", "-o", tmp_path / "scenes") == 0
+    assert "there is no depth to be found" in capsys.readouterr().err
+    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room")
+    assert run("rectify", *images, "--uncalibrated", "-o", tmp_path / "other") == 0
+    assert "no depth" not in capsys.readouterr().err
+
+
 def test_fisheye_lenses(fish: Shot, tmp_path: Path):
     calibration = opencv(tmp_path / "c.yml", fish.rig)
     images = ("--left", fish.left, "--right", fish.right, "--name", "room", "--calibration", calibration)
