@@ -10,12 +10,17 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
 from depthcli.batch import record
+from depthcli.batch.cluster import _Cluster
+from depthcli.batch.making import Task
+from depthcli.batch.reporter import Reporter
+from depthcli.batch.runner import Options
 from depthcli.cli import main
+from depthcli.io.items.stereo import StereoItem
 
 PRESET = "opencv-sgbm"
 SCENES = 48
@@ -123,3 +128,53 @@ def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, capsys: pytest.Cap
     assert "no scheduler answers there" in capsys.readouterr().err
     assert main([*command, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"]) == 2
     assert "exclude each other" in capsys.readouterr().err
+
+
+class KilledWorker(Exception):  # noqa: N818
+    """Called as distributed's own, which comes back where several workers died with the same chunk."""
+
+
+class Lost:
+    """A future whose workers died whenever it held one of ``deadly``."""
+
+    def __init__(self, chunk: list[Task], deadly: set[str]) -> None:
+        self.chunk, self.bad = chunk, any(task.item.name in deadly for task in chunk)
+        self.status = "error" if self.bad else "finished"
+
+    def done(self) -> bool:
+        return True
+
+    def exception(self) -> Exception:
+        return KilledWorker()
+
+    def result(self) -> tuple[list[dict[str, Any]], int, float]:
+        return [{"scene": task.item.name, "status": "done", "seconds": {"a": 0.01}} for task in self.chunk], 0, 0.0
+
+
+def test_a_scene_that_kills_its_workers_fails_alone(tmp_path: Path):
+    class Client:
+        sent: ClassVar[list[int]] = []
+
+        def submit(self, function: Any, chunk: list[Task], *rest: Any, **more: Any) -> Lost:
+            self.sent.append(len(chunk))
+            return Lost(chunk, {"b"})
+
+    items = [StereoItem(name=name, folder=tmp_path, left=tmp_path / f"{name}.png") for name in "abc"]
+    tasks = [Task(item, tmp_path, tmp_path, 0, "run", {}, "") for item in items]
+    cluster = _Cluster(Client(), None, None, Options())
+    cluster.submit(tasks)
+    rows: dict[str, dict[str, Any]] = {}
+    for _ in range(2):
+        for (found, _kernels, _seconds), left in cluster.finished(Reporter(-1)):
+            rows |= {row["scene"]: row for row in found}
+            assert not left
+    assert Client.sent == [3, 1, 1, 1]
+    assert {name: row["status"] for name, row in rows.items()} == {"a": "done", "b": "failed", "c": "done"}
+    assert "its worker died several times" in rows["b"]["error"]
+    cluster.workers = 2
+    assert cluster.chunk(10_000) == 500  # of 10 ms each
+    assert cluster.chunk(40) == 10
+    cluster.each = 2.0
+    assert cluster.chunk(10_000) == 2
+    cluster.each = 60.0
+    assert cluster.chunk(10_000) == 1
