@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import threading
 import weakref
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,17 @@ def keep_freed_memory() -> None:
     mallopt(mmap_threshold, 32 << 20)
 
 
+def _find_trim() -> Callable[[int], int] | None:
+    """What gives back the freed memory that the C library keeps (glibc only)."""
+    try:
+        trim: Callable[[int], int] = ctypes.CDLL(None).malloc_trim
+    except (AttributeError, OSError, TypeError):
+        return None
+    return trim
+
+
 keep_freed_memory()
+_trim = _find_trim()
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
@@ -64,7 +75,15 @@ def _give(block: NDArray[np.uint8]) -> None:
             _free.pop(0)
 
 
+def kept() -> int:
+    """Bytes of free blocks that are held back."""
+    with _lock:
+        return sum(block.size for block in _free)
+
+
 def release() -> None:
     """Return every free block to the operating system (between scenes of different size)."""
     with _lock:
         _free.clear()
+    if _trim is not None:
+        _trim(0)

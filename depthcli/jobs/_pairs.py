@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from depthcli.core.frames import StereoPair
     from depthcli.core.maps import DisparityMap
     from depthcli.io.pictures import Palette
+    from depthcli.stereo.large import Matcher
     from depthcli.stereo.search_range import SearchRange
     from depthcli.stereo.volume import StereoResult
 
@@ -42,6 +43,10 @@ class PairCommand(ConfigCommand):
     def facts(self, config: Any) -> dict[str, Any]:
         """What else the report says of every scene."""
         return {}
+
+    def in_tiles(self, config: Any) -> Matcher | None:
+        """What can match a pair in tiles; None where nothing can."""
+        return None
 
     def memory_of(self, config: Any, item: StereoItem) -> int | None:
         """By the size of the left image; None where key points tell the range; InputError where nothing does."""
@@ -118,6 +123,7 @@ class PairCommand(ConfigCommand):
         """
         import numpy as np
 
+        from depthcli.batch.resources import show_bytes
         from depthcli.batch.runner import Outcome
         from depthcli.core.maps import Status
         from depthcli.core.result import Clock
@@ -136,9 +142,10 @@ class PairCommand(ConfigCommand):
         search, said = _search_range(config, item, pair)
         clock.stop("range")
         shifted = search.shift(pair)
-        self._check_memory(config, shifted, search.last, memory)
-        clock.stop("load")
-        result = search.restore(self.match(config, item, shifted, search.last), pair.shape[1])
+        matched = self._within(config, item, shifted, search.last, memory)
+        tiles = matched.figures.get("tiles", 0)
+        result = search.restore(matched, pair.shape[1])
+        del matched
         clock.stop("other")
         clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
         status = result.disparity.status
@@ -162,17 +169,28 @@ class PairCommand(ConfigCommand):
             del clock.seconds["range"]
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
         warnings += [*_warnings(pair, measured), *_range_warnings(result.disparity, search, said)]
+        if tiles and not result.figures["exact"]:
+            warnings.append(
+                f"matched in {tiles:.0f} tiles at {result.figures['levels']:.0f} sizes, since {show_bytes(memory)} of "
+                "memory may be used: with more the map is another one"
+            )
         return Outcome(facts, seconds, warnings)
 
-    def _check_memory(self, config: Any, pair: StereoPair, top: int, memory: int) -> None:
+    def _within(self, config: Any, item: StereoItem, pair: StereoPair, top: int, memory: int) -> StereoResult:
+        """Match the pair whole or, where that needs too much memory or the config says so, in tiles."""
         from depthcli.batch.resources import show_bytes
+        from depthcli.stereo.large import match_in_tiles
 
         need = self.peak_bytes(config, pair.shape, top)
+        matcher = None if config.tiles == "never" else self.in_tiles(config)
+        if matcher is not None and (need > memory or config.tiles == "always"):
+            return match_in_tiles(matcher, pair, top, memory)
         if need > memory:
             raise InputError(
                 f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, "
                 f"{top + 1} disparities), {show_bytes(memory)} may be used; see --max-memory, --jobs, --max-disparity"
             )
+        return self.match(config, item, pair, top)
 
 
 def asked_range(config: Any, item: StereoItem) -> tuple[int | str, int | str | None]:

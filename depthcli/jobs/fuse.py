@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from depthcli.core.frames import StereoPair
+    from depthcli.stereo.large import Matcher
     from depthcli.stereo.volume import StereoResult
 
 
@@ -38,6 +39,11 @@ class FuseCommand(PairCommand):
         volumes = {name: read_cost_volume(file) for name, file in self._volumes(config, item).items()}
         result: StereoResult = config(pair, top, volumes)
         return result
+
+    def in_tiles(self, config: Any) -> Matcher | None:
+        """Fusion can, but there are no volumes made elsewhere of tiles and smaller sizes."""
+        matcher: Matcher | None = config if all(measure.volume is None for measure in config.measures) else None
+        return matcher
 
     def peak_bytes(self, config: Any, shape: tuple[int, int], top: int) -> int:
         """As fusion says."""

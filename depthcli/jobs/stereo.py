@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from depthcli.core.frames import StereoPair
     from depthcli.device import Device
+    from depthcli.stereo.large import Matcher
     from depthcli.stereo.volume import StereoResult
 
 _DEVICE = Option(
@@ -78,6 +79,11 @@ class StereoCommand(PairCommand):
         if twin is None:
             where = f"cpu: {config.pipeline.method_name()} has no kernels for {where}"
         return {"device": where}
+
+    def in_tiles(self, config: Any) -> Matcher | None:
+        """Any pipeline can, on this machine's memory."""
+        matcher: Matcher | None = config.pipeline if config.device == "cpu" else None
+        return matcher
 
     def peak_bytes(self, config: Any, shape: tuple[int, int], top: int) -> int:
         """By the config's pipeline; what it holds on a device is not this machine's memory."""

@@ -20,6 +20,14 @@ MinDisparity = Annotated[
     Field(description="smallest disparity searched, pixels; auto: by matched key points; null: the scene's, else 0"),
 ]
 
+Tiles = Annotated[
+    Literal["auto", "always", "never"],
+    Field(
+        description="match in tiles, coarse to fine where the method is not local; auto: where the memory that may be "
+        "used does not suffice for the whole pair"
+    ),
+]
+
 
 class Calibration(BaseModel):
     """A calibration of two cameras, and how their images are rectified by it; a file's name alone is enough."""
@@ -74,6 +82,7 @@ class StereoConfig(RootConfig):
     min_disparity: MinDisparity = None
     calibration: CalibrationFiles = None
     device: str = Field("cpu", description="where to match: cpu, auto, opencl, cuda, opencl:N or cuda:N")
+    tiles: Tiles = "auto"
 
     @model_validator(mode="after")
     def _has_a_range(self) -> StereoConfig:

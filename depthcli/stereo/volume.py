@@ -41,18 +41,35 @@ class CostVolume:
 
 
 @dataclass(frozen=True)
+class CostMinima:
+    """What is left of a cost volume that was never whole: of pixels matched in parts.
+
+    Attributes
+    ----------
+    left : (H, W) uint16, disparities of the cheapest cells
+    minima : (H, W) float32, minima of the parabolas through these cells and those beside them; the disparity itself
+        where it is no local minimum
+    disparities : number of disparities searched
+    """
+
+    left: NDArray[np.uint16]
+    minima: NDArray[np.float32]
+    disparities: int
+
+
+@dataclass(frozen=True)
 class Evidence:
     """What refinement steps may look at beside the map they refine.
 
     Attributes
     ----------
     pair : the images
-    volume : the volume whose cheapest cells the map holds
+    volume : the volume whose cheapest cells the map holds; steps that do without costs may also get what is left of it
     right : (H, W) disparities of the right view, read from the same volume along its diagonals
     """
 
     pair: StereoPair
-    volume: CostVolume
+    volume: CostVolume | CostMinima
     right: NDArray[Any]
 
     def __post_init__(self) -> None:

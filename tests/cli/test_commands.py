@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -171,6 +172,13 @@ def test_a_scene_that_would_not_fit_fails_before_it_starts(made_scenes, tmp_path
     rc = run(
         "stereo", "opencv-sgbm", "-i", made_scenes, "-o", tmp_path / "r", "--scenes", "planes_0", "--max-memory", "2G"
     )
+    assert rc == 3
+    err = capsys.readouterr().err
+    assert re.search(r"planes_0: needs at least 33\d\d MiB of memory even in tiles, 1907 MiB may be used", err)
+    rc = run(
+        "stereo", "opencv-sgbm", "-i", made_scenes, "-o", tmp_path / "s", "--scenes", "planes_0", "--max-memory", "2G",
+        "--set", "tiles=never",
+    )  # fmt: skip
     assert rc == 3
     assert "planes_0: needs about 3.0 GiB of memory (96 x 64 pixels, 13 disparities), 1.9 GiB may be used" in (
         capsys.readouterr().err

@@ -17,5 +17,9 @@ class Aggregator(Method):
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         """A new volume of the same shape; the input is not modified."""
 
+    def halo(self) -> int | None:
+        """Pixels around a pixel that its means depend on; None: the whole image."""
+        return None
+
 
 Aggregation = Annotated[Aggregator, *method_of("depthcli.stereo.aggregation")]

@@ -49,6 +49,9 @@ class AdaptiveWeight(Aggregator):
     color_space: Literal["lab", "rgb"] = Field("lab", description="where colors are compared: CIELab or RGB 0..255")
     norm: Literal["l2", "squared"] = Field("l2", description="distances as they are, or squared as the thesis prints")
 
+    def halo(self) -> int | None:
+        return self.window // 2
+
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         """Weighted means: uint16 fixed point (x16) of uint8 costs, otherwise the input's dtype and scale."""
         costs = volume.costs

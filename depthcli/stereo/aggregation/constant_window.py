@@ -23,6 +23,9 @@ class ConstantWindow(Aggregator):
 
     window: Odd = Field(11, ge=1, le=1023, description="side of the window, odd, pixels")
 
+    def halo(self) -> int | None:
+        return self.window // 2
+
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         if volume.costs.dtype != np.uint8:
             volume = as_fixed_point(volume)

@@ -46,6 +46,10 @@ class Cross(Aggregator):
             image = np.asarray(cv2.medianBlur(image, 3), np.uint8)
         return cross_arms(image, self.length, self.threshold, self.inner_length, self.inner_threshold)
 
+    def halo(self) -> int | None:
+        # A support reaches as far as two arms that follow each other; arms see one pixel more, smoothing another.
+        return (self.iterations + 1) * self.length + 2
+
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         given = volume.costs
         volume = as_fixed_point(volume)

@@ -19,6 +19,10 @@ class CostMeasure(Method):
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         """Cost volume of disparities 0 .. ``disparities`` - 1."""
 
+    def halo(self) -> int | None:
+        """Pixels around a pixel that its costs depend on; None: the whole image."""
+        return None
+
 
 Cost = Annotated[CostMeasure, *method_of("depthcli.stereo.cost")]
 Side = Annotated[int, Field(ge=1, le=255), *get_args(Odd)[1:]]

@@ -35,6 +35,9 @@ class AbsoluteDifference(CostMeasure):
 
     MAX_STORED: ClassVar[int] = 255
 
+    def halo(self) -> int | None:
+        return 1 if self.sampling == "tolerant" else 0
+
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         if pair.left.ndim == 3:
             left, right = (np.ascontiguousarray(image.transpose(2, 0, 1)) for image in pair.color8)

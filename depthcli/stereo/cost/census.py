@@ -30,6 +30,9 @@ class Census(CostMeasure):
             raise ValueError("the window must have 1 to 64 neighbors (9 x 7 has 62)")
         return window
 
+    def halo(self) -> int | None:
+        return max(self.window) // 2
+
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         costs = empty_volume(pair.shape, disparities)
         left, right = (census_transform(image, self.window) for image in pair.grey)

@@ -34,6 +34,11 @@ class Combined(CostMeasure):
         1.0, ge=0, le=16, description="cost of a match outside the right image, in units of one part"
     )
 
+    def halo(self) -> int | None:
+        halos = [part.cost.halo() for part in self.parts]
+        known = [halo for halo in halos if halo is not None]
+        return max(known) if len(known) == len(halos) else None
+
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         unit = 255 // len(self.parts)
         total = memory.empty((*pair.shape, disparities), np.uint8)

@@ -36,6 +36,9 @@ class Gradient(CostMeasure):
 
     SCALE: ClassVar[int] = 4
 
+    def halo(self) -> int | None:
+        return 3 if self.sampling == "tolerant" else 2
+
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         costs = empty_volume(pair.shape, disparities)
         left, right = (image_gradient(image, self.sigma) for image in pair.grey)

@@ -29,6 +29,9 @@ class Rank(CostMeasure):
             raise ValueError("the window must have 2 to 255 pixels")
         return window
 
+    def halo(self) -> int | None:
+        return max(self.window) // 2
+
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         costs = empty_volume(pair.shape, disparities)
         left, right = (rank_transform(image, self.window) for image in pair.grey)

@@ -38,6 +38,9 @@ class Zncc(CostMeasure):
             raise ValueError("the window must have 2 to 1023 pixels")
         return window
 
+    def halo(self) -> int | None:
+        return max(self.window) // 2
+
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
         costs = empty_volume(pair.shape, disparities)
         ry, rx = self.window[1] // 2, self.window[0] // 2

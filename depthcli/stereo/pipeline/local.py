@@ -13,7 +13,7 @@ from depthcli.stereo.optimization import Optimization
 from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.stereo.pipeline import CostPipeline
 from depthcli.stereo.refinement import RefinementStep
-from depthcli.stereo.volume import StereoResult
+from depthcli.stereo.volume import CostVolume, StereoResult
 
 
 class Local(CostPipeline):
@@ -30,18 +30,26 @@ class Local(CostPipeline):
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         clock = Clock()
+        volume = self.volume(pair, max_disparity, clock)
+        result, _, _ = finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)
+        return result
+
+    def volume(self, pair: StereoPair, max_disparity: int, clock: Clock) -> CostVolume:
+        """The costs of disparities 0 .. ``max_disparity`` before optimization; ``clock`` books the stages."""
         volume = self.cost(pair, max_disparity + 1)
         clock.stop("cost")
         if self.aggregation is not None:
             volume = self.aggregation(volume, pair)
         clock.stop("aggregation")
-        result, _, _ = finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)
-        return result
+        return volume
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Of the volumes and of the maps."""
+        return self.volume_bytes(shape, max_disparity) + 200 * shape[0] * shape[1] + (64 << 20)
+
+    def volume_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """By stage: two raw volumes; raw, aggregated and sums of arms; optimized beside aggregated or raw."""
-        pixels = shape[0] * shape[1]
         aggregated = self.aggregation is not None
         optimized = not isinstance(self.optimization, WinnerTakesAll)
         bytes_a_cell = max(2, 7 if aggregated else 0, (6 if aggregated else 5) if optimized else 0)
-        return pixels * (max_disparity + 1) * bytes_a_cell + 200 * pixels + (64 << 20)
+        return shape[0] * shape[1] * (max_disparity + 1) * bytes_a_cell

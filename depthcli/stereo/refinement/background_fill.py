@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,6 +18,9 @@ class BackgroundFill(Refinement):
     What is occluded lies behind what occludes it, so the smaller disparity is the likely one. Rows without any
     value are filled from the rows above and below. A map without any value stays empty.
     """
+
+    needs_costs: ClassVar[bool] = False
+    fills: ClassVar[bool] = True
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         return fill_background(disparity)

@@ -9,7 +9,7 @@ import numpy as np
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.volume import Evidence
+from depthcli.stereo.volume import CostVolume, Evidence
 
 
 class DiscontinuityAdjustment(Refinement):
@@ -17,6 +17,7 @@ class DiscontinuityAdjustment(Refinement):
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         values = disparity.values
+        assert isinstance(evidence.volume, CostVolume)
         for axis in (1, 0):
             adjusted = values.copy()
             _adjust(values, evidence.volume.costs, axis, adjusted)

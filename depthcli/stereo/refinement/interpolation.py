@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ class Interpolation(Refinement):
 
     The candidates are the nearest values in 16 directions. A pixel that sees no value in any stays empty.
     """
+
+    needs_costs: ClassVar[bool] = False
+    fills: ClassVar[bool] = True
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         values = disparity.values.copy()

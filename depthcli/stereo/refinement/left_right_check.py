@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -22,11 +22,16 @@ class LeftRightCheck(Refinement):
     surface), else a mismatch (Hirschmueller 2008).
     """
 
+    needs_costs: ClassVar[bool] = False
+
     aliases = ("LRC",)
 
     tolerance: float = Field(
         1.0, ge=0, le=16384, description="largest accepted difference of the two disparities, pixels"
     )
+
+    def halo(self) -> int | None:
+        return 0
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         values, status = disparity.values.copy(), disparity.status.copy()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -16,7 +16,12 @@ from depthcli.stereo.volume import Evidence
 class Median(Refinement):
     """Median of a square window. Pixels without a value stay so; windows that touch one are left alone."""
 
+    needs_costs: ClassVar[bool] = False
+
     window: Literal[3, 5] = Field(3, description="side of the window, pixels")
+
+    def halo(self) -> int | None:
+        return self.window // 2
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         valid = disparity.valid

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -17,6 +17,9 @@ from depthcli.stereo.volume import Evidence
 class RegionVoting(Refinement):
     """Give an empty pixel the most frequent disparity of its cross-shaped support, where enough pixels agree."""
 
+    needs_costs: ClassVar[bool] = False
+    fills: ClassVar[bool] = True
+
     length: int = Field(34, ge=1, le=255, description="longest arm of the support, pixels")
     threshold: int = Field(20, ge=0, le=255, description="color difference that ends an arm, grey levels")
     inner_length: int = Field(17, ge=0, le=255, description="arm length from which inner_threshold holds, pixels")
@@ -24,6 +27,9 @@ class RegionVoting(Refinement):
     votes: int = Field(20, ge=1, le=10**6, description="a support needs more votes than this")
     majority: float = Field(0.4, ge=0, le=1, description="the winner needs a larger share of the votes than this")
     iterations: int = Field(5, ge=1, le=32, description="rounds; each uses what the last one filled")
+
+    def halo(self) -> int | None:
+        return self.length * self.iterations
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         arms = cross_arms(evidence.pair.color8[0], self.length, self.threshold, self.inner_length, self.inner_threshold)

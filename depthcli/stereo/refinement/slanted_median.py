@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ class SlantedMedian(Refinement):
     a value stay so.
     """
 
+    needs_costs: ClassVar[bool] = False
+
     radius: int = Field(6, ge=1, le=32, description="half side of the window, pixels")
     color_scale: float = Field(
         8.0, gt=0, le=1e4, description="color difference (mean of channels) of weight 1/e, grey levels"
@@ -34,6 +36,9 @@ class SlantedMedian(Refinement):
     distance_scale: float = Field(5.0, gt=0, le=1e4, description="distance of weight 1/e, pixels")
     slope_radius: int = Field(16, ge=4, le=96, description="half side of the window that slopes are fitted in, pixels")
     passes: int = Field(1, ge=1, le=8, description="number of times the filter is applied")
+
+    def halo(self) -> int | None:
+        return self.passes * self.radius + self.slope_radius
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         values = self.filtered(disparity.values, evidence.pair.color8[0], evidence.volume.disparities - 1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import cv2
 import numpy as np
 from pydantic import Field
@@ -15,6 +17,8 @@ _STEPS = 16  # OpenCV filters 16-bit numbers: sixteenths of a pixel, coarser abo
 
 class SpeckleFilter(Refinement):
     """Remove connected regions of similar disparity that are too small to be trusted (``cv2.filterSpeckles``)."""
+
+    needs_costs: ClassVar[bool] = False
 
     size: int = Field(50, ge=1, le=10**8, description="regions of at most this many pixels are removed")
     step: float = Field(1.0, ge=0, le=64, description="largest disparity step inside a region, pixels")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.refinement import Refinement
-from depthcli.stereo.volume import Evidence
+from depthcli.stereo.volume import CostMinima, Evidence
 
 
 class Subpixel(Refinement):
@@ -19,9 +19,18 @@ class Subpixel(Refinement):
     say), or lies at the end of the range, stay as they are.
     """
 
+    needs_costs: ClassVar[bool] = False
+
+    def halo(self) -> int | None:
+        return 0
+
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
-        values = disparity.values.copy()
-        move_to_minimum(evidence.volume.costs, values)
+        known = evidence.volume
+        if isinstance(known, CostMinima):
+            values = np.where(disparity.values == known.left, known.minima, disparity.values)
+        else:
+            values = disparity.values.copy()
+            move_to_minimum(known.costs, values)
         return DisparityMap(values, disparity.status)
 
 

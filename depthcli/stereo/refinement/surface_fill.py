@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -22,9 +22,15 @@ class SurfaceFill(Refinement):
     by least squares with Huber weights, and the gap's pixels take the plane's values.
     """
 
+    needs_costs: ClassVar[bool] = False
+    fills: ClassVar[bool] = True
+
     rows: int = Field(20, ge=0, le=64, description="rows above and below that the plane is fitted to")
     reach: int = Field(20, ge=1, le=255, description="pixels of each row that the plane is fitted to")
     support: int = Field(30, ge=3, le=32768, description="with fewer pixels than this the last value is held")
+
+    def halo(self) -> int | None:
+        return self.rows
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         values = disparity.values.copy()

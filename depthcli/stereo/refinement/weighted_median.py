@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -26,6 +26,8 @@ class WeightedMedian(Refinement):
     median's bin (a whole-pixel map stays one). Pixels without a value stay so.
     """
 
+    needs_costs: ClassVar[bool] = False
+
     aliases = ("WM",)
 
     radius: int = Field(7, ge=1, le=32, description="half side of the window, pixels")
@@ -35,6 +37,9 @@ class WeightedMedian(Refinement):
     distance_scale: float = Field(20.0, gt=0, le=1e4, description="distance of weight 1/e, pixels")
     filled_weight: float = Field(1.0, ge=0, le=1, description="factor of pixels whose value was filled")
     passes: int = Field(1, ge=1, le=8, description="number of times the filter is applied")
+
+    def halo(self) -> int | None:
+        return self.passes * self.radius
 
     def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
         radius = self.radius

@@ -1,0 +1,189 @@
+"""Tiles: parts of a pair that are matched one after the other, each over its own disparities."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.frames import Image, StereoPair
+
+BLOCK = 16
+"""Side of the blocks of pixels that share candidates, and unit of the tiles' sides."""
+BIN = 16
+"""Disparities that are candidates together: as many as kernels take at a time."""
+_A_PIXEL = 24  # what a pixel of a tile costs beside its disparities, in disparities
+_A_TILE = 300_000  # what a tile costs beside its cells, in cells
+_SMALLEST = 8  # blocks
+
+
+@dataclass(frozen=True)
+class Span:
+    """Disparities ``low`` .. ``low`` + ``count`` - 1."""
+
+    low: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A part of the left view and the disparities that are searched there.
+
+    Attributes
+    ----------
+    rows, columns : (first, behind the last) of the pixels that are answered for
+    around : (top, bottom, left, right) of the pixels that are looked at
+    spans : what is searched, ascending, with gaps between
+    """
+
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+    around: tuple[int, int, int, int]
+    spans: tuple[Span, ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) of what is looked at."""
+        top, bottom, left, right = self.around
+        return bottom - top, right - left
+
+    @property
+    def depth(self) -> int:
+        """Cells of a pixel: the disparities, and one between spans."""
+        return sum(span.count for span in self.spans) + len(self.spans) - 1
+
+    @property
+    def inside(self) -> tuple[slice, slice]:
+        """Where in the tile the pixels lie that it answers for."""
+        top, _, left, _ = self.around
+        return slice(self.rows[0] - top, self.rows[1] - top), slice(self.columns[0] - left, self.columns[1] - left)
+
+    @property
+    def place(self) -> tuple[slice, slice]:
+        """Where they lie in the image."""
+        return slice(*self.rows), slice(*self.columns)
+
+    def cut(self, pair: StereoPair, low: int = 0) -> StereoPair:
+        """The tile as a pair of its own, whose disparities are smaller by ``low``."""
+        top, bottom, left, right = self.around
+        before = max(0, low - left)  # columns that the right image does not have: nothing is there
+        other = pair.right[top:bottom, left - low + before : right - low]
+        if before:
+            other = cast(Image, cv2.copyMakeBorder(other, 0, 0, before, 0, cv2.BORDER_REPLICATE))
+        return StereoPair(pair.left[top:bottom, left:right].copy(), other.copy(), pair.bits)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """What a tile looks at beyond the pixels it answers for, pixels.
+
+    Attributes
+    ----------
+    halo : on all sides
+    lead : on the left beyond the longest span, whose cells lie outside the tile's right image
+    whole : whether tiles are matched as pairs of their own: over one span, the right side as wide as the left one
+    """
+
+    halo: int
+    lead: int
+    whole: bool
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Disparities that may occur in a block of 16 x 16 pixels.
+
+    Attributes
+    ----------
+    bins : (ceil(H / 16), ceil(W / 16), ceil(D / 16)) bool: the block may have disparities of 16 that follow each other
+    shape : (H, W)
+    top : largest disparity searched anywhere, D - 1
+    """
+
+    bins: NDArray[np.bool_]
+    shape: tuple[int, int]
+    top: int
+
+    @classmethod
+    def all(cls, shape: tuple[int, int], top: int) -> Candidates:
+        """Everywhere 0 .. ``top``."""
+        return cls(np.ones((*(-(-side // BLOCK) for side in shape), top // BIN + 1), np.bool_), shape, top)
+
+    @cached_property
+    def _sums(self) -> NDArray[np.int32]:
+        sums = np.zeros(tuple(n + (axis < 2) for axis, n in enumerate(self.bins.shape)), np.int32)
+        np.cumsum(np.cumsum(self.bins, axis=0, dtype=np.int32), axis=1, out=sums[1:, 1:])
+        return sums
+
+    def tiles(self, margins: Margins, fits: Callable[[Tile], bool]) -> list[Tile] | None:
+        """The tiles that together take the least time; None where not even the smallest fit.
+
+        The image is halved again and again, along the side that pays off, as long as parts with candidates of their
+        own are cheaper, margins included, than the whole.
+        """
+        rows, columns = self.bins.shape[:2]
+
+        @cache
+        def best(y0: int, y1: int, x0: int, x1: int) -> tuple[float, tuple[tuple[int, int, int, int], ...]]:
+            tile = self.tile(y0, y1, x0, x1, margins)
+            height, width = tile.shape
+            cost = float("inf")
+            if fits(tile):
+                cost = float(height * width * (tile.depth + _A_PIXEL) + _A_TILE)
+            least = _SMALLEST if cost < float("inf") else 1
+            chosen: tuple[tuple[int, int, int, int], ...] = ((y0, y1, x0, x1),)
+            cuts = []
+            if y1 - y0 >= 2 * least:
+                middle = (y0 + y1) // 2
+                cuts.append(((y0, middle, x0, x1), (middle, y1, x0, x1)))
+            if x1 - x0 >= 2 * least:
+                middle = (x0 + x1) // 2
+                cuts.append(((y0, y1, x0, middle), (y0, y1, middle, x1)))
+            for one, other in cuts:
+                (first, parts), (second, rest) = best(*one), best(*other)
+                if first + second < cost:
+                    cost, chosen = first + second, parts + rest
+            return cost, chosen
+
+        cost, chosen = best(0, rows, 0, columns)
+        return None if cost == float("inf") else [self.tile(*part, margins) for part in chosen]
+
+    def tile(self, y0: int, y1: int, x0: int, x1: int, margins: Margins) -> Tile:
+        """The tile of blocks ``y0`` .. ``y1`` - 1, ``x0`` .. ``x1`` - 1 with its margins."""
+        height, width = self.shape
+        rows = y0 * BLOCK, min(y1 * BLOCK, height)
+        columns = x0 * BLOCK, min(x1 * BLOCK, width)
+        reach = -(-margins.halo // BLOCK)
+        v0, v1 = max(0, y0 - reach), min(self.bins.shape[0], y1 + reach)
+        u0, u1 = max(0, x0 - reach), min(self.bins.shape[1], x1 + reach)
+        sums = self._sums
+        there = sums[v1, u1] - sums[v0, u1] - sums[v1, u0] + sums[v0, u0] > 0
+        spans = self._spans(there, columns)
+        if margins.whole:
+            low = spans[0].low
+            spans = (Span(low, spans[-1].low + spans[-1].count - low),)
+        longest = max(span.count for span in spans) - 1
+        before = max(margins.halo, longest + margins.lead)
+        behind = max(margins.halo, longest) if margins.whole else margins.halo
+        around = (
+            max(0, rows[0] - margins.halo), min(height, rows[1] + margins.halo),
+            max(spans[0].low if margins.whole else 0, columns[0] - before), min(width, columns[1] + behind),
+        )  # fmt: skip
+        return Tile(rows, columns, around, spans)
+
+    def _spans(self, there: NDArray[np.bool_], columns: tuple[int, int]) -> tuple[Span, ...]:
+        """Runs of bins; the last pixel has no candidate beyond the image's left side, the first has one."""
+        last = min(self.top, columns[1] - 1)
+        there = there[: last // BIN + 1].copy()
+        if not there.any() or there.argmax() * BIN > columns[0]:
+            there[columns[0] // BIN] = True
+        edges = np.flatnonzero(np.diff(there.astype(np.int8), prepend=0, append=0))
+        return tuple(
+            Span(int(a) * BIN, min(int(b) * BIN, self.top + 1) - int(a) * BIN)
+            for a, b in zip(edges[::2], edges[1::2], strict=True)
+        )
