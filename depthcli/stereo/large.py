@@ -197,11 +197,11 @@ def _plan(matcher: Matcher, pair: StereoPair, top: int, prior: Prior | None, mar
 
     def need(tile: Tile) -> int:
         height, width = tile.shape
+        recycled = 2 * height * width * tile.depth  # blocks that only the next tile can use
         if margins.whole or not isinstance(matcher, Local):
-            return matcher.peak_bytes(tile.shape, tile.depth - 1)
-        # Beside the volumes: recycled blocks that only the next tile can use, features of the images, paths' states.
-        cells = height * width * tile.depth
-        return matcher.volume_bytes(tile.shape, tile.depth - 1) + 2 * cells + 40 * (height + tile.depth) * width
+            return matcher.peak_bytes(tile.shape, tile.depth - 1) + recycled
+        # Beside the volumes: features of the images, states of the paths.
+        return matcher.volume_bytes(tile.shape, tile.depth - 1) + recycled + 40 * (height + tile.depth) * width
 
     candidates = Candidates.all(pair.shape, top) if prior is None else prior.candidates
     tiles = candidates.tiles(margins, lambda tile: need(tile) <= free)
