@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from depthcli.fusion.pipeline import Fusion
-from depthcli.stereo.config import CalibrationFiles, MaxDisparity, MinDisparity, Tiles, check_range
+from depthcli.stereo.config import CalibrationFiles, MaxDisparity, MinDisparity, TileMemory, Tiles, check_range
 
 
 class FuseConfig(Fusion):
@@ -17,6 +17,7 @@ class FuseConfig(Fusion):
     min_disparity: MinDisparity = None
     calibration: CalibrationFiles = None
     tiles: Tiles = "auto"
+    tile_memory: TileMemory = 3072
     run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
 
     @model_validator(mode="after")

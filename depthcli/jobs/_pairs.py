@@ -57,7 +57,11 @@ class PairCommand(ConfigCommand):
             raise _no_range(item)
         if top is None or isinstance(low, str) or isinstance(top, str):
             return None
-        return self.peak_bytes(config, shape_of(item.left), top - low)
+        need: int = self.peak_bytes(config, shape_of(item.left), top - low)
+        if config.tiles == "never" or self.in_tiles(config) is None:
+            return need
+        most: int = config.tile_memory << 20
+        return min(need, most)
 
     def effort(self, config: Any, item: StereoItem) -> int | None:
         """Pixels times disparities, from the beginning of the left image's file."""
@@ -169,10 +173,10 @@ class PairCommand(ConfigCommand):
             del clock.seconds["range"]
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
         warnings += [*_warnings(pair, measured), *_range_warnings(result.disparity, search, said)]
-        if tiles and not result.figures["exact"]:
+        if tiles and not result.figures["exact"] and memory < config.tile_memory << 20:
             warnings.append(
-                f"matched in {tiles:.0f} tiles at {result.figures['levels']:.0f} sizes, since {show_bytes(memory)} of "
-                "memory may be used: with more the map is another one"
+                f"matched in {tiles:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
+                f"{show_bytes(memory)} of memory may be used: with more the map is another one"
             )
         return Outcome(facts, seconds, warnings)
 
@@ -183,8 +187,10 @@ class PairCommand(ConfigCommand):
 
         need = self.peak_bytes(config, pair.shape, top)
         matcher = None if config.tiles == "never" else self.in_tiles(config)
-        if matcher is not None and (need > memory or config.tiles == "always"):
-            return match_in_tiles(matcher, pair, top, memory)
+        # By the config rather than by what is free: the map must not depend on the number of workers.
+        tiled = min(memory, config.tile_memory << 20)
+        if matcher is not None and (need > tiled or config.tiles == "always"):
+            return match_in_tiles(matcher, pair, top, tiled)
         if need > memory:
             raise InputError(
                 f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, "

@@ -23,9 +23,13 @@ MinDisparity = Annotated[
 Tiles = Annotated[
     Literal["auto", "always", "never"],
     Field(
-        description="match in tiles, coarse to fine where the method is not local; auto: where the memory that may be "
-        "used does not suffice for the whole pair"
+        description="match in tiles, coarse to fine where the method is not local; auto: where the whole pair would "
+        "need more than tile_memory"
     ),
+]
+TileMemory = Annotated[
+    int,
+    Field(ge=300, le=1 << 20, description="memory that a pair matched in tiles may take; less where less is free, MiB"),
 ]
 
 
@@ -83,6 +87,7 @@ class StereoConfig(RootConfig):
     calibration: CalibrationFiles = None
     device: str = Field("cpu", description="where to match: cpu, auto, opencl, cuda, opencl:N or cuda:N")
     tiles: Tiles = "auto"
+    tile_memory: TileMemory = 3072
 
     @model_validator(mode="after")
     def _has_a_range(self) -> StereoConfig:
