@@ -29,13 +29,15 @@ def plots(section: Section) -> dict[str, str]:
     """Caption -> text of an SVG file: what the section's numbers allow."""
     made = {}
     headline, mask = section.protocol.headline, section.masks[0]
-    what = f"{headline.heading}{f', {headline.unit}' if headline.unit else ''}, {mask}"
+    measure = f"{headline.heading}{f', {headline.unit}' if headline.unit else ''}"
+    what = f"{measure}, {mask}"
     if len(section.scenes) > 2:
         made[f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"] = _boxes(section, what)
     if (curves := _by_threshold(section)) is not None:
         made["Against the threshold, over all scenes; dots: thresholds of the tables"] = curves
     if any(not math.isnan(r.seconds) for r in section.results):
-        made[f"Time against {what}: means of a scene"] = _times(section, what)
+        of_all = f"{measure}, {' + '.join(section.protocol.figure_masks(section.masks))}"
+        made[f"Time against {of_all}: means of a scene"] = _times(section, of_all)
     for (region, of), svg in _sparsifications(section):
         made[f"Sparsification, {region}: {'share of wrong pixels' if of == 'bad' else 'mean error'} of the most "
              "confident pixels; dotted: the best ranking"] = svg  # fmt: skip
