@@ -171,8 +171,8 @@ class PairCommand(ConfigCommand):
         clock.stop("save")
         if "range_matches" not in said:
             del clock.seconds["range"]
-        first = {stage: clock.seconds[stage] for stage in ("load", "rectify") if stage in clock.seconds}
-        seconds = {**first, **result.seconds} | clock.seconds
+        first = "load" if config.calibration is None else "rectify"
+        seconds = {first: clock.seconds[first], **result.seconds} | clock.seconds
         warnings += [*_warnings(pair, measured), *_range_warnings(result.disparity, search, said)]
         if tiles and not result.figures["exact"] and memory < config.tile_memory << 20:
             warnings.append(
