@@ -95,3 +95,48 @@ def test_devices_says_why_there_is_none(capsys, monkeypatch):
     out, err = capsys.readouterr()
     assert json.loads(out) == []
     assert "opencl: no driver; cuda: no driver" in err
+
+
+@pytest.fixture
+def small_device(monkeypatch):
+    """Stands for a card of 1 MiB; what runs on it fails like a driver."""
+
+    class Small:
+        info = DeviceInfo("opencl:1", "a small card", 1 << 20, True, "somebody's")
+
+        def __getattr__(self, name):
+            raise DeviceError(f"{self.info.address} ({self.info.name}) failed: the driver is gone")
+
+    device = Small()
+    monkeypatch.setattr(depthcli.device, "find_device", lambda wanted: device.info)
+    monkeypatch.setattr(depthcli.device, "open_device", lambda wanted: device)
+    return device
+
+
+def test_what_does_not_fit_on_the_device_is_told_before_it_starts(tmp_path, capsys, made_scenes, small_device):
+    output = tmp_path / "run"
+    code = main(
+        ["stereo", "fast", "-i", str(made_scenes), "-o", str(output), "--scenes", "planes_0", "--device", "auto"]
+    )
+    assert code == 3
+    assert "planes_0: needs about" in (said := capsys.readouterr().err)
+    assert "on opencl:1 (a small card), which has 1 MiB" in said
+    assert "device: opencl:1\n" in (output / "run.yaml").read_text()
+
+
+def test_a_driver_that_fails_costs_the_scene(tmp_path, capsys, made_scenes, small_device):
+    small_device.info = DeviceInfo("opencl:1", "a card", 1 << 33, True, "somebody's")
+    output = tmp_path / "run"
+    code = main(
+        ["stereo", "fast", "-i", str(made_scenes), "-o", str(output), "--scenes", "planes_0", "--device", "auto"]
+    )
+    assert code == 3
+    assert "planes_0: opencl:1 (a card) failed: the driver is gone" in capsys.readouterr().err
+
+
+def test_a_pipeline_without_kernels_says_that_it_ran_on_the_processor(tmp_path, made_scenes, small_device):
+    output = tmp_path / "run"
+    scene = ["-i", str(made_scenes), "-o", str(output), "--scenes", "planes_0"]
+    assert main(["stereo", "opencv-bm", *scene, "--device", "auto", "-q"]) == 0
+    (row,) = json.loads((output / "report.json").read_text())["scenes"]
+    assert row["device"] == "cpu: opencv_bm has no kernels for opencl:1, a small card"
