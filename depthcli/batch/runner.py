@@ -11,6 +11,7 @@ import contextlib
 import os
 import platform
 import re
+import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,7 +114,7 @@ def run_items(
             before = earlier.pop(item.name, {})
             row, known = look.finished(task, before)
             if row is not None:
-                rows[item.name] = row
+                rows[item.name] = _with_common_keys(row)
                 continue
             origin = before.get("source")
             if known is not None and known.get("run") == run and origin and origin != source and not options.overwrite:
@@ -145,7 +146,7 @@ def run_items(
         try:
             with reporter, contextlib.closing(_compute(tasks, work, config, options, reporter, claim)) as computed:
                 reporter.start(len(own), len(rows), work.name)
-                for row in computed:
+                for row in map(_with_common_keys, computed):
                     rows[row["scene"]] = row
                     lock.release(row["scene"])
                     if row["status"] == "failed":
@@ -172,6 +173,11 @@ def run_items(
     if writer.problem:
         raise IncompleteError(writer.problem)
     return [rows[item.name] for item in own if item.name in rows]
+
+
+def _with_common_keys(row: dict[str, Any]) -> dict[str, Any]:
+    """The row with one string a key for all rows: each comes from a file or a process, with strings of its own."""
+    return {sys.intern(k): _with_common_keys(v) if isinstance(v, dict) else v for k, v in row.items()}
 
 
 class Inspector:
