@@ -173,6 +173,7 @@ def test_local_methods_give_the_same_bytes_in_tiles(pipeline, monkeypatch):
     np.testing.assert_array_equal(result.disparity.status, whole.status)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_kind_of_preset_nearly_the_same_map_in_tiles(name, small_levels):
     pipeline = preset(name)
@@ -196,6 +197,7 @@ def test_every_kind_of_preset_nearly_the_same_map_in_tiles(name, small_levels):
     assert np.all((known >= 0) & (known <= 48))
 
 
+@pytest.mark.slow
 def test_fusion_in_tiles(small_levels):
     fusion = Fusion.model_validate({"measures": ["census", "absolute_difference"], "confidence": ["consensus"]})
     made = make_scene("planes", 1, width=200, height=150, max_disparity=32)
