@@ -1,4 +1,4 @@
-"""Fusion one level up: finished maps of several methods, mixed by graph cuts."""
+"""Fusion one level up: finished maps of several methods, each taken where it is right."""
 
 from __future__ import annotations
 
@@ -7,20 +7,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
+from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
-from depthcli.fusion.surfaces import (
-    Smoothness,
-    Surface,
-    agreement,
-    contradictions,
-    disagreements,
-    matching_costs,
-)
-from depthcli.fusion.votes import ColorSupport
+from depthcli.fusion.choice import Choice, Proposals
+from depthcli.fusion.choice.energy import Energy
+from depthcli.fusion.surfaces import agreement
 from depthcli.segmentation import Segmentation
 from depthcli.stereo.finish import refined
 from depthcli.stereo.optimization import Optimization
@@ -28,11 +24,7 @@ from depthcli.stereo.pipeline import Pipeline
 from depthcli.stereo.refinement import RefinementStep
 from depthcli.stereo.refinement.background_fill import fill_background
 from depthcli.stereo.segments.planes import Members, PlaneFit, evaluate
-from depthcli.stereo.slopes import slopes
 from depthcli.stereo.volume import CostVolume, Evidence
-
-_REACH, _SHORT, _SOFTNESS = 8.0, 2.0, 15.0  # supports of costs and of the rest, pixels and grey levels
-_LEAST = 0.25  # maps closer than this are not told apart, pixels
 
 
 class Proposal(BaseModel):
@@ -62,13 +54,10 @@ class Segmented(Proposal):
 
 
 class MapFusion(BaseModel):
-    """The own map and those of other methods, each taken where costs, the other maps and the right view speak for it.
+    """The own map and those of other methods, and which of them is taken where.
 
-    The energy of a map is the sum over its pixels of ``cost_weight`` times the matching cost along it,
-    ``agreement_weight`` times the weighted share of the other maps that disagree, ``visibility_weight`` times what the
-    right view says against it, each averaged over pixels of similar color, and of a smoothness term that lets slopes
-    pass for nothing. From the map of the largest weight on, every map is offered in turn, their median first, and the
-    best mix of it with the current one is kept (fusion moves: Lempitsky, Rother, Roth and Blake, PAMI 2010).
+    Offered are the median of the maps, the own map, those of ``matchers``, of ``optimizations`` and of
+    ``segmentations``, in this order.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -79,68 +68,75 @@ class MapFusion(BaseModel):
     planes: PlaneFit = Field(
         default_factory=lambda: PlaneFit(tolerance=1.0, trials=100, flatness=0.9), description="how planes are fitted"
     )
-    cost_weight: float = Field(2.0, ge=0, le=1e3, description="weight of the fused costs, in units of one measure")
-    cost_truncation: float = Field(
-        0.7, gt=0, le=16, description="largest cost of a pixel: what the right camera sees differently must not decide"
-    )
-    agreement_weight: float = Field(3.0, ge=0, le=1e3, description="weight of the other maps' disagreement")
-    visibility_weight: float = Field(2.0, ge=0, le=1e3, description="weight of the right view's contradiction")
-    hidden: float = Field(0.5, ge=0, le=1, description="contradiction counted where a map is hidden in the right view")
-    smoothness: float = Field(4.0, ge=0, le=1e3, description="cost of a pixel of misfit between neighbors")
-    truncation: float = Field(2.0, gt=0, le=1e3, description="largest misfit that counts, pixels")
-    color_scale: float = Field(
-        10.0, gt=0, le=1e4, description="color difference that makes misfits cheaper by 1/e, grey levels"
-    )
-    floor: float = Field(0.1, ge=0, le=1, description="they never become cheaper than this part")
+    choice: Choice = Field(default_factory=Energy, description="which map is taken where")
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the mix, in order")
+
+    @model_validator(mode="after")
+    def _choosable(self) -> MapFusion:
+        try:
+            self.choice.check(self.kinds)
+        except (ValueError, ConfigError) as error:
+            wrong = PydanticCustomError("choice", "{why}", {"why": str(error)})
+            raise ValidationError.from_exception_data(
+                "MapFusion", [{"type": wrong, "loc": ("choice",), "input": None}]
+            ) from None
+        return self
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What makes the proposals, in their order."""
+        return (
+            "median",
+            "own",
+            *(one.matcher.method_name() for one in self.matchers),
+            *(one.optimization.method_name() for one in self.optimizations),
+            *(one.segmentation.method_name() for one in self.segmentations),
+        )
 
     def matched(self, pair: StereoPair, max_disparity: int) -> list[DisparityMap]:
         """The maps of ``matchers``: computed before the fused costs, they need no memory beside them."""
         return [matcher.matcher(pair, max_disparity).disparity for matcher in self.matchers]
 
-    def __call__(
-        self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap], clock: Clock
-    ) -> Mixed:
-        """Mix ``maps``: the own one, those of ``matched``, and those of ``optimizations``, in this order.
+    def proposals(
+        self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap]
+    ) -> Proposals:
+        """``maps`` (the own one, those of ``matched``, those of ``optimizations``) without gaps, and what follows
+        from them: their median, and planes fitted to it.
 
         Parameters
         ----------
         volume : the fused costs
         right : (H, W) disparities of the right view
         """
-        image = pair.color8[0]
-        top = volume.disparities - 1
-        filled = [np.nan_to_num(fill_background(one).values).clip(0, top) for one in maps]
-        listed = [*self.matchers, *self.optimizations]
-        weights = [0.0, 1.0, *(one.weight for one in listed), *(one.weight for one in self.segmentations)]
-        stack = np.stack(filled)
+        image, top = pair.color8[0], volume.disparities - 1
+        own = [np.nan_to_num(fill_background(one).values).clip(0, top) for one in maps]
+        stack = np.stack(own)
         # Of an even number the lower one in the middle: a mean would be a value that nobody proposed.
         middle = np.partition(stack, (len(stack) - 1) // 2, axis=0)[(len(stack) - 1) // 2]
         sloped = [self._of_planes(one, middle, image, top) for one in self.segmentations]
-        clock.stop("planes")
-        proposals = np.stack([middle, *filled, *sloped])
-        counts = np.array(weights, np.float32)
-        far, near = ColorSupport(image, _REACH, _SOFTNESS), ColorSupport(image, _SHORT, _SOFTNESS)
-        costs = np.float32(self.cost_weight) * matching_costs(proposals, volume, self.cost_truncation, far)
-        costs += np.float32(self.agreement_weight) * disagreements(proposals, counts, near)
-        costs += np.float32(self.visibility_weight) * contradictions(proposals, right, self.hidden, near)
-        clock.stop("unary")
-        smoothness = Smoothness.of(image, self.smoothness, self.color_scale, self.floor, self.truncation)
-        start = int(counts.argmax())
-        current = Surface(proposals[start], slopes(proposals[start], image), costs[start])
-        for k, (values, cost) in enumerate(zip(proposals, costs, strict=True)):
-            if k == start:
-                continue
-            offered = Surface(values, slopes(values, image), cost)
-            switched = smoothness.move(current, offered, _LEAST)
-            if switched is not None:
-                current = current.mixed(offered, switched)
-        clock.stop("moves")
-        disparity = DisparityMap(current.values, _status(current.values, right))
+        listed = [*self.matchers, *self.optimizations]
+        weights = [0.0, 1.0, *(one.weight for one in listed), *(one.weight for one in self.segmentations)]
+        filled = np.zeros((len(weights), *pair.shape), np.uint8)
+        for k, one in enumerate(maps):
+            hidden = one.status & (Status.FILLED | Status.OCCLUDED)
+            filled[k + 1] = ((hidden & Status.FILLED) > 0).astype(np.uint8) + ((hidden & Status.OCCLUDED) > 0)
+        return Proposals(
+            self.kinds, np.stack([middle, *own, *sloped]), filled, np.array(weights, np.float32), pair, volume, right
+        )
+
+    def __call__(
+        self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap], clock: Clock
+    ) -> Mixed:
+        """Mix ``maps``, as :meth:`proposals` takes them."""
+        proposals = self.proposals(pair, volume, right, maps)
+        clock.stop("proposals")
+        chosen = self.choice(proposals)
+        clock.stop("choice")
+        disparity = DisparityMap(chosen.values, _status(chosen.values, right))
         disparity = refined(disparity, self.refinement, Evidence(pair, volume, right))
-        agreeing = agreement(disparity.values, proposals, counts)
+        agreeing = agreement(disparity.values, proposals.values, proposals.weights)
         clock.stop("refinement")
-        return Mixed(disparity, agreeing)
+        return Mixed(disparity, agreeing, chosen.probability)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate of the peak working memory of the matchers, and of the mixing beside a volume, in bytes."""
@@ -149,7 +145,7 @@ class MapFusion(BaseModel):
     def bytes_beside(self, shape: tuple[int, int]) -> int:
         """Estimate of what mixing needs beside the fused costs, in bytes."""
         count = 2 + len(self.matchers) + len(self.optimizations) + len(self.segmentations)
-        return shape[0] * shape[1] * (12 * count + 1000)
+        return shape[0] * shape[1] * (9 * count + self.choice.bytes_a_pixel(count))
 
     def _of_planes(
         self, proposal: Segmented, values: NDArray[np.float32], image: NDArray[np.uint8], top: int
@@ -162,10 +158,13 @@ class MapFusion(BaseModel):
 
 @dataclass(frozen=True)
 class Mixed:
-    """The map, and the weighted share of the proposals that agree with it, (H, W) float32 in [0, 1]."""
+    """The map; (H, W) float32 in [0, 1]: the weighted share of the proposals that agree with it, and its probability
+    to be right where the choice knows it.
+    """
 
     disparity: DisparityMap
     agreement: NDArray[np.float32]
+    probability: NDArray[np.float32] | None
 
 
 def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint8]:

@@ -32,7 +32,8 @@ from depthcli.stereo.refinement import RefinementStep
 from depthcli.stereo.segments.steps import SegmentSteps
 from depthcli.stereo.volume import CostVolume, StereoResult
 
-_CONSENSUS, _AGREEMENT = "consensus", "agreement"
+_CONSENSUS, _AGREEMENT, _PROBABILITY = "consensus", "agreement", "probability"
+_OWN = (_CONSENSUS, _AGREEMENT, _PROBABILITY)
 _LARGEST = 4080  # of voted costs: the fixed point of aggregated costs, which scanline optimizers can sum
 
 
@@ -141,18 +142,22 @@ class Fusion(BaseModel):
     maps: MapFusion | None = Field(
         None, description="maps of other methods that the finished map is mixed with; null: none"
     )
-    confidence: tuple[Annotated[str, AfterValidator(lambda n: measure_name(n, _CONSENSUS, _AGREEMENT))], ...] = Field(
+    confidence: tuple[Annotated[str, AfterValidator(lambda n: measure_name(n, *_OWN))], ...] = Field(
         (),
         description="confidence maps to write: measures of the final costs, 'consensus', the share of votes, or, with "
-        "maps, 'agreement', the share of maps",
+        "maps, 'agreement', the share of maps, and, if a network chooses among them, its 'probability' to be right",
     )
 
     @model_validator(mode="after")
     def _nothing_in_vain(self) -> Fusion:
-        if self.maps is None and _AGREEMENT in self.confidence:
-            wrong = PydanticCustomError("in_vain", "'agreement' is that of several maps; want 'maps'")
+        told = () if self.maps is None else (_AGREEMENT, *self.maps.choice.tells)
+        for name in {_AGREEMENT, _PROBABILITY} & set(self.confidence) - set(told):
+            why = "'agreement' is that of several maps; want 'maps'"
+            if name == _PROBABILITY:
+                why = "'probability' is known where a network chooses among maps; want 'maps' with 'choice: network'"
             raise ValidationError.from_exception_data(
-                "Fusion", [{"type": wrong, "loc": ("confidence",), "input": list(self.confidence)}]
+                "Fusion",
+                [{"type": PydanticCustomError("in_vain", why), "loc": ("confidence",), "input": list(self.confidence)}],
             )
         if self.segments is None:
             return self
@@ -192,8 +197,7 @@ class Fusion(BaseModel):
         if self.segments is not None:
             result = self.segments.from_volume(pair, fused.volume, max_disparity, clock)
         else:
-            own = (_CONSENSUS, _AGREEMENT)
-            known = [name for name in self.confidence if name not in own]
+            known = [name for name in self.confidence if name not in _OWN]
             result, found, right = finish(pair, fused.volume, self.optimization, self.refinement, known, clock)
             if _CONSENSUS in self.confidence:
                 result.confidence[_CONSENSUS] = fused.ballot.shares(found.astype(np.int32)[None])[0]
@@ -222,6 +226,8 @@ class Fusion(BaseModel):
         result.disparity = mixed.disparity
         if _AGREEMENT in self.confidence:
             result.confidence[_AGREEMENT] = mixed.agreement
+        if _PROBABILITY in self.confidence and mixed.probability is not None:
+            result.confidence[_PROBABILITY] = mixed.probability
 
     def fuse(
         self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: Clock | None = None

@@ -1,0 +1,287 @@
+#!/usr/bin/env python3
+"""Train the network by which `fuse` chooses among maps.
+
+    python scripts/train_choice.py DATA OUT.json [--config accurate] [--samples FOLDER] [--held-out] [--seed 0]
+
+DATA is the folder of data sets. Only the tuning scenes of `stereo_groups.yaml` teach, each of them also from the other
+side (both images mirrored and swapped) where the right view's truth is known, and both with the right image lit in
+another way; with them a few generated scenes and two tuning scenes of twice the size. CONFIG is a preset or config of
+fuse whose `maps` are to be chosen among; its present choice plays no part. FOLDER keeps what was measured in every
+scene for another run. ``--held-out`` trains on each half of the tuning scenes and says how the other half is chosen,
+error of the shares' largest without averaging; nothing is written.
+
+Two hidden layers of 32 and 16 rectified units, Adam, loss per pixel: the mean over the maps of the cross entropy of
+being right, and the negative logarithm of the share (softmax) of the maps that are right. A map within 1 px is right,
+within .5 px it counts twice as much. Pixels are weighted so that nonocc, all and disc count alike.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from depthcli.batch.presets import find_config
+from depthcli.core.config_file import load_config
+from depthcli.core.frames import StereoPair
+from depthcli.core.result import Clock
+from depthcli.evaluation import protocols
+from depthcli.evaluation.masks import derive_masks
+from depthcli.fusion.choice import Proposals
+from depthcli.fusion.choice._inputs import Inputs
+from depthcli.fusion.choice.network import Weights, write_weights
+from depthcli.fusion.config import FuseConfig
+from depthcli.fusion.pipeline import Fusion
+from depthcli.io.walk import find_items
+from depthcli.stereo.finish import finish
+from depthcli.synthetic.stereo_scenes import KINDS, Radiometry, make_scene
+
+GROUPS = Path(__file__).resolve().parent / "stereo_groups.yaml"
+HALVES = ("half_Cloth3", "half_Reindeer")
+VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.3, "mirrored, lit": 0.3}
+"""Versions of a real scene, and what each counts."""
+GENERATED = 0.15
+LOOKS = ((1, 0, 0), (0.3, 2, 0), (0.1, 1, 0), (1, 2, 1), (0.3, 0, 0.5), (0.05, 2, 0.5))
+"""Contrast of the walls, noise and strength of another light of the generated scenes."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A pair with truth. ``half``: 0 or 1, related scenes together; ``weight``: what it counts."""
+
+    name: str
+    half: int
+    weight: float
+    load: Callable[[], tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]]
+
+
+def scenes(data: Path) -> Iterator[Scene]:
+    """Everything that teaches."""
+    half = 0
+    for folder, names in yaml.safe_load(GROUPS.read_text())["tuning"].items():
+        if folder == "generated":
+            for name, how in names.items():
+                for seed in how["seeds"]:
+                    yield Scene(
+                        f"{name}_{seed}", seed // 2 % 2, 0.3, generated(how["kind"], seed, how["wall_contrast"])
+                    )
+            continue
+        for item in find_items(data / folder, patterns=names):
+            half = 1 - half
+            for variant, weight in VARIANTS.items():
+                if "mirrored" not in variant or item.truth().right is not None:
+                    yield Scene(f"{folder}_{item.name}_{variant}", half, weight, real(item, variant))
+    for item in find_items(data / "middlebury_half", patterns=["Cloth3", "Reindeer"]):
+        yield Scene(f"half_{item.name}", 1, 0.7, real(item, ""))
+    for k, kind in enumerate(KINDS):
+        for look, (contrast, noise, light) in enumerate(LOOKS):
+            seed = 200 + len(LOOKS) * k + look
+            yield Scene(f"{kind}_{seed}", seed % 2, GENERATED, generated(kind, seed, contrast, noise, light))
+
+
+def real(item: Any, variant: str) -> Callable[[], Any]:
+    def load() -> tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]:
+        pair, truth = item.load(), protocols.load("middlebury_v2")().truth(item)
+        disparity, masks = truth.disparity, dict(truth.masks)
+        if "mirrored" in variant:
+            stored = item.truth()
+            disparity, other = (np.ascontiguousarray(one[:, ::-1]) for one in (stored.right, stored.disparity))
+            masks = derive_masks(disparity, other)
+            left, right = (np.ascontiguousarray(one[:, ::-1]) for one in pair.color8)
+            pair = StereoPair(right, left)
+        if "lit" in variant:
+            pair = lit(pair, zlib.crc32(f"{item.name} {variant}".encode()))
+        return pair, item.max_disparity, disparity, masks
+
+    return load
+
+
+def lit(pair: StereoPair, seed: int) -> StereoPair:
+    """The right image under light that changes slowly over it, at another exposure, both with noise."""
+    import cv2
+
+    rng = np.random.default_rng(seed)
+    left, right = pair.color8
+    height, width = pair.shape
+    field = rng.uniform(0.6, 1.25, (3, 4)) if seed % 2 else np.full((3, 4), rng.uniform(0.65, 1.2))
+    field = cv2.resize(field.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)[:, :, None]
+    field = field * rng.uniform(0.95, 1.05, 3)
+    changed = 255 * (right / 255.0) ** rng.uniform(0.8, 1.25) * field + rng.uniform(-6, 6)
+    noisy = [
+        image + rng.normal(0, rng.choice(levels), image.shape)
+        for image, levels in ((left, (0, 1.5)), (changed, (0, 1.5, 3)))
+    ]
+    first, second = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in noisy)
+    return StereoPair(first, second)
+
+
+def generated(kind: Any, seed: int, contrast: float, noise: float = 0, light: float = 0) -> Callable[[], Any]:
+    def load() -> tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]:
+        radiometry = Radiometry.of_strength(light) if light else None
+        made = make_scene(kind, seed, wall_contrast=contrast, noise=noise, radiometry=radiometry)
+        masks = {"nonocc": made.nonocc, "all": np.ones_like(made.nonocc), "disc": made.disc}
+        return StereoPair(made.left, made.right), made.max_disparity, made.disparity_left, masks
+
+    return load
+
+
+def propose(fusion: Fusion, pair: StereoPair, max_disparity: int) -> Proposals:
+    """What the maps of a fusion offer."""
+    assert fusion.maps is not None
+    clock = Clock()
+    others = fusion.maps.matched(pair, max_disparity)
+    volume = fusion.fuse(pair, max_disparity, {}, clock).volume
+    own, _, right = finish(pair, volume, fusion.optimization, fusion.refinement, (), clock)
+    again = [
+        finish(pair, volume, one.optimization, fusion.refinement, (), clock)[0].disparity
+        for one in fusion.maps.optimizations
+    ]
+    return fusion.maps.proposals(pair, volume, right, [own.disparity, *others, *again])
+
+
+def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]]) -> NDArray[np.float64]:
+    """(H, W): nonocc, all and disc count alike, each pixel of a region alike; all of them together 1."""
+    total = np.zeros(truth.shape)
+    for name in ("nonocc", "all", "disc"):
+        region = masks[name] & np.isfinite(truth) & (truth > 0)
+        total += region / (3 * max(1, region.sum()))
+    return total
+
+
+@dataclass(frozen=True)
+class Lessons:
+    """Pixels of a scene: inputs (P, N, F) float16, errors (P, N) float32 pixels, weights (P,)."""
+
+    inputs: NDArray[np.float16]
+    errors: NDArray[np.float32]
+    weights: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, proposals: Proposals, truth: NDArray[np.float32], weights: NDArray[np.float64], part: int) -> Lessons:
+        """Every ``part``-th pixel, by chance."""
+        known = np.flatnonzero(weights.ravel() > 0)
+        pixels = np.sort(np.random.default_rng(5).choice(known, known.size // part, replace=False))
+        errors = np.abs(proposals.values.reshape(len(proposals.values), -1)[:, pixels] - truth.ravel()[pixels]).T
+        rows = Inputs.of(proposals).rows(pixels).astype(np.float16)
+        return cls(rows, errors.astype(np.float32), weights.ravel()[pixels])
+
+
+def train(
+    lessons: list[tuple[float, Lessons]],
+    kinds: tuple[str, ...],
+    seed: int,
+    epochs: int = 12,
+    sizes: tuple[int, int] = (32, 16),
+    decay: float = 1e-3,
+) -> Weights:
+    """Fit a network to lessons, each of which counts as much as is said beside it."""
+    inputs = np.concatenate([one.inputs for _, one in lessons])
+    errors = np.concatenate([one.errors for _, one in lessons])
+    counts = np.concatenate([scale * one.weights / one.weights.sum() for scale, one in lessons])
+    counts = np.minimum(counts / counts.mean(), 8).astype(np.float32)
+    right = ((errors <= 1) + (errors <= 0.5).astype(np.float32)) / 2
+    wide = inputs.astype(np.float32)
+    mean, scale = wide.mean((0, 1)), 1 / (wide.std((0, 1)) + 1e-3)
+    del wide
+    number, count, size = inputs.shape
+    rng = np.random.default_rng(seed)
+    shapes = [(size + count, sizes[0]), sizes, (sizes[1], 1)]
+    layers = [[rng.normal(size=s) * np.sqrt(2 / s[0]), np.zeros(s[1])] for s in shapes]
+    layers = [[array.astype(np.float32) for array in layer] for layer in layers]
+    first = [[np.zeros_like(array) for array in layer] for layer in layers]
+    second = [[np.zeros_like(array) for array in layer] for layer in layers]
+    batch, fastest = 1024, 3e-3
+    steps, done = epochs * (number // batch), 0
+    which = np.tile(np.eye(count, dtype=np.float32), (batch, 1))
+    for _ in range(epochs):
+        order = rng.permutation(number)
+        for start in range(0, number - batch + 1, batch):
+            chosen = np.sort(order[start : start + batch])
+            scaled = np.clip((inputs[chosen].astype(np.float32) - mean) * scale, -4, 4).reshape(batch * count, size)
+            outputs = [np.concatenate([scaled, which], axis=1)]
+            for weights, offsets in layers[:-1]:
+                outputs.append(np.maximum(outputs[-1] @ weights + offsets, 0))
+            answers = (outputs[-1] @ layers[-1][0] + layers[-1][1]).reshape(batch, count)
+            y = right[chosen]
+            odds = 1 / (1 + np.exp(-np.clip(answers, -30, 30)))
+            shares = np.exp(answers - answers.max(1, keepdims=True))
+            shares /= shares.sum(1, keepdims=True)
+            hit = (shares * y).sum(1, keepdims=True)
+            pull = np.where(hit > 1e-4, shares - shares * y / np.maximum(hit, 1e-4), 0)
+            gradient = (((odds - y) / count + pull) * counts[chosen][:, None] / batch).reshape(-1, 1)
+            done += 1
+            speed = fastest * 0.5 * (1 + np.cos(np.pi * done / steps))
+            for k in (2, 1, 0):
+                weights = layers[k][0]
+                changes = (outputs[k].T @ gradient + decay * weights, gradient.sum(0))
+                if k:
+                    gradient = (gradient @ weights.T) * (outputs[k] > 0)
+                for j, change in enumerate(changes):
+                    first[k][j] = 0.9 * first[k][j] + 0.1 * change
+                    second[k][j] = 0.999 * second[k][j] + 0.001 * change**2
+                    step = (first[k][j] / (1 - 0.9**done)) / (np.sqrt(second[k][j] / (1 - 0.999**done)) + 1e-8)
+                    layers[k][j] -= (speed * step).astype(np.float32)
+    (w1, b1), *rest = layers
+    return Weights(kinds, mean, scale, ((w1[:size], w1[size:] + b1), *((w, b) for w, b in rest)))
+
+
+def answers(weights: Weights, inputs: NDArray[Any]) -> NDArray[np.float32]:
+    """(P, N) float32: what a network says of (P, N, F) inputs, without the kernel."""
+    (w1, b1), (w2, b2), (w3, b3) = weights.layers
+    scaled = np.clip((inputs.astype(np.float32) - weights.mean) * weights.scale, -4, 4)
+    hidden = np.maximum(scaled @ w1 + b1, 0)
+    return (np.maximum(hidden @ w2 + b2, 0) @ w3 + b3)[:, :, 0]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--config", default="accurate")
+    parser.add_argument("--samples", type=Path)
+    parser.add_argument("--held-out", action="store_true")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    fusion = load_config(FuseConfig, find_config("fuse", options.config), ("maps.choice=energy", "confidence=[]"))
+    assert fusion.maps is not None
+    taught: list[tuple[int, float, Lessons]] = []
+    trained_on = []
+    for scene in scenes(options.data):
+        file = options.samples / f"{scene.name}.npz" if options.samples else None
+        if file is not None and file.exists():
+            stored = np.load(file)
+            lessons = Lessons(stored["inputs"], stored["errors"], stored["weights"])
+        else:
+            pair, max_disparity, truth, masks = scene.load()
+            proposals = propose(fusion, pair, max_disparity)
+            part = 10 if scene.weight == 1 else 20
+            lessons = Lessons.of(proposals, truth, pixel_weights(truth, masks), part)
+            if file is not None:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                np.savez(file, inputs=lessons.inputs, errors=lessons.errors, weights=lessons.weights)
+        taught.append((scene.half, scene.weight, lessons))
+        trained_on.append(scene.name)
+        print(f"{scene.name}: {100 * (lessons.errors.min(1) > 1).mean():.2f} % out of reach", file=sys.stderr)
+    if options.held_out:
+        for half in (0, 1):
+            weights = train([(w, one) for h, w, one in taught if h != half], fusion.maps.kinds, options.seed)
+            for name, (h, w, one) in zip(trained_on, taught, strict=True):
+                if h == half and w == 1:
+                    errors = np.take_along_axis(one.errors, answers(weights, one.inputs).argmax(1)[:, None], axis=1)
+                    wrong = 100 * float((one.weights * (errors[:, 0] > 1)).sum() / one.weights.sum())
+                    print(f"{name}: {wrong:.2f} % wrong")
+        return 0
+    write_weights(options.out, train([(w, one) for _, w, one in taught], fusion.maps.kinds, options.seed), trained_on)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
