@@ -46,20 +46,28 @@ from depthcli.synthetic.stereo_scenes import KINDS, Radiometry, make_scene
 
 GROUPS = Path(__file__).resolve().parent / "stereo_groups.yaml"
 HALVES = ("half_Cloth3", "half_Reindeer")
-VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.3, "mirrored, lit": 0.3}
+VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5, "mirrored, lit": 0.5}
 """Versions of a real scene, and what each counts."""
-GENERATED = 0.15
+GENERATED = 0.3
 LOOKS = ((1, 0, 0), (0.3, 2, 0), (0.1, 1, 0), (1, 2, 1), (0.3, 0, 0.5), (0.05, 2, 0.5))
 """Contrast of the walls, noise and strength of another light of the generated scenes."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A pair with truth. ``half``: 0 or 1, related scenes together; ``weight``: what it counts."""
+    """A pair with truth.
+
+    Attributes
+    ----------
+    half : 0 or 1; related scenes are together
+    weight : what it counts
+    part : one of so many pixels is taken
+    """
 
     name: str
     half: int
     weight: float
+    part: int
     load: Callable[[], tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]]
 
 
@@ -71,20 +79,22 @@ def scenes(data: Path) -> Iterator[Scene]:
             for name, how in names.items():
                 for seed in how["seeds"]:
                     yield Scene(
-                        f"{name}_{seed}", seed // 2 % 2, 0.3, generated(how["kind"], seed, how["wall_contrast"])
+                        f"{name}_{seed}", seed // 2 % 2, 0.3, 20, generated(how["kind"], seed, how["wall_contrast"])
                     )
             continue
         for item in find_items(data / folder, patterns=names):
             half = 1 - half
             for variant, weight in VARIANTS.items():
                 if "mirrored" not in variant or item.truth().right is not None:
-                    yield Scene(f"{folder}_{item.name}_{variant}", half, weight, real(item, variant))
+                    yield Scene(
+                        f"{folder}_{item.name}_{variant}", half, weight, 20 if variant else 10, real(item, variant)
+                    )
     for item in find_items(data / "middlebury_half", patterns=["Cloth3", "Reindeer"]):
-        yield Scene(f"half_{item.name}", 1, 0.7, real(item, ""))
+        yield Scene(f"half_{item.name}", 1, 0.7, 20, real(item, ""))
     for k, kind in enumerate(KINDS):
         for look, (contrast, noise, light) in enumerate(LOOKS):
             seed = 200 + len(LOOKS) * k + look
-            yield Scene(f"{kind}_{seed}", seed % 2, GENERATED, generated(kind, seed, contrast, noise, light))
+            yield Scene(f"{kind}_{seed}", seed % 2, GENERATED, 20, generated(kind, seed, contrast, noise, light))
 
 
 def real(item: Any, variant: str) -> Callable[[], Any]:
@@ -262,8 +272,7 @@ def main() -> int:
         else:
             pair, max_disparity, truth, masks = scene.load()
             proposals = propose(fusion, pair, max_disparity)
-            part = 10 if scene.weight == 1 else 20
-            lessons = Lessons.of(proposals, truth, pixel_weights(truth, masks), part)
+            lessons = Lessons.of(proposals, truth, pixel_weights(truth, masks), scene.part)
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 np.savez(file, inputs=lessons.inputs, errors=lessons.errors, weights=lessons.weights)
