@@ -78,7 +78,7 @@ class MapFusion(BaseModel):
         except (ValueError, ConfigError) as error:
             wrong = PydanticCustomError("choice", "{why}", {"why": str(error)})
             raise ValidationError.from_exception_data(
-                "MapFusion", [{"type": wrong, "loc": ("choice",), "input": None}]
+                "MapFusion", [{"type": wrong, "loc": ("choice",), "input": self.choice.method_name()}]
             ) from None
         return self
 

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core import memory
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.fusion.choice import Chooser, Chosen, Proposals
 from depthcli.fusion.choice._inputs import NEAR, OWN, RELATIVE, SHARED, SOFTNESS, Inputs, gather, input_names
 from depthcli.fusion.votes import LANES, ColorSupport
+from depthcli.io.files import open_regular
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import load, smaller, splat, store
@@ -24,6 +25,7 @@ from depthcli.kernels.lanes import load, smaller, splat, store
 FORMAT = "depthcli choice 1"
 _LARGEST_INPUT = np.float32(4.0)  # standard deviations: what training has not seen must not decide
 _SHIPPED = Path(__file__).resolve().parent / "_networks"
+_LARGEST_FILE = 1 << 24  # bytes
 _TILE = 4  # units of a layer that are summed at a time: their sums stay in registers
 
 
@@ -112,8 +114,9 @@ def read_weights(name: str) -> Weights:
     """
     file = Path(name) if name.endswith(".json") else _SHIPPED / f"{name}.json"
     try:
-        found = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+        with open_regular(file) as opened:
+            found = json.loads(opened.read(_LARGEST_FILE).decode())
+    except (InputError, ValueError, RecursionError) as error:
         shipped = ", ".join(sorted(p.stem for p in _SHIPPED.glob("*.json")))
         raise ConfigError(f"network {name}: cannot be read ({error}); those of the package are: {shipped}") from None
     try:
