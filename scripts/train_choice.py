@@ -32,20 +32,17 @@ from numpy.typing import NDArray
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.core.result import Clock
 from depthcli.evaluation import protocols
 from depthcli.evaluation.masks import derive_masks
-from depthcli.fusion.choice import Proposals
+from depthcli.fusion.choice import Chooser, Chosen, Proposals
 from depthcli.fusion.choice._inputs import Inputs
 from depthcli.fusion.choice.network import Weights, write_weights
 from depthcli.fusion.config import FuseConfig
 from depthcli.fusion.pipeline import Fusion
 from depthcli.io.walk import find_items
-from depthcli.stereo.finish import finish
 from depthcli.synthetic.stereo_scenes import KINDS, Radiometry, make_scene
 
 GROUPS = Path(__file__).resolve().parent / "stereo_groups.yaml"
-HALVES = ("half_Cloth3", "half_Reindeer")
 VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5, "mirrored, lit": 0.5}
 """Versions of a real scene, and what each counts."""
 GENERATED = 0.3
@@ -144,17 +141,18 @@ def generated(kind: Any, seed: int, contrast: float, noise: float = 0, light: fl
 
 
 def propose(fusion: Fusion, pair: StereoPair, max_disparity: int) -> Proposals:
-    """What the maps of a fusion offer."""
+    """What the maps of a fusion offer: it is run with a choice that only listens."""
+    heard: list[Proposals] = []
+
+    class Listener(Chooser):
+        def __call__(self, proposals: Proposals) -> Chosen:
+            heard.append(proposals)
+            return Chosen(proposals.values[0])
+
     assert fusion.maps is not None
-    clock = Clock()
-    others = fusion.maps.matched(pair, max_disparity)
-    volume = fusion.fuse(pair, max_disparity, {}, clock).volume
-    own, _, right = finish(pair, volume, fusion.optimization, fusion.refinement, (), clock)
-    again = [
-        finish(pair, volume, one.optimization, fusion.refinement, (), clock)[0].disparity
-        for one in fusion.maps.optimizations
-    ]
-    return fusion.maps.proposals(pair, volume, right, [own.disparity, *others, *again])
+    maps = fusion.maps.model_copy(update={"choice": Listener(), "refinement": ()})
+    fusion.model_copy(update={"maps": maps})(pair, max_disparity)
+    return heard[0]
 
 
 def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]]) -> NDArray[np.float64]:

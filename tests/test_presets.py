@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -116,3 +118,17 @@ def test_same_bytes_at_any_number_of_threads(made, tmp_path: Path, monkeypatch, 
     assert len(found[0]) > 2
     assert found[0].keys() == found[1].keys()
     assert [name for name, data in found[0].items() if found[1][name] != data] == []
+
+
+def test_the_methods_that_fuse_writes_out_are_those_of_stereo():
+    """A network knows the maps of these methods and of no others: a change of one copy must not be forgotten."""
+
+    def loaded(command: str, name: str) -> Any:
+        model = load_command(command).config_model()  # type: ignore[attr-defined]
+        return load_config(model, find_config(command, name), (), partial(find_preset, command))
+
+    accurate, best = (loaded("fuse", name).maps.matchers for name in ("accurate", "best"))
+    assert best[:3] == accurate
+    copies = {0: "accurate", 1: "segments", 2: "fast", 5: "cross", 6: "ad-census", 7: "adaptive-weight"}
+    for k, name in copies.items():
+        assert best[k].matcher == loaded("stereo", name).pipeline, name

@@ -118,8 +118,7 @@ class MapFusion(BaseModel):
         weights = [0.0, 1.0, *(one.weight for one in listed), *(one.weight for one in self.segmentations)]
         filled = np.zeros((len(weights), *pair.shape), np.uint8)
         for k, one in enumerate(maps):
-            hidden = one.status & (Status.FILLED | Status.OCCLUDED)
-            filled[k + 1] = ((hidden & Status.FILLED) > 0).astype(np.uint8) + ((hidden & Status.OCCLUDED) > 0)
+            filled[k + 1] = np.count_nonzero([one.status & Status.FILLED, one.status & Status.OCCLUDED], axis=0)
         return Proposals(
             self.kinds, np.stack([middle, *own, *sloped]), filled, np.array(weights, np.float32), pair, volume, right
         )
@@ -144,7 +143,7 @@ class MapFusion(BaseModel):
 
     def bytes_beside(self, shape: tuple[int, int]) -> int:
         """Estimate of what mixing needs beside the fused costs, in bytes."""
-        count = 2 + len(self.matchers) + len(self.optimizations) + len(self.segmentations)
+        count = len(self.kinds)
         return shape[0] * shape[1] * (9 * count + self.choice.bytes_a_pixel(count))
 
     def _of_planes(

@@ -34,6 +34,10 @@ from depthcli.stereo.volume import CostVolume, StereoResult
 
 _CONSENSUS, _AGREEMENT, _PROBABILITY = "consensus", "agreement", "probability"
 _OWN = (_CONSENSUS, _AGREEMENT, _PROBABILITY)
+_NEEDED = {
+    _AGREEMENT: "'agreement' is that of several maps; want 'maps'",
+    _PROBABILITY: "'probability' is known where a network chooses among maps; want 'maps' with 'choice: network'",
+}
 _LARGEST = 4080  # of voted costs: the fixed point of aggregated costs, which scanline optimizers can sum
 
 
@@ -151,13 +155,11 @@ class Fusion(BaseModel):
     @model_validator(mode="after")
     def _nothing_in_vain(self) -> Fusion:
         told = () if self.maps is None else (_AGREEMENT, *self.maps.choice.tells)
-        for name in {_AGREEMENT, _PROBABILITY} & set(self.confidence) - set(told):
-            why = "'agreement' is that of several maps; want 'maps'"
-            if name == _PROBABILITY:
-                why = "'probability' is known where a network chooses among maps; want 'maps' with 'choice: network'"
+        untold = [name for name in self.confidence if name in _NEEDED and name not in told]
+        if untold:
+            wrong = PydanticCustomError("in_vain", _NEEDED[untold[0]])
             raise ValidationError.from_exception_data(
-                "Fusion",
-                [{"type": PydanticCustomError("in_vain", why), "loc": ("confidence",), "input": list(self.confidence)}],
+                "Fusion", [{"type": wrong, "loc": ("confidence",), "input": list(self.confidence)}]
             )
         if self.segments is None:
             return self

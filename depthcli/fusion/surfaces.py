@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.fusion.votes import LANES, ColorSupport
+from depthcli.fusion.votes import LANES, NOTHING, ColorSupport
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.labelling.graph_cut import binary_cut
 from depthcli.stereo.volume import CostVolume
@@ -164,12 +164,22 @@ def _smoothed(maps: NDArray[np.float32], support: ColorSupport, fill: Any, *inpu
     out = np.empty(maps.shape, np.float32)
     block = memory.empty((height, width, LANES), np.float32)
     for first in range(0, count, LANES):
-        block[:] = np.float32(1e-20)  # instead of 0: sums of far pixels must not become denormal, which is slow
+        block[:] = NOTHING
         fill(maps, first, *inputs, block)
         support.sum(block)
         for k in range(first, min(count, first + LANES)):
             out[k] = block[:, :, k - first] * support.share
     return out
+
+
+@jit
+def cost_between(costs: Any, value: Any) -> Any:
+    """Cost of a pixel at a disparity between two whole ones."""
+    d = min(int(value), costs.size - 1)
+    cost = np.float32(costs[d])
+    if d + 1 < costs.size:
+        cost += (value - np.float32(d)) * (np.float32(costs[d + 1]) - cost)
+    return cost
 
 
 @parallel_jit
@@ -183,11 +193,7 @@ def _along(maps: Any, first: int, costs: Any, unit: Any, truncation: Any, block:
                 if d > x:
                     block[y, x, k] = truncation
                     continue
-                rest = row[x] - np.float32(d)
-                cost = np.float32(costs[y, x, d])
-                if rest > 0 and d + 1 < depth:
-                    cost += rest * (np.float32(costs[y, x, d + 1]) - cost)
-                block[y, x, k] = min(cost * unit, truncation)
+                block[y, x, k] = min(cost_between(costs[y, x], row[x]) * unit, truncation)
 
 
 @parallel_jit
@@ -229,7 +235,8 @@ def _contradict(maps: Any, first: int, right: Any, hidden: Any, block: Any) -> N
 
 
 @jit
-def _misfit(here: Any, there: Any, slope_here: Any, slope_there: Any, truncation: Any) -> Any:
+def misfit(here: Any, there: Any, slope_here: Any, slope_there: Any, truncation: Any) -> Any:
+    """How far two neighbors miss each other along their slopes, pixels."""
     step = there - here
     return min(truncation, np.float32(0.5) * (abs(step - slope_here) + abs(step - slope_there)))
 
@@ -243,10 +250,10 @@ def _energy(values: Any, slopes: Any, cost: Any, weights: Any, truncation: Any, 
             total += cost[y, x]
             if x + 1 < width:
                 a, b = slopes[0, y, x], slopes[0, y, x + 1]
-                total += weights[0, y, x] * _misfit(values[y, x], values[y, x + 1], a, b, truncation)
+                total += weights[0, y, x] * misfit(values[y, x], values[y, x + 1], a, b, truncation)
             if y + 1 < height:
                 a, b = slopes[1, y, x], slopes[1, y + 1, x]
-                total += weights[1, y, x] * _misfit(values[y, x], values[y + 1, x], a, b, truncation)
+                total += weights[1, y, x] * misfit(values[y, x], values[y + 1, x], a, b, truncation)
         rows[y] = total
 
 
@@ -278,15 +285,15 @@ def _binary_problem(  # type: ignore[no-untyped-def]
                 here1, there1 = values1[y, x], values1[v, u]
                 slope_here0, slope_there0 = slopes0[axis, y, x], slopes0[axis, v, u]
                 slope_here1, slope_there1 = slopes1[axis, y, x], slopes1[axis, v, u]
-                e00 = w * _misfit(here0, there0, slope_here0, slope_there0, truncation)
+                e00 = w * misfit(here0, there0, slope_here0, slope_there0, truncation)
                 if j < 0:
-                    score[i] += w * _misfit(here1, there0, slope_here1, slope_there0, truncation) - e00
+                    score[i] += w * misfit(here1, there0, slope_here1, slope_there0, truncation) - e00
                 elif i < 0:
-                    score[j] += w * _misfit(here0, there1, slope_here0, slope_there1, truncation) - e00
+                    score[j] += w * misfit(here0, there1, slope_here0, slope_there1, truncation) - e00
                 else:
-                    e10 = w * _misfit(here1, there0, slope_here1, slope_there0, truncation)
-                    e01 = w * _misfit(here0, there1, slope_here0, slope_there1, truncation)
-                    e11 = w * _misfit(here1, there1, slope_here1, slope_there1, truncation)
+                    e10 = w * misfit(here1, there0, slope_here1, slope_there0, truncation)
+                    e01 = w * misfit(here0, there1, slope_here0, slope_there1, truncation)
+                    e11 = w * misfit(here1, there1, slope_here1, slope_there1, truncation)
                     score[i] += e10 - e00
                     score[j] += e11 - e10
                     p[pairs], q[pairs] = i, j

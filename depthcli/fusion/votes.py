@@ -21,7 +21,7 @@ from depthcli.stereo.volume import CostVolume
 
 LANES = 16
 """Disparities (or maps) that a support sums at a time."""
-_NOTHING = np.float32(1e-20)  # instead of 0: what is left of far votes must not become denormal, which is slow
+NOTHING = np.float32(1e-20)  # instead of 0: what is left of far votes must not become denormal, which is slow
 
 
 class Support:
@@ -156,7 +156,7 @@ def _cast(disparities: Any, weights: Any, first: int, tolerance: int, fading: bo
     voters, height, width = disparities.shape
     step = np.float32(1.0) / np.float32(tolerance + 1) if fading else np.float32(0.0)
     for y in prange(height):
-        block[y, :, :] = _NOTHING
+        block[y, :, :] = NOTHING
         for m in range(voters):
             for x in range(width):
                 center = disparities[m, y, x] - first

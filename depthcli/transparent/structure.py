@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
+from depthcli.filtering.local_moments import local_moments
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.stereo.volume import CostVolume
 
 
 def deviation(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     """(H, W) float32: standard deviation of grey levels in 9 x 9."""
-    wide = image.astype(np.float32)
-    mean = cv2.blur(wide, (9, 9))
-    return np.asarray(np.sqrt(np.maximum(cv2.blur(wide * wide, (9, 9)) - mean * mean, 0)), np.float32)
+    return np.asarray(np.sqrt(local_moments(image.astype(np.float32), 9)[1]), np.float32)
 
 
 def quieted(volume: CostVolume, left: NDArray[np.uint8], right: NDArray[np.uint8], structure: float) -> CostVolume:

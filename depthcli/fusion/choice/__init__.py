@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -11,7 +12,10 @@ from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
+from depthcli.fusion.votes import ColorSupport
 from depthcli.stereo.volume import CostVolume
+
+_FAR, _NEAR, _SOFTNESS = 8.0, 2.0, 15.0  # reaches of supports, pixels, and their softness, grey levels
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,16 @@ class Proposals:
     volume: CostVolume
     right: NDArray[np.uint16]
 
+    @cached_property
+    def far(self) -> ColorSupport:
+        """What evidence is averaged over where much of it is wanted."""
+        return ColorSupport(self.pair.color8[0], _FAR, _SOFTNESS)
+
+    @cached_property
+    def near(self) -> ColorSupport:
+        """What it is averaged over where outlines matter."""
+        return ColorSupport(self.pair.color8[0], _NEAR, _SOFTNESS)
+
 
 @dataclass(frozen=True)
 class Chosen:
@@ -57,7 +71,7 @@ class Chooser(Method):
 
     @abstractmethod
     def __call__(self, proposals: Proposals) -> Chosen:
-        """At every pixel one of the proposals, or a value between some that agree."""
+        """At every pixel one of the proposals."""
 
     def bytes_a_pixel(self, count: int) -> int:
         """Working memory beside ``count`` proposals, bytes a pixel."""

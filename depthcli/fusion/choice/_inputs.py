@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
+from depthcli.filtering.local_moments import local_moments
 from depthcli.fusion.choice import Proposals
-from depthcli.fusion.surfaces import contradictions, disagreements, matching_costs
-from depthcli.fusion.votes import ColorSupport
+from depthcli.fusion.surfaces import contradictions, cost_between, disagreements, matching_costs, misfit
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.stereo.slopes import slopes
-
-FAR, NEAR, SOFTNESS = 8.0, 2.0, 15.0
-"""Reaches of the supports that average evidence, pixels, and their softness, grey levels."""
 
 OWN = (
     "cost_far", "cost_near", "dissent_near", "dissent_far", "decorrelation", "color", "color_near",
@@ -32,7 +29,9 @@ SHARED = ("least_raw", "deviation_5", "deviation_13", "gradient", "filled_share"
 
 _FARTHEST = np.float32(4.0)
 _COLOR, _NOISE = np.float32(40.0), np.float32(4.0)
-_RADIUS = 3  # of the windows that are correlated
+_STEP = np.float32(2.0)  # pixels that a misfit counts at most
+_WINDOW = 7  # side of what is correlated, pixels
+RELATIVE_PLANES = np.array([OWN.index(name) for name in RELATIVE])
 
 
 def input_names(kinds: tuple[str, ...]) -> tuple[str, ...]:
@@ -63,7 +62,7 @@ class Inputs:
         maps, pair, volume = proposals.values, proposals.pair, proposals.volume
         count, height, width = maps.shape
         image = pair.color8[0]
-        far, near = ColorSupport(image, FAR, SOFTNESS), ColorSupport(image, NEAR, SOFTNESS)
+        far, near = proposals.far, proposals.near
         own = memory.empty((len(OWN), count, height, width), np.float32)
         plane = {name: own[k] for k, name in enumerate(OWN)}
         alike = np.ones(count, np.float32)
@@ -78,14 +77,14 @@ class Inputs:
         shared = np.zeros((len(SHARED), height, width), np.float32)
         common = {name: shared[k] for k, name in enumerate(SHARED)}
         unit = np.float32(1 / volume.scale)
-        _least(volume.costs, unit, common["least_raw"])
-        deviations = [_deviation(grey[0], radius) for radius in (2, 6)]
-        common["deviation_5"][:], common["deviation_13"][:] = (np.minimum(d, _COLOR) for d in deviations)
+        common["least_raw"][:] = volume.costs.min(axis=2) * unit
+        for side in (5, 13):
+            common[f"deviation_{side}"][:] = np.minimum(np.sqrt(local_moments(grey[0], side)[1]), _COLOR)
         common["gradient"][:] = np.minimum(np.abs(cv2.Sobel(grey[0], cv2.CV_32F, 1, 0)) / 8, 30)
         plane["filled"][:] = proposals.filled
         common["filled_share"][:] = (proposals.filled > 0).mean(axis=0)
         warped = np.empty((height, width), np.float32)
-        statistics = _moments(grey[0], _RADIUS)
+        moments = local_moments(grey[0], _WINDOW)
         for k, values in enumerate(maps):
             _look(
                 values, volume.costs, unit, proposals.right, image, pair.color8[1], grey[1], common["least_raw"],
@@ -93,7 +92,7 @@ class Inputs:
                 plane["color"][k], warped,
             )  # fmt: skip
             plane["color_near"][k] = cv2.blur(plane["color"][k], (5, 5))
-            plane["decorrelation"][k] = 1 - _correlation(grey[0], statistics, warped)
+            plane["decorrelation"][k] = 1 - _correlation(grey[0], moments, warped)
             slope = slopes(values, image)
             plane["slope_x"][k], plane["slope_y"][k] = slope
             _roughness(values, slope, plane["rough"][k])
@@ -113,8 +112,7 @@ class Inputs:
         count = len(self.values)
         size = len(OWN) + len(RELATIVE) + count + len(SHARED)
         out = np.empty((pixels.size, count, size), np.float32)
-        relative = np.array([OWN.index(name) for name in RELATIVE])
-        _rows(self.values, self.own, self.shared, relative, pixels, out)
+        _rows(self.values, self.own, self.shared, RELATIVE_PLANES, pixels, out)
         return out
 
 
@@ -163,42 +161,10 @@ def _rows(values: Any, own: Any, shared: Any, relative: Any, pixels: Any, out: A
             gather(values, own, shared, relative, n, pixels[i], out[i, n].reshape((out.shape[2], 1)))
 
 
-def _moments(grey: Any, radius: int) -> Any:
-    """Mean and variance of the windows."""
-    side = (2 * radius + 1, 2 * radius + 1)
-    mean = cv2.blur(grey, side)
-    return mean, np.maximum(cv2.blur(grey * grey, side) - mean * mean, 0)
-
-
-def _deviation(grey: NDArray[np.float32], radius: int) -> NDArray[np.float32]:
-    return np.asarray(np.sqrt(_moments(grey, radius)[1]), np.float32)
-
-
 def _correlation(grey: Any, moments: Any, warped: Any) -> Any:
-    mean, variance = _moments(warped, _RADIUS)
-    product = cv2.blur(grey * warped, (2 * _RADIUS + 1, 2 * _RADIUS + 1)) - mean * moments[0]
+    mean, variance = local_moments(warped, _WINDOW)
+    product = cv2.blur(grey * warped, (_WINDOW, _WINDOW)) - mean * moments[0]
     return product / np.sqrt((variance + _NOISE) * (moments[1] + _NOISE))
-
-
-@parallel_jit
-def _least(costs: Any, unit: Any, out: Any) -> None:
-    height, width, depth = costs.shape
-    for y in prange(height):
-        for x in range(width):
-            row = costs[y, x]
-            best = np.int32(row[0])
-            for d in range(1, depth):
-                best = min(best, np.int32(row[d]))
-            out[y, x] = np.float32(best) * unit
-
-
-@jit
-def _between(row: Any, value: Any) -> Any:
-    d = min(int(value), row.size - 1)
-    cost = np.float32(row[d])
-    if d + 1 < row.size:
-        cost += (value - np.float32(d)) * (np.float32(row[d + 1]) - cost)
-    return cost
 
 
 @parallel_jit
@@ -216,7 +182,7 @@ def _look(
                 nearest[u] = max(nearest[u], values[y, x])
         for x in range(width):
             value = values[y, x]
-            raw[y, x] = _between(costs[y, x], value) * unit - least_raw[y, x]
+            raw[y, x] = cost_between(costs[y, x], value) * unit - least_raw[y, x]
             from_left[y, x] = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
             u = int(np.floor(np.float32(x) - value + half))
             if u < 0:
@@ -244,17 +210,13 @@ def _roughness(values: Any, slope: Any, rough: Any) -> None:
     for y in prange(height):
         for x in range(width):
             total = np.float32(0)
+            here, slope_x, slope_y = values[y, x], slope[0, y, x], slope[1, y, x]
             if x > 0:
-                total += _misfit(values[y, x] - values[y, x - 1], slope[0, y, x - 1], slope[0, y, x])
+                total += misfit(values[y, x - 1], here, slope[0, y, x - 1], slope_x, _STEP)
             if x + 1 < width:
-                total += _misfit(values[y, x + 1] - values[y, x], slope[0, y, x], slope[0, y, x + 1])
+                total += misfit(here, values[y, x + 1], slope_x, slope[0, y, x + 1], _STEP)
             if y > 0:
-                total += _misfit(values[y, x] - values[y - 1, x], slope[1, y - 1, x], slope[1, y, x])
+                total += misfit(values[y - 1, x], here, slope[1, y - 1, x], slope_y, _STEP)
             if y + 1 < height:
-                total += _misfit(values[y + 1, x] - values[y, x], slope[1, y, x], slope[1, y + 1, x])
+                total += misfit(here, values[y + 1, x], slope_y, slope[1, y + 1, x], _STEP)
             rough[y, x] = total
-
-
-@jit
-def _misfit(step: Any, slope_here: Any, slope_there: Any) -> Any:
-    return min(np.float32(2), np.float32(0.5) * (abs(step - slope_here) + abs(step - slope_there)))

@@ -7,10 +7,8 @@ from pydantic import Field
 
 from depthcli.fusion.choice import Chooser, Chosen, Proposals
 from depthcli.fusion.surfaces import Smoothness, Surface, contradictions, disagreements, matching_costs
-from depthcli.fusion.votes import ColorSupport
 from depthcli.stereo.slopes import slopes
 
-_REACH, _SHORT, _SOFTNESS = 8.0, 2.0, 15.0  # supports of costs and of the rest, pixels and grey levels
 _LEAST = 0.25  # maps closer than this are not told apart, pixels
 
 
@@ -41,7 +39,7 @@ class Energy(Chooser):
     def __call__(self, proposals: Proposals) -> Chosen:
         image = proposals.pair.color8[0]
         maps, weights = proposals.values, proposals.weights
-        far, near = ColorSupport(image, _REACH, _SOFTNESS), ColorSupport(image, _SHORT, _SOFTNESS)
+        far, near = proposals.far, proposals.near
         costs = np.float32(self.cost_weight) * matching_costs(maps, proposals.volume, self.cost_truncation, far)
         costs += np.float32(self.agreement_weight) * disagreements(maps, weights, near)
         costs += np.float32(self.visibility_weight) * contradictions(maps, proposals.right, self.hidden, near)

@@ -15,12 +15,14 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.fusion.choice import Chooser, Chosen, Proposals
-from depthcli.fusion.choice._inputs import NEAR, OWN, RELATIVE, SHARED, SOFTNESS, Inputs, gather, input_names
-from depthcli.fusion.votes import LANES, ColorSupport
+from depthcli.fusion.choice._inputs import OWN, RELATIVE_PLANES, SHARED, Inputs, gather, input_names
+from depthcli.fusion.votes import LANES as MOST
+from depthcli.fusion.votes import NOTHING
+from depthcli.io.atomic import atomic_path
 from depthcli.io.files import open_regular
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.kernels.lanes import load, smaller, splat, store
+from depthcli.kernels.lanes import LANES, load, smaller, splat, store
 
 FORMAT = "depthcli choice 1"
 _LARGEST_INPUT = np.float32(4.0)  # standard deviations: what training has not seen must not decide
@@ -55,17 +57,16 @@ class Network(Chooser):
         weights = read_weights(self.weights)
         count, height, width = proposals.values.shape
         answers = weights(Inputs.of(proposals)).reshape(count, height, width)
-        shares = memory.empty((height, width, LANES), np.float32)
+        shares = memory.empty((height, width, MOST), np.float32)
         _softmax(answers, shares)
-        support = ColorSupport(proposals.pair.color8[0], NEAR, SOFTNESS)
-        support.sum(shares)
+        proposals.near.sum(shares)
         values = np.empty((height, width), np.float32)
         probability = np.empty((height, width), np.float32)
         _take(proposals.values, answers, shares, values, probability)
         return Chosen(values, probability)
 
     def bytes_a_pixel(self, count: int) -> int:
-        return 4 * (count * (len(OWN) + 4) + len(SHARED) + 2 * LANES) + 100
+        return 4 * (count * (len(OWN) + 4) + len(SHARED) + 2 * MOST) + 100
 
 
 @dataclass(frozen=True)
@@ -87,11 +88,10 @@ class Weights:
 
     def __call__(self, inputs: Inputs) -> NDArray[np.float32]:
         """(N, P) float32: log odds of every proposal to be right."""
-        relative = np.array([OWN.index(name) for name in RELATIVE])
         out = np.empty(inputs.values.shape, np.float32)
         (w1, b1), (w2, b2), (w3, b3) = self.layers
         _answer(
-            inputs.values, inputs.own, inputs.shared, relative, self.mean, self.scale,
+            inputs.values, inputs.own, inputs.shared, RELATIVE_PLANES, self.mean, self.scale,
             _tiled(w1), b1, _tiled(w2), b2, w3.ravel(), b3, out,
         )  # fmt: skip
         return out
@@ -145,8 +145,8 @@ def _parse(found: dict[str, Any]) -> Weights:
         raise ValueError(f"layers of shapes {shapes}")
     if not all(np.isfinite(array).all() for array in (mean, scale, *(a for layer in layers for a in layer))):
         raise ValueError("weights that are no numbers")
-    if not 2 <= len(kinds) <= LANES:
-        raise ValueError(f"want 2 to {LANES} maps")
+    if not 2 <= len(kinds) <= MOST:
+        raise ValueError(f"want 2 to {MOST} maps")
     return Weights(kinds, mean, scale, layers)
 
 
@@ -154,7 +154,7 @@ def write_weights(file: Path, weights: Weights, trained_on: list[str]) -> None:
     """Write what :func:`read_weights` reads: text, four digits a number."""
 
     def plain(array: NDArray[np.float32]) -> Any:
-        return json.loads(json.dumps(array.astype(np.float64).tolist()), parse_float=lambda t: float(f"{float(t):.4g}"))
+        return np.vectorize(lambda value: float(f"{value:.4g}"), otypes=[float])(array).tolist()
 
     content = {
         "format": FORMAT,
@@ -166,7 +166,8 @@ def write_weights(file: Path, weights: Weights, trained_on: list[str]) -> None:
         "layers": [{"weights": plain(w), "offsets": plain(b)} for w, b in weights.layers],
     }
     text = json.dumps(content, separators=(",", ":"))
-    file.write_text(text.replace("],[", "],\n[").replace(',"', ',\n"') + "\n", "utf-8")
+    with atomic_path(file) as temporary:
+        temporary.write_text(text.replace("],[", "],\n[").replace(',"', ',\n"') + "\n", "utf-8")
 
 
 @jit
@@ -179,18 +180,18 @@ def _layer(source: Any, inputs: int, weights: Any, offsets: Any, target: Any) ->
     """Rectified units of LANES pixels: flat ``source`` and ``target`` hold LANES values an input, a unit."""
     for tile in range(weights.shape[0]):
         w = weights[tile]
-        a, b = splat(offsets[tile * 4]), splat(offsets[tile * 4 + 1])
-        c, d = splat(offsets[tile * 4 + 2]), splat(offsets[tile * 4 + 3])
+        a, b = splat(offsets[tile * _TILE]), splat(offsets[tile * _TILE + 1])
+        c, d = splat(offsets[tile * _TILE + 2]), splat(offsets[tile * _TILE + 3])
         for i in range(inputs):
             x = load(source, i * LANES)
             a += splat(w[i, 0]) * x
             b += splat(w[i, 1]) * x
             c += splat(w[i, 2]) * x
             d += splat(w[i, 3]) * x
-        store(target, (tile * 4) * LANES, _positive(a))
-        store(target, (tile * 4 + 1) * LANES, _positive(b))
-        store(target, (tile * 4 + 2) * LANES, _positive(c))
-        store(target, (tile * 4 + 3) * LANES, _positive(d))
+        store(target, (tile * _TILE) * LANES, _positive(a))
+        store(target, (tile * _TILE + 1) * LANES, _positive(b))
+        store(target, (tile * _TILE + 2) * LANES, _positive(c))
+        store(target, (tile * _TILE + 3) * LANES, _positive(d))
 
 
 @parallel_jit
@@ -205,8 +206,8 @@ def _answer(
     for task in prange((groups + chunk - 1) // chunk):
         block = np.zeros((size, LANES), np.float32)
         flat = block.reshape(size * LANES)
-        hidden = np.empty(w1.shape[0] * 4 * LANES, np.float32)
-        second = np.empty(w2.shape[0] * 4 * LANES, np.float32)
+        hidden = np.empty(w1.shape[0] * _TILE * LANES, np.float32)
+        second = np.empty(w2.shape[0] * _TILE * LANES, np.float32)
         last = np.empty(LANES, np.float32)
         for group in range(task * chunk, min(groups, (task + 1) * chunk)):
             first = group * LANES
@@ -218,7 +219,7 @@ def _answer(
                         z = (cells[lane] - mean[i]) * scale[i]
                         cells[lane] = min(max(z, -_LARGEST_INPUT), _LARGEST_INPUT)
                 _layer(flat, size, w1, b1[n], hidden)
-                _layer(hidden, w1.shape[0] * 4, w2, b2, second)
+                _layer(hidden, w1.shape[0] * _TILE, w2, b2, second)
                 total = splat(b3[0])
                 for i in range(w3.size):
                     total += splat(w3[i]) * load(second, i * LANES)
@@ -236,13 +237,13 @@ def _softmax(answers: Any, shares: Any) -> None:
             for n in range(1, count):
                 largest = max(largest, answers[n, y, x])
             cells = shares[y, x]
-            cells[:] = np.float32(1e-20)  # sums of far pixels must not become denormal, which is slow
+            cells[:] = NOTHING
             total = np.float32(0)
             for n in range(count):
                 cells[n] = exp_minus(largest - answers[n, y, x])
                 total += cells[n]
             for n in range(count):
-                cells[n] = cells[n] / total + np.float32(1e-20)
+                cells[n] = cells[n] / total + NOTHING
 
 
 @parallel_jit
