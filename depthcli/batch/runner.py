@@ -129,12 +129,14 @@ def run_items(
         earlier.clear()
         writer = ReportWriter(output, work.name, run, rows, own, others, options.shard)
         unclaimed: list[Task] = []
+        begun: list[Task] = []
 
         def claim(task: Task) -> bool:
             """Nobody else makes it, or has made it since."""
             if lock.claim(task.item.name):
                 row = None if options.shard is None else look.finished(task, {})[0]
                 if row is None:
+                    begun.append(task)
                     return True
                 rows[task.item.name] = row
                 lock.release(task.item.name)
@@ -161,6 +163,10 @@ def run_items(
                         reporter.info("stopped at the first failure; the same command goes on where it stopped")
                         break
         finally:
+            for task in begun:  # a signal may come between an item's last file and its row
+                row = None if task.item.name in rows else look.finished(task, {})[0]
+                if row is not None:
+                    rows[task.item.name] = _with_common_keys(row)
             for task in tasks:
                 if task.item.name in rows:
                     rows[task.item.name] = _still_there(task, rows[task.item.name])

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from depthcli.batch import record
+from depthcli.batch import record, resources
 from depthcli.batch.making import Task, discard, run_one
 from depthcli.batch.record import RECORD_FILE
 from depthcli.batch.reporter import Reporter
@@ -202,6 +202,19 @@ def test_interruption_leaves_a_folder_to_go_on_with(folder: Folder):
     rows = folder.run()
     assert folder.computed() == ["c", "d"]
     assert rows["a"]["seconds"] == {"work": 0.5}  # measured before the interruption
+
+
+def test_what_is_finished_when_the_signal_comes_is_reported(folder: Folder, monkeypatch: pytest.MonkeyPatch):
+    def interrupt() -> int:  # asked for when an item's files are in place, before its row is made
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(resources, "peak_memory", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            folder.run()
+    assert [(row["scene"], row["status"]) for row in folder.report()["scenes"]] == [("a", "done")]
+    folder.run()
+    assert folder.computed() == ["b", "c", "d"]
 
 
 def test_workers_give_the_same_bytes(folder: Folder, tmp_path_factory: pytest.TempPathFactory):
