@@ -3,12 +3,12 @@
 
     python scripts/train_choice.py DATA OUT.json [--config accurate] [--samples FOLDER] [--held-out] [--seed 0]
 
-DATA is the folder of data sets. Only the tuning scenes of `stereo_groups.yaml` teach, each of them also from the other
-side (both images mirrored and swapped) where the right view's truth is known, and both with the right image lit in
-another way; with them a few generated scenes and two tuning scenes of twice the size. CONFIG is a preset or config of
-fuse whose `maps` are to be chosen among; its present choice plays no part. FOLDER keeps what was measured in every
-scene for another run. ``--held-out`` trains on each half of the tuning scenes and says how the other half is chosen,
-error of the shares' largest without averaging; nothing is written.
+DATA is the folder of data sets. Only the tuning scenes of `stereo_groups.yaml` teach, each of them also from the
+other side (both images mirrored and swapped) where the right view's truth is known, and both with the right image lit
+in another way, the latter not adjusted; with them a few generated scenes and two tuning scenes of twice the size.
+CONFIG is a preset or config of fuse whose `maps` are to be chosen among; its present choice plays no part. FOLDER
+keeps what was measured in every scene for another run. ``--held-out`` trains on each half of the tuning scenes and
+says how the other half is chosen, error of the shares' largest without averaging; nothing is written.
 
 Two hidden layers of 32 and 16 rectified units, Adam, loss per pixel: the mean over the maps of the cross entropy of
 being right, and the negative logarithm of the share (softmax) of the maps that are right. A map within 1 px is right,
@@ -45,6 +45,8 @@ from depthcli.synthetic.stereo_scenes import KINDS, Radiometry, make_scene
 GROUPS = Path(__file__).resolve().parent / "stereo_groups.yaml"
 VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5, "mirrored, lit": 0.5}
 """Versions of a real scene, and what each counts."""
+AS_IT_IS = "mirrored, lit"
+"""Version whose right image is not adjusted: there is light that cannot be."""
 GENERATED = 0.3
 LOOKS = ((1, 0, 0), (0.3, 2, 0), (0.1, 1, 0), (1, 2, 1), (0.3, 0, 0.5), (0.05, 2, 0.5))
 """Contrast of the walls, noise and strength of another light of the generated scenes."""
@@ -59,6 +61,7 @@ class Scene:
     half : 0 or 1; related scenes are together
     weight : what it counts
     part : one of so many pixels is taken
+    adjusted : whether the fusion may adjust the right image
     """
 
     name: str
@@ -66,6 +69,7 @@ class Scene:
     weight: float
     part: int
     load: Callable[[], tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]]
+    adjusted: bool = True
 
 
 def scenes(data: Path) -> Iterator[Scene]:
@@ -83,9 +87,8 @@ def scenes(data: Path) -> Iterator[Scene]:
             half = 1 - half
             for variant, weight in VARIANTS.items():
                 if "mirrored" not in variant or item.truth().right is not None:
-                    yield Scene(
-                        f"{folder}_{item.name}_{variant}", half, weight, 20 if variant else 10, real(item, variant)
-                    )
+                    name, part = f"{folder}_{item.name}_{variant}", 20 if variant else 10
+                    yield Scene(name, half, weight, part, real(item, variant), variant != AS_IT_IS)
     for item in find_items(data / "middlebury_half", patterns=["Cloth3", "Reindeer"]):
         yield Scene(f"half_{item.name}", 1, 0.7, 20, real(item, ""))
     for k, kind in enumerate(KINDS):
@@ -269,7 +272,8 @@ def main() -> int:
             lessons = Lessons(stored["inputs"], stored["errors"], stored["weights"])
         else:
             pair, max_disparity, truth, masks = scene.load()
-            proposals = propose(fusion, pair, max_disparity)
+            given = fusion if scene.adjusted else fusion.model_copy(update={"adjust": ()})
+            proposals = propose(given, pair, max_disparity)
             lessons = Lessons.of(proposals, truth, pixel_weights(truth, masks), scene.part)
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)

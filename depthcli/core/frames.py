@@ -63,9 +63,20 @@ class StereoPair:
         left, right = self.grey
         return _eight_bit(left), _eight_bit(right)
 
+    @property
+    def top(self) -> int:
+        """The largest sample."""
+        return (1 << (self.bits or 8 * self.left.itemsize)) - 1
+
+    @property
+    def clamped(self) -> tuple[Image, Image]:
+        """Both images without samples beyond ``top``."""
+        return _clamped(self.left, self.top), _clamped(self.right, self.top)
+
     @cached_property
     def _full_range(self) -> tuple[Image, Image]:
-        return _spread(self.left, self.bits), _spread(self.right, self.bits)
+        left, right = self.clamped
+        return _spread(left, self.top), _spread(right, self.top)
 
 
 def _grey(image: Image) -> Image:
@@ -74,13 +85,16 @@ def _grey(image: Image) -> Image:
     return cast(Image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
 
 
-def _spread(image: Image, bits: int | None) -> Image:
-    """Samples of so many bits over the range of the image's dtype."""
+def _clamped(image: Image, top: int) -> Image:
+    return image if top == np.iinfo(image.dtype).max else cast(Image, np.minimum(image, image.dtype.type(top)))
+
+
+def _spread(image: Image, top: int) -> Image:
+    """Samples up to ``top`` over the range of the image's dtype."""
     full = np.iinfo(image.dtype).max
-    top = full if bits is None else (1 << bits) - 1
     if top == full:
         return image
-    return cast(Image, ((np.minimum(image, top).astype(np.uint32) * full + top // 2) // top).astype(image.dtype))
+    return cast(Image, ((image.astype(np.uint32) * full + top // 2) // top).astype(image.dtype))
 
 
 def _eight_bit(image: Image) -> NDArray[np.uint8]:

@@ -22,6 +22,7 @@ from depthcli.fusion.maps import MapFusion
 from depthcli.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
 from depthcli.fusion.weights import comparable, measure_weights
 from depthcli.kernels.winners import left_right_difference, winners
+from depthcli.stereo.adjustment import Adjust, adjusted
 from depthcli.stereo.aggregation import Aggregation
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.stereo.cost import PartCost
@@ -109,6 +110,7 @@ class Fusion(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    adjust: Adjust = ()
     measures: tuple[Measure, ...] = Field(min_length=1, max_length=16, description="measures to fuse")
     weights: Literal["consensus", "confidence", "equal", "select", "vote"] = Field(
         "consensus",
@@ -191,6 +193,7 @@ class Fusion(BaseModel):
             A volume is missing, has another shape, or holds other than finite numbers.
         """
         clock = Clock()
+        pair = adjusted(pair, max_disparity, self.adjust, clock)
         others = []
         if self.maps is not None:
             others = self.maps.matched(pair, max_disparity)

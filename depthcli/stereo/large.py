@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from depthcli.confidence import confidence_maps
 from depthcli.core import memory
@@ -24,6 +25,7 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import Gathered
+from depthcli.stereo.adjustment import Adjust, adjusted
 from depthcli.stereo.coarse import Prior, glimpses_of, halved
 from depthcli.stereo.cost.census import Census
 from depthcli.stereo.fixed_point import FixedPoint
@@ -86,15 +88,22 @@ def match_in_tiles(matcher: Matcher, pair: StereoPair, max_disparity: int, allow
         Not even the smallest tiles fit.
     """
     clock = Clock()
+    what: Adjust = getattr(matcher, "adjust", ())
+    held = 0
+    if what and isinstance(matcher, BaseModel):
+        given = pair
+        pair = adjusted(given, max_disparity, what, clock)
+        held = 0 if pair is given else given.right.nbytes  # the caller has it
+        matcher = cast(Matcher, matcher.model_copy(update={"adjust": ()}))
     local = None
     if isinstance(matcher, Local) and not any(step.needs_costs for step in matcher.refinement):
         local = _halo(matcher)
-        prior = _prior(matcher, pair, max_disparity, allowed, clock) if local is None else None
+        prior = _prior(matcher, pair, max_disparity, allowed - held, clock) if local is None else None
         margins = _margins(prior) if local is None else Margins(local, local, False)
-        result = _level(matcher, pair, max_disparity, prior, margins, allowed, clock)[0]
+        result = _level(matcher, pair, max_disparity, prior, margins, allowed, clock, held)[0]
     else:
-        prior = _prior(_FINDER, pair, max_disparity, allowed, clock)
-        result = _patched(matcher, pair, max_disparity, prior, allowed, clock)
+        prior = _prior(_FINDER, pair, max_disparity, allowed - held, clock)
+        result = _patched(matcher, pair, max_disparity, prior, allowed, clock, held)
     result.figures |= {"levels": 1.0 if prior is None else float(prior.levels), "exact": float(local is not None)}
     return result
 
@@ -131,10 +140,17 @@ def _margins(prior: Prior | None) -> Margins:
 
 
 def _level(
-    matcher: Local, pair: StereoPair, top: int, prior: Prior | None, margins: Margins, allowed: int, clock: Clock
+    matcher: Local,
+    pair: StereoPair,
+    top: int,
+    prior: Prior | None,
+    margins: Margins,
+    allowed: int,
+    clock: Clock,
+    held: int = 0,
 ) -> tuple[StereoResult, Gathered]:
     """One size: costs and winners by tile, then refinement of the whole map."""
-    plan = _plan(matcher, pair, top, prior, margins, allowed)
+    plan = _plan(matcher, pair, top, prior, margins, allowed, held)
     clock.stop("plan")
     gathered = Gathered(pair.shape, any(isinstance(step, Subpixel) for step in matcher.refinement))
     confidence: dict[str, NDArray[np.float32]] = {}
@@ -190,8 +206,10 @@ def _without_speckles(step: SpeckleFilter, disparity: DisparityMap, evidence: Ev
     return many
 
 
-def _plan(matcher: Matcher, pair: StereoPair, top: int, prior: Prior | None, margins: Margins, allowed: int) -> _Plan:
-    waiting = PROCESS + pair.left.nbytes + pair.right.nbytes
+def _plan(
+    matcher: Matcher, pair: StereoPair, top: int, prior: Prior | None, margins: Margins, allowed: int, held: int
+) -> _Plan:
+    waiting = PROCESS + pair.left.nbytes + pair.right.nbytes + held
     pixels = pair.shape[0] * pair.shape[1]
     free = allowed - waiting - _A_PIXEL * pixels
 
@@ -282,10 +300,10 @@ def _discourage(costs: Any, spans: Any, low: Any, high: Any, corner: Any, penalt
 
 
 def _patched(
-    matcher: Matcher, pair: StereoPair, top: int, prior: Prior | None, allowed: int, clock: Clock
+    matcher: Matcher, pair: StereoPair, top: int, prior: Prior | None, allowed: int, clock: Clock, held: int
 ) -> StereoResult:
     """Every tile by itself."""
-    plan = _plan(matcher, pair, top, prior, Margins(_FAR_HALO, _HALO // 2, True), allowed)
+    plan = _plan(matcher, pair, top, prior, Margins(_FAR_HALO, _HALO // 2, True), allowed, held)
     clock.stop("plan")
     values, status = np.zeros(pair.shape, np.float32), np.zeros(pair.shape, np.uint8)
     confidence: dict[str, NDArray[np.float32]] = {}

@@ -174,7 +174,7 @@ def test_a_file_of_something_else_is_refused(change, message, tmp_path):
 
 def test_a_network_takes_only_the_maps_it_was_trained_for():
     maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
-    with pytest.raises(ValidationError, match="trained for the maps median, own, local, segments"):
+    with pytest.raises(ValidationError, match="trained for the maps median, own, segments, local"):
         FuseConfig.model_validate({"measures": ["census"], "maps": maps})
     with pytest.raises(ValidationError, match="where a network chooses"):
         FuseConfig.model_validate({"measures": ["census"], "maps": {}, "confidence": ["probability"]})

@@ -31,6 +31,7 @@ _FARTHEST = np.float32(4.0)
 _COLOR, _NOISE = np.float32(40.0), np.float32(4.0)
 _STEP = np.float32(2.0)  # pixels that a misfit counts at most
 _WINDOW = 7  # side of what is correlated, pixels
+_REACH = 9  # half side of the window that slopes are fitted in, pixels
 RELATIVE_PLANES = np.array([OWN.index(name) for name in RELATIVE])
 
 
@@ -93,7 +94,7 @@ class Inputs:
             )  # fmt: skip
             plane["color_near"][k] = cv2.blur(plane["color"][k], (5, 5))
             plane["decorrelation"][k] = 1 - _correlation(grey[0], moments, warped)
-            slope = slopes(values, image)
+            slope = slopes(values, image, _REACH)
             plane["slope_x"][k], plane["slope_y"][k] = slope
             _roughness(values, slope, plane["rough"][k])
             plane["rough_near"][k] = cv2.blur(plane["rough"][k], (9, 9))

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
+from depthcli.stereo.adjustment import Adjust
 from depthcli.stereo.cost import Cost
 from depthcli.stereo.volume import StereoResult
 
@@ -28,6 +29,7 @@ class StereoPipeline(Method):
 class CostPipeline(StereoPipeline):
     """A pipeline that begins with matching costs."""
 
+    adjust: Adjust = ()
     cost: Cost = Field(description="matching cost of two pixels")
 
 

@@ -7,6 +7,7 @@ from pydantic import Field
 from depthcli.confidence import MeasureName
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
+from depthcli.stereo.adjustment import adjusted
 from depthcli.stereo.aggregation import Aggregation
 from depthcli.stereo.finish import finish
 from depthcli.stereo.optimization import Optimization
@@ -30,6 +31,7 @@ class Local(CostPipeline):
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         clock = Clock()
+        pair = adjusted(pair, max_disparity, self.adjust, clock)
         volume = self.volume(pair, max_disparity, clock)
         result, _, _ = finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)
         return result

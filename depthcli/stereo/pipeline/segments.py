@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
+from depthcli.stereo.adjustment import adjusted
 from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.stereo.pipeline import CostPipeline
 from depthcli.stereo.segments.steps import SegmentSteps
@@ -21,6 +22,7 @@ class Segments(SegmentSteps, CostPipeline):
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         clock = Clock()
+        pair = adjusted(pair, max_disparity, self.adjust, clock)
         volume = self.cost(pair, max_disparity + 1)
         clock.stop("cost")
         return self.from_volume(pair, volume, max_disparity, clock)

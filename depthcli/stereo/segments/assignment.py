@@ -60,7 +60,7 @@ class Assignment:
 
 
 def assign(
-    scene: Scene, volume: CostVolume, candidates: Candidates, energy: Energy, rounds: int, clock: Clock
+    scene: Scene, volume: CostVolume, candidates: Candidates, energy: Energy, rounds: int, sweeps: int, clock: Clock
 ) -> Assignment | None:
     """Minimize the energy (eq. 2.8) over the planes of all segments; None where nothing is trusted.
 
@@ -68,6 +68,8 @@ def assign(
     ----------
     volume : costs for the matching-cost data term
     rounds : assignments; before each but the first, planes are fitted again to groups that share one
+    sweeps : passes over all planes that the last of them makes at most; those before make half as many, two
+        at most
     """
     own = candidates.of_segments(scene)
     if own is None:
@@ -87,7 +89,9 @@ def assign(
         initial = cheapest if initial is None else np.where(initial < 0, cheapest, initial)
         clock.stop("data_term")
         last = turn + 1 == rounds
-        solved = alpha_expansion(unary, scene.graph.edges, weights, initial, max_sweeps=20 if last else 2)
+        solved = alpha_expansion(
+            unary, scene.graph.edges, weights, initial, max_sweeps=sweeps if last else min(max(sweeps // 2, 1), 2)
+        )
         initial = solved.labels
         clock.stop("expansion")
     return Assignment(planes, solved.labels, potts_energy(cheapest, unary, scene.graph.edges, weights), solved.energy)

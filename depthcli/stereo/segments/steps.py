@@ -57,6 +57,7 @@ class SegmentSteps(Step):
     planes: Candidates = Field(default_factory=Candidates, description="the planes that segments may lie on")
     energy: Energy = Field(default_factory=Energy, description="what the assignment of planes minimizes")
     rounds: int = Field(1, ge=1, le=10, description="assignments; before each but the first, planes are fitted again")
+    sweeps: int = Field(20, ge=1, le=1000, description="passes over all planes that the last assignment makes at most")
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the finished map, in order")
     details: bool = Field(False, description="also write segments, key points, planes and labels")
 
@@ -87,7 +88,9 @@ class SegmentSteps(Step):
         clock.stop("splitting")
         scene = Scene.of(labels, first, region_graph(labels, image), max_disparity)
         # On a flat image an optimizer would still carry the borders' costs everywhere.
-        assignment = assign(scene, volume, self.planes, self.energy, self.rounds, clock) if informative else None
+        assignment = (
+            assign(scene, volume, self.planes, self.energy, self.rounds, self.sweeps, clock) if informative else None
+        )
         if assignment is None:
             disparity = report.nothing_known(labels.shape)
         else:

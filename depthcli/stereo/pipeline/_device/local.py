@@ -10,6 +10,7 @@ from depthcli.core.method import Method, twin_of
 from depthcli.core.result import Clock
 from depthcli.device import Device, DeviceArray, Kernels
 from depthcli.kernels.winners import winners
+from depthcli.stereo.adjustment import adjusted
 from depthcli.stereo.on_device import DeviceEvidence, DeviceMap, DevicePair, DeviceVolume
 from depthcli.stereo.pipeline.local import Local
 from depthcli.stereo.volume import StereoResult
@@ -21,11 +22,11 @@ _LANES, _PIXELS = 32, 8
 def run(method: Local, pair: StereoPair, max_disparity: int, device: Device) -> StereoResult:
     """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive.
 
-    Stages without a twin run on the processor, with transfers; ``figures["stages_on_cpu"]`` counts them. Confidence is
-    measured on the processor.
+    Stages without a twin run on the processor, with transfers; ``figures["stages_on_cpu"]`` counts them. The pair is
+    adjusted, and confidence measured, on the processor.
     """
     clock = Clock()
-    there = DevicePair(device, pair)
+    there = DevicePair(device, adjusted(pair, max_disparity, method.adjust, clock))
     volume = _cost(method, there, max_disparity + 1)
     _stop(clock, "cost", device)
     stages: list[Method] = [method.cost]

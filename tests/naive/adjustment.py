@@ -1,0 +1,76 @@
+"""Slow twins of adjusting a right image. Never imports depthcli."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def polynomial(c, u, v):
+    return c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
+
+
+def catmull_rom(samples, t):
+    weights = np.array([-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, -(t**2) + t**3])
+    return float(weights @ np.asarray(samples, float)) / 2
+
+
+def resampled(image, rows, gains, cell):
+    """(H, W, C): moved along the columns, times the gains between whose cells' centers it is interpolated."""
+    height, width = image.shape[:2]
+    out = np.zeros(image.shape)
+    for y, x, c in np.ndindex(image.shape):
+        at = y + polynomial(rows, 2 * x / width - 1, 2 * y / height - 1)
+        first = int(np.floor(at))
+        column = [image[min(max(first + k, 0), height - 1), x, c] for k in (-1, 0, 1, 2)]
+        i = min(max((y + 0.5) / cell - 0.5, 0), gains.shape[0] - 1)
+        j = min(max((x + 0.5) / cell - 0.5, 0), gains.shape[1] - 1)
+        i0, j0 = int(i), int(j)
+        i1, j1 = min(i0 + 1, gains.shape[0] - 1), min(j0 + 1, gains.shape[1] - 1)
+        upper = (1 - j + j0) * gains[i0, j0, c] + (j - j0) * gains[i0, j1, c]
+        lower = (1 - j + j0) * gains[i1, j0, c] + (j - j0) * gains[i1, j1, c]
+        out[y, x, c] = catmull_rom(column, at - first) * ((1 - i + i0) * upper + (i - i0) * lower)
+    return out
+
+
+def light_sums(seen, left, right, gains, unlike, cell, dark):
+    """(3, h, w, 3): left and right light of the matches that are alike, and their number, a pixel of a cell."""
+    sums = np.zeros((3, *gains.shape))
+    for y, x in zip(*np.nonzero(~np.isnan(seen)), strict=True):
+        u = max(x - int(seen[y, x] + 0.5), 0)
+        for c in range(3):
+            ours, theirs = float(left[y, x, c]), float(right[y, u, c])
+            ratio = (ours + dark) / ((theirs + dark) * gains[y // cell, u // cell, c])
+            if 1 / unlike < ratio < unlike:
+                sums[:, y // cell, u // cell, c] += np.array([ours, theirs, 1]) / cell**2
+    return sums
+
+
+def block_sums(seen, ours, theirs, rows, block, edge, outlier):
+    """(8, h, w); ``ours`` and ``theirs`` are (grey levels, slopes across, slopes down)."""
+    height, width = seen.shape
+    sums = np.zeros((8, -(-height // block), -(-width // block)))
+
+    def between(image, v, u, t, part):
+        corners = image[v : v + 2, u : u + 2].astype(float)
+        return np.array([1 - t, t]) @ corners @ np.array([1 - part, part])
+
+    for y, x in zip(*np.nonzero(~np.isnan(seen)), strict=True):
+        at = x - float(seen[y, x])
+        if at < 0 or at >= width - 1:
+            continue
+        u = int(at)
+        below = y + polynomial(rows, 2 * at / width - 1, 2 * y / height - 1)
+        below = min(max(below, 1), height - 3)
+        v = min(int(below), height - 4)
+        t, part = below - v, at - u
+        one, other = (catmull_rom(theirs[0][v - 1 : v + 3, column], t) for column in (u, u + 1))
+        residual = float(ours[0][y, x]) - ((1 - part) * one + part * other)
+        cell = sums[:, y // block, x // block]
+        cell[7] += np.log(1 + (min(abs(residual), outlier) / edge) ** 2)
+        if abs(residual) < outlier:
+            weight = 1 / (1 + (residual / edge) ** 2)
+            across, down = ((float(ours[k][y, x]) + between(theirs[k], v, u, t, part)) / 2 for k in (1, 2))
+            cell[:7] += weight * np.array(
+                [1, at, across**2, across * down, down**2, across * residual, down * residual]
+            )
+    return sums
