@@ -26,12 +26,16 @@ def _handles() -> tuple[list[tuple[DeviceInfo, Any]], str]:
     except cl.Error as error:
         return [], f"no OpenCL driver is installed ({_short(error)})"
     found: list[tuple[DeviceInfo, Any]] = []
+    why = "the OpenCL drivers here show no device"
     for platform in platforms:
         try:
             handles = platform.get_devices()
         except cl.Error:
             continue
         for handle in handles:
+            if _compiles_nothing(handle.version):
+                why = f"PoCL {handle.driver_version}'s compiler does not know this processor; a newer PoCL may"
+                continue
             info = DeviceInfo(
                 address=f"opencl:{len(found)}",
                 name=handle.name.strip(),
@@ -40,7 +44,15 @@ def _handles() -> tuple[list[tuple[DeviceInfo, Any]], str]:
                 driver=f"{platform.name.strip()}, {handle.version.strip()}",
             )
             found.append((info, handle))
-    return found, "" if found else "the OpenCL drivers here show no device"
+    return found, "" if found else why
+
+
+def _compiles_nothing(version: str) -> bool:
+    """A processor newer than PoCL's compiler is shown as "generic", for which the compiler then refuses all kernels.
+
+    https://github.com/pocl/pocl/issues/1049
+    """
+    return "pocl" in version.lower() and version.rstrip().endswith("-generic")
 
 
 def list_devices() -> list[DeviceInfo]:
@@ -60,7 +72,8 @@ def open_device(info: DeviceInfo) -> Device:
 
 def _short(error: Exception) -> str:
     lines = str(error).strip().splitlines()
-    return lines[0] if lines else type(error).__name__
+    told = [line.strip() for line in lines if "error:" in line]  # a compiler's, after what it was asked to do
+    return (told or lines or [type(error).__name__])[0]
 
 
 class OpenClDevice(Device):
@@ -173,7 +186,7 @@ class OpenClDevice(Device):
                 return self._cl.Program(self._context, text).build(options)
         except self._cl.Error as error:
             raise DeviceError(
-                f"{self.info.address} ({self.info.name}): its compiler refuses {name}: {error}"
+                f"{self.info.address} ({self.info.name}): its compiler refuses {name}: {_short(error)}"
             ) from error
 
 

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -46,6 +47,23 @@ def test_cuda_takes_the_kernels(file):
     if library is None:
         pytest.skip("nvidia-cuda-nvrtc-cu12, which compiles for CUDA, is not installed")
     assert nvrtc.messages(library, CUDA + COMMON + file.read_text("utf-8"), OPTIONS) == ""
+
+
+@pytest.mark.parametrize(("processor", "count"), [("znver3", 1), ("generic", 0)])
+def test_a_processor_that_pocl_does_not_know_is_no_device(monkeypatch, processor, count):
+    device = SimpleNamespace(
+        version=f"OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-{processor}", driver_version="3.0",
+        name="pthread", type=2, global_mem_size=1 << 33,
+    )  # fmt: skip
+    platform = SimpleNamespace(name="PoCL", get_devices=lambda: [device])
+    known = {"get_platforms": lambda: [platform], "device_type": SimpleNamespace(GPU=4), "Error": RuntimeError}
+    monkeypatch.setitem(sys.modules, "pyopencl", SimpleNamespace(**known))
+    depthcli.device.opencl._handles.cache_clear()
+    try:
+        assert len(depthcli.device.opencl.list_devices()) == count
+        assert ("does not know this processor" in depthcli.device.opencl.why_none()) == (count == 0)
+    finally:
+        depthcli.device.opencl._handles.cache_clear()
 
 
 GPU = DeviceInfo("opencl:1", "a card", 1 << 33, True, "somebody's")

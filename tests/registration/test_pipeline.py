@@ -100,9 +100,9 @@ def test_learning_from_errors_put_in_halves_the_mean_error_of_the_expectation():
     plain, learned = (config(calibration=name, stride=2)(volumes).expected_error for name in ("none", "self"))
     off = [np.abs(found - true)[inside].mean() for found in (plain, learned)]
     assert off[1] < 0.6 * off[0]
-    assert correlation(ranks(learned[inside]), ranks(true[inside])) > correlation(
-        ranks(plain[inside]), ranks(true[inside])
-    )
+    # What is learned is monotone: it may not cost the order.
+    order = [correlation(ranks(found[inside]), ranks(true[inside])) for found in (learned, plain)]
+    assert order[0] > order[1] - 0.01
 
 
 def test_a_coarser_level_sees_beyond_the_radius():
