@@ -4,8 +4,8 @@
     python scripts/train_choice.py DATA OUT.json [--config accurate] [--samples FOLDER] [--held-out] [--seed 0]
 
 DATA is the folder of data sets. Only the tuning scenes of `stereo_groups.yaml` teach, each of them also from the
-other side (both images mirrored and swapped) where the right view's truth is known, and both with the right image lit
-in another way, the latter not adjusted; with them a few generated scenes and two tuning scenes of twice the size.
+other side (both images mirrored and swapped) where the right view's truth is known, and with the right image lit in
+another way; with them generated scenes, streets above all, and two tuning scenes of twice the size.
 CONFIG is a preset or config of fuse whose `maps` are to be chosen among; its present choice plays no part. FOLDER
 keeps what was measured in every scene for another run. ``--held-out`` trains on each half of the tuning scenes and
 says how the other half is chosen, error of the shares' largest without averaging; nothing is written.
@@ -43,11 +43,10 @@ from depthcli.io.walk import find_items
 from depthcli.synthetic.stereo_scenes import KINDS, Radiometry, make_scene
 
 GROUPS = Path(__file__).resolve().parent / "stereo_groups.yaml"
-VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5, "mirrored, lit": 0.5}
+VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5}
 """Versions of a real scene, and what each counts."""
-AS_IT_IS = "mirrored, lit"
-"""Version whose right image is not adjusted: there is light that cannot be."""
-GENERATED = 0.3
+GENERATED, STREET = 0.3, 0.6
+"""What generated scenes count."""
 LOOKS = ((1, 0, 0), (0.3, 2, 0), (0.1, 1, 0), (1, 2, 1), (0.3, 0, 0.5), (0.05, 2, 0.5))
 """Contrast of the walls, noise and strength of another light of the generated scenes."""
 
@@ -61,7 +60,6 @@ class Scene:
     half : 0 or 1; related scenes are together
     weight : what it counts
     part : one of so many pixels is taken
-    adjusted : whether the fusion may adjust the right image
     """
 
     name: str
@@ -69,7 +67,6 @@ class Scene:
     weight: float
     part: int
     load: Callable[[], tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]]
-    adjusted: bool = True
 
 
 def scenes(data: Path) -> Iterator[Scene]:
@@ -86,28 +83,31 @@ def scenes(data: Path) -> Iterator[Scene]:
         for item in find_items(data / folder, patterns=names):
             half = 1 - half
             for variant, weight in VARIANTS.items():
-                if "mirrored" not in variant or item.truth().right is not None:
+                if variant != "mirrored" or item.truth().right is not None:
                     name, part = f"{folder}_{item.name}_{variant}", 20 if variant else 10
-                    yield Scene(name, half, weight, part, real(item, variant), variant != AS_IT_IS)
+                    yield Scene(name, half, weight, part, real(item, variant))
     for item in find_items(data / "middlebury_half", patterns=["Cloth3", "Reindeer"]):
         yield Scene(f"half_{item.name}", 1, 0.7, 20, real(item, ""))
     for k, kind in enumerate(KINDS):
         for look, (contrast, noise, light) in enumerate(LOOKS):
             seed = 200 + len(LOOKS) * k + look
-            yield Scene(f"{kind}_{seed}", seed % 2, GENERATED, 20, generated(kind, seed, contrast, noise, light))
+            for more in (0, 100, 200, 300) if kind == "street" else (0,):
+                load = generated(kind, seed + more, contrast, noise, light)
+                weight = STREET if kind == "street" else GENERATED
+                yield Scene(f"{kind}_{seed + more}", seed % 2, weight, 20, load)
 
 
 def real(item: Any, variant: str) -> Callable[[], Any]:
     def load() -> tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]:
         pair, truth = item.load(), protocols.load("middlebury_v2")().truth(item)
         disparity, masks = truth.disparity, dict(truth.masks)
-        if "mirrored" in variant:
+        if variant == "mirrored":
             stored = item.truth()
             disparity, other = (np.ascontiguousarray(one[:, ::-1]) for one in (stored.right, stored.disparity))
             masks = derive_masks(disparity, other)
             left, right = (np.ascontiguousarray(one[:, ::-1]) for one in pair.color8)
             pair = StereoPair(right, left)
-        if "lit" in variant:
+        if variant == "lit":
             pair = lit(pair, zlib.crc32(f"{item.name} {variant}".encode()))
         return pair, item.max_disparity, disparity, masks
 
@@ -136,9 +136,17 @@ def lit(pair: StereoPair, seed: int) -> StereoPair:
 def generated(kind: Any, seed: int, contrast: float, noise: float = 0, light: float = 0) -> Callable[[], Any]:
     def load() -> tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]:
         radiometry = Radiometry.of_strength(light) if light else None
-        made = make_scene(kind, seed, wall_contrast=contrast, noise=noise, radiometry=radiometry)
+        size = (800, 250, 96) if kind == "street" else (400, 300, 48)
+        made = make_scene(kind, seed, *size, wall_contrast=contrast, noise=noise, radiometry=radiometry)
         masks = {"nonocc": made.nonocc, "all": np.ones_like(made.nonocc), "disc": made.disc}
-        return StereoPair(made.left, made.right), made.max_disparity, made.disparity_left, masks
+        left, right = made.left, made.right
+        if kind == "street":  # what the sun falls on is saturated, and there is not much color
+            burnt = np.random.default_rng(seed).uniform(1, 1.8)
+            left, right = (
+                np.clip(burnt * (0.6 * one.mean(2, keepdims=True) + 0.4 * one), 0, 255).astype(np.uint8)
+                for one in (left, right)
+            )
+        return StereoPair(left, right), made.max_disparity, made.disparity_left, masks
 
     return load
 
@@ -272,8 +280,7 @@ def main() -> int:
             lessons = Lessons(stored["inputs"], stored["errors"], stored["weights"])
         else:
             pair, max_disparity, truth, masks = scene.load()
-            given = fusion if scene.adjusted else fusion.model_copy(update={"adjust": ()})
-            proposals = propose(given, pair, max_disparity)
+            proposals = propose(fusion, pair, max_disparity)
             lessons = Lessons.of(proposals, truth, pixel_weights(truth, masks), scene.part)
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)

@@ -127,25 +127,12 @@ def test_the_methods_that_fuse_writes_out_are_those_of_stereo():
         model = load_command(command).config_model()  # type: ignore[attr-defined]
         return load_config(model, find_config(command, name), (), partial(find_preset, command))
 
-    def own(name: str, **update: Any) -> Any:
+    def own(name: str) -> Any:
         """Without what fusion does for all of them."""
-        return loaded("stereo", name).pipeline.model_copy(update={"adjust": (), **update})
-
-    def sharper(**update: Any) -> Any:
-        """Segments by costs that tell more, since the pair is adjusted; stereo's keeps those of chapter 2."""
-        given = own("segments", **update)
-        lambdas = {"absolute_difference": 15, "census": 12, "gradient": 1}
-        parts = [one.model_copy(update={"lambda_": lambdas[one.cost.method_name()]}) for one in given.cost.parts]
-        return given.model_copy(
-            update={
-                "cost": given.cost.model_copy(update={"parts": tuple(parts)}),
-                "optimization": given.optimization.model_copy(update={"p1": 0.65, "p2": 2.6}),
-            }
-        )
+        return loaded("stereo", name).pipeline.model_copy(update={"adjust": ()})
 
     accurate, best = ([one.matcher for one in loaded("fuse", name).maps.matchers] for name in ("accurate", "best"))
-    assert accurate == [sharper(rounds=1, sweeps=2), own("fast")]
-    assert best[1] == sharper(sweeps=20)
-    copies = {0: "accurate", 2: "fast", 5: "cross", 6: "ad-census", 7: "adaptive-weight"}
+    assert accurate == [own("segments"), own("fast")]
+    copies = {0: "accurate", 1: "segments", 2: "fast", 5: "cross", 6: "ad-census", 7: "adaptive-weight"}
     for k, name in copies.items():
         assert best[k] == own(name), name

@@ -24,11 +24,14 @@ class StereoPair:
     left, right : (H, W) grey or (H, W, 3) RGB, uint8 or uint16, same shape and dtype
     bits : of a sample: cameras of 10 or 12 bit fill a part of 16; None: all bits of the dtype. Larger samples
         count as the largest
+    light_trust : (H, W) uint8: how far grey levels can be compared at a pixel of the left image, 255 = fully;
+        None: everywhere
     """
 
     left: Image
     right: Image
     bits: int | None = None
+    light_trust: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         if self.left.shape != self.right.shape:
@@ -39,6 +42,9 @@ class StereoPair:
             raise ValueError(f"want (H, W) or (H, W, 3), got {self.left.shape}")
         if self.bits is not None and not 1 <= self.bits <= 8 * self.left.dtype.itemsize:
             raise ValueError(f"{self.left.dtype} samples cannot hold {self.bits} bits")
+        trust = self.light_trust
+        if trust is not None and (trust.shape != self.shape or trust.dtype != np.uint8):
+            raise ValueError(f"want uint8 light_trust {self.shape}, got {trust.shape} {trust.dtype}")
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -26,6 +26,8 @@ from depthcli.stereo.refinement.background_fill import fill_background
 from depthcli.stereo.segments.planes import Members, PlaneFit, evaluate
 from depthcli.stereo.volume import CostVolume, Evidence
 
+_FEWEST, _LEAST_SHARE = 20, 0.05  # pixels, and part of a segment, that a plane is fitted to
+
 
 class Proposal(BaseModel):
     """One more map: a pipeline of the stereo command, or the fused costs optimized in another way."""
@@ -48,7 +50,7 @@ class Reoptimized(Proposal):
 
 
 class Segmented(Proposal):
-    """A map of planes, fitted to the median of the other maps in every segment."""
+    """A map of planes, fitted in every segment to the median of the other maps where most of them agree."""
 
     segmentation: Segmentation = Field(description="how the left image is cut into segments")
 
@@ -113,7 +115,8 @@ class MapFusion(BaseModel):
         stack = np.stack(own)
         # Of an even number the lower one in the middle: a mean would be a value that nobody proposed.
         middle = np.partition(stack, (len(stack) - 1) // 2, axis=0)[(len(stack) - 1) // 2]
-        sloped = [self._of_planes(one, middle, image, top) for one in self.segmentations]
+        agreeing = np.count_nonzero(np.abs(stack - middle) <= 1, axis=0)
+        sloped = [self._of_planes(one, middle, agreeing, image, top) for one in self.segmentations]
         listed = [*self.matchers, *self.optimizations]
         weights = [0.0, 1.0, *(one.weight for one in listed), *(one.weight for one in self.segmentations)]
         filled = np.zeros((len(weights), *pair.shape), np.uint8)
@@ -147,11 +150,17 @@ class MapFusion(BaseModel):
         return shape[0] * shape[1] * (9 * count + self.choice.bytes_a_pixel(count))
 
     def _of_planes(
-        self, proposal: Segmented, values: NDArray[np.float32], image: NDArray[np.uint8], top: int
+        self,
+        proposal: Segmented,
+        values: NDArray[np.float32],
+        agreeing: NDArray[np.int64],
+        image: NDArray[np.uint8],
+        top: int,
     ) -> NDArray[np.float32]:
         labels = proposal.segmentation(image)
         count = int(labels.max()) + 1
-        planes = self.planes(values, Members.of(labels, None, count), np.arange(count))
+        chosen = _most_agreed(agreeing, labels, count)
+        planes = self.planes(values, Members.of(labels, chosen.ravel(), count), np.arange(count))
         return evaluate(planes.coefficients, labels, top)
 
 
@@ -164,6 +173,15 @@ class Mixed:
     disparity: DisparityMap
     agreement: NDArray[np.float32]
     probability: NDArray[np.float32] | None
+
+
+def _most_agreed(agreeing: NDArray[np.int64], labels: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
+    """In every segment the pixels that the most maps agree on, as long as these are not too few."""
+    few = np.maximum(_FEWEST, _LEAST_SHARE * np.bincount(labels.ravel(), minlength=count))
+    least = np.zeros(count, np.int64)
+    for number in range(1, int(agreeing.max()) + 1):
+        least[np.bincount(labels[agreeing >= number], minlength=count) >= few] = number
+    return agreeing >= least[labels]
 
 
 def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint8]:

@@ -25,7 +25,7 @@ from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.stereo.adjustment import Adjust, adjusted
 from depthcli.stereo.aggregation import Aggregation
 from depthcli.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.stereo.cost import PartCost
+from depthcli.stereo.cost import PartCost, light_weights
 from depthcli.stereo.finish import finish
 from depthcli.stereo.optimization import Optimization
 from depthcli.stereo.optimization.winner_takes_all import WinnerTakesAll
@@ -246,8 +246,14 @@ class Fusion(BaseModel):
         clock.stop("cost")
         chosen, trust = self._voters(self._vote_costs(parts, pair))
         clock.stop("voters")
+        light = light_weights([measure.cost for measure in self.measures], pair)
+        if light is not None:
+            trust *= light
         ballot = Ballot(chosen, trust, depth, self.consensus.tolerance, self._support(pair))
         weights = measure_weights(self.weights, ballot, self.exponent)
+        if light is not None:
+            weights = weights * light
+            weights /= weights.sum(axis=0, keepdims=True)
         clock.stop("weights")
         base = None if self.weights == "vote" else self._blend(parts, weights, pair)
         clock.stop("aggregation")

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from depthcli.io.images import Image
 
-KINDS = ("planes", "foreground", "repetitive", "curved")
+KINDS = ("planes", "foreground", "repetitive", "curved", "street")
+_USUAL = KINDS[:4]  # in turn, where no kind is named
 
 COUNT = Option("count", int, "Number of scenes.", "N", default=6, short="-n", least=1, most=10_000)
 SEED = Option("seed", int, "Seed of the first scenes.", "N", default=0, least=0, most=2**31 - 1)
@@ -26,12 +27,12 @@ HEIGHT = Option("height", int, "Height.", "PIXELS", default=300, least=16, most=
 
 
 class StereoSample(Sample):
-    """Planes, objects in front of them, repetitive patterns, curved surfaces."""
+    """Planes, objects in front of them, repetitive patterns, curved surfaces; streets."""
 
     about = "Stereo pairs (the default)."
     options: ClassVar[tuple[Option, ...]] = (
         COUNT,
-        Option("kind", str, f"{', '.join(KINDS)}; repeatable.", "KIND", many=True),
+        Option("kind", str, f"{', '.join(KINDS)}; repeatable; default: in turn the first four.", "KIND", many=True),
         SEED,
         WIDTH,
         HEIGHT,
@@ -57,7 +58,7 @@ class StereoSample(Sample):
 
     def items(self, values: Mapping[str, Any]) -> list[SampleItem]:
         """Kinds in turn, the next seed after each round."""
-        kinds = tuple(dict.fromkeys(values["kind"] or KINDS))
+        kinds = tuple(dict.fromkeys(values["kind"] or _USUAL))
         chosen = [(kinds[i % len(kinds)], values["seed"] + i // len(kinds)) for i in range(values["count"])]
         return [
             SampleItem(name=f"{kind}_{seed}", folder=Path(), settings={"kind": kind, "seed": seed})

@@ -43,10 +43,14 @@ _STEPS = (LeftRightCheck(), SpeckleFilter(size=50), Subpixel())
 
 _CELL = 4  # side of the cells that light is summed in, pixels of the smaller size
 _NEAR, _FAR = 12.0, 30.0  # reaches of the local and of the wide mean of light, pixels of the smaller size
+_FEW = np.float32(0.2)  # matches a pixel; where there are no more, those farther away count as much
 _PRIOR = 0.5  # what the wide mean counts, in matches a pixel
 _DARK = np.float32(8.0)  # grey levels: darker pixels say little about a factor
 _UNLIKE = (1.6, 1.2)  # factors beyond that of all matches, then of those around, at which a match is none
 _GAINS = (0.1, 10.0)
+# Parts of the largest sample from which, and over which, one is taken for saturated.
+_KNEE, _SOFT = np.float32(0.92), np.float32(0.07)
+_UNTRUSTED = np.float32(6.0)  # grey levels that right matches differ by where half of the trust is gone
 
 _TERMS = 6  # of a polynomial of the second degree: what small rotations and unlike focal lengths do
 _STEPS_AT_MOST, _CLOSE = 4, 0.01  # Gauss-Newton steps; change of the coefficients that ends them, rows
@@ -63,8 +67,9 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
     The pair is matched at a smaller size (census, scanlines). ``rows``: the vertical offset, a polynomial of the second
     degree over the image, that lets the matches' grey levels differ least (Gauss-Newton steps, robustly weighted), is
     taken out by cubic interpolation along the columns; where it was large, the pair is matched again without it.
-    ``light``: every channel is multiplied by the ratio of what the matches around have in the left and the right image.
-    The left image stays as it is, and so do disparities.
+    ``light``: every channel is multiplied by the ratio of what the matches around have in the left and the right image;
+    how far their grey levels are apart then gives the pair's ``light_trust``. The left image stays as it is, and so do
+    disparities.
 
     Parameters
     ----------
@@ -76,14 +81,15 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
         return pair
     small = _Small.of(pair, max_disparity)
     found = before = _NONE
+    seen = None
     most = 0
     for _ in range(_PASSES):
-        seen = small.matches(found)
-        count = 0 if seen is None else int(np.count_nonzero(~np.isnan(seen)))
-        if seen is None or count < _WORSE * most:
+        now = small.matches(found)
+        count = 0 if now is None else int(np.count_nonzero(~np.isnan(now)))
+        if now is None or count < _WORSE * most:
             found = before  # what was thought better is not
             break
-        before, most = found, max(most, count)
+        seen, before, most = now, found, max(most, count)
         if "light" in what:
             found = replace(found, gains=small.gains(seen, found))
         if "rows" in what:
@@ -91,6 +97,8 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
         if np.abs(found.rows - before.rows).sum() <= _ASTRAY:
             break
     pair = found.of(pair, small.factor)
+    if "light" in what and seen is not None:
+        pair = replace(pair, light_trust=small.light_trust(seen, found, pair.shape))
     if clock is not None:
         clock.stop("adjustment")
     return pair
@@ -167,6 +175,19 @@ class _Small:
             count = _PRIOR * np.maximum(local[2], np.float32(0.05))
             gains = np.asarray((local[0] + count * around * _DARK) / (local[1] + count * _DARK), np.float32)
         return np.asarray(np.clip(gains, *_GAINS), np.float32)
+
+    def light_trust(self, seen: NDArray[np.float32], found: _Adjustment, shape: tuple[int, int]) -> NDArray[np.uint8]:
+        """(H, W) uint8 of the pair of ``shape``, 255 where matches have the same grey levels once adjusted."""
+        sums = np.zeros((2, *(-(-side // _CELL) for side in seen.shape)), np.float32)
+        _sum_differences(seen, self.pair.left, found.of(self.pair, 1).right, sums)
+        usual = sums[0].sum() / sums[1].sum()
+        wide, local = ([_blurred(one, reach / _CELL) for one in sums] for reach in (_FAR, _NEAR))
+        around = (wide[0] + _FEW * usual) / (wide[1] + _FEW)
+        differences = (local[0] + _FEW * around) / (local[1] + _FEW)
+        trust = np.asarray(np.rint(255 / (1 + (differences / _UNTRUSTED) ** 2)), np.uint8)
+        side = _CELL * self.factor
+        whole = cv2.resize(trust, (side * trust.shape[1], side * trust.shape[0]), interpolation=cv2.INTER_LINEAR)
+        return np.ascontiguousarray(whole[: shape[0], : shape[1]], np.uint8)
 
     def rows(self, seen: NDArray[np.float32], found: _Adjustment) -> NDArray[np.float64]:
         """(6,), beginning with those found before."""
@@ -271,6 +292,25 @@ def _sum_light(seen: Any, left: Any, right: Any, gains: Any, unlike: Any, sums: 
                         sums[2, i, j, c] += share
 
 
+@parallel_jit
+def _sum_differences(seen: Any, left: Any, right: Any, sums: Any) -> None:
+    """Per cell of the left image how far its matches' grey levels are apart, mean of the channels, and their number,
+    both over its pixels.
+    """
+    height, width = seen.shape
+    share = np.float32(1 / _CELL**2)
+    for i in prange(sums.shape[1]):
+        for y in range(i * _CELL, min(height, (i + 1) * _CELL)):
+            for x in range(width):
+                if np.isnan(seen[y, x]):
+                    continue
+                u = max(x - int(seen[y, x] + np.float32(0.5)), 0)
+                sums[1, i, x // _CELL] += share
+                for c in range(3):
+                    apart = abs(np.float32(left[y, x, c]) - np.float32(right[y, u, c]))
+                    sums[0, i, x // _CELL] += share * apart / np.float32(3)
+
+
 @jit
 def _polynomial(c: Any, u: Any, v: Any) -> Any:
     return c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
@@ -361,5 +401,10 @@ def _resample(image: Any, rows: Any, gains: Any, cell: int, top: Any, out: Any) 
                 lower = gains[i1, j0, c] + tx * (gains[i1, j1, c] - gains[i1, j0, c])
                 before, here = np.float32(image[v0, x, c]), np.float32(image[v1, x, c])
                 after, later = np.float32(image[v2, x, c]), np.float32(image[v3, x, c])
-                value = _cubic(before, here, after, later, t) * (upper + ty * (lower - upper))
-                out[y, x, c] = kind(min(max(value + half, np.float32(0)), top))
+                value = _cubic(before, here, after, later, t)
+                gain = upper + ty * (lower - upper)
+                if gain < 1:  # what is saturated stays so: times a factor it would seem to have a slope
+                    gain += (np.float32(1) - gain) * min(
+                        max((value / top - _KNEE) / _SOFT, np.float32(0)), np.float32(1)
+                    )
+                out[y, x, c] = kind(min(max(value * gain + half, np.float32(0)), top))

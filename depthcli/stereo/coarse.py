@@ -130,7 +130,8 @@ def glimpses_of(pair: StereoPair, top: int) -> NDArray[np.float32]:
 
 def halved(pair: StereoPair) -> StereoPair:
     """The pair at half its size, an odd side rounded up: means of 2 x 2 pixels."""
-    return StereoPair(_half(pair.left), _half(pair.right), pair.bits)
+    trust = None if pair.light_trust is None else cast(NDArray[np.uint8], _half(pair.light_trust))
+    return StereoPair(_half(pair.left), _half(pair.right), pair.bits, trust)
 
 
 def _half(image: Image) -> Image:

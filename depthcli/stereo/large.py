@@ -93,7 +93,7 @@ def match_in_tiles(matcher: Matcher, pair: StereoPair, max_disparity: int, allow
     if what and isinstance(matcher, BaseModel):
         given = pair
         pair = adjusted(given, max_disparity, what, clock)
-        held = 0 if pair is given else given.right.nbytes  # the caller has it
+        held = 0 if pair is given else given.right.nbytes + pair.shape[0] * pair.shape[1]  # the caller has it
         matcher = cast(Matcher, matcher.model_copy(update={"adjust": ()}))
     local = None
     if isinstance(matcher, Local) and not any(step.needs_costs for step in matcher.refinement):

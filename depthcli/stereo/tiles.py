@@ -75,7 +75,8 @@ class Tile:
         other = pair.right[top:bottom, left - low + before : right - low]
         if before:
             other = cast(Image, cv2.copyMakeBorder(other, 0, 0, before, 0, cv2.BORDER_REPLICATE))
-        return StereoPair(pair.left[top:bottom, left:right].copy(), other.copy(), pair.bits)
+        trust = None if pair.light_trust is None else pair.light_trust[top:bottom, left:right].copy()
+        return StereoPair(pair.left[top:bottom, left:right].copy(), other.copy(), pair.bits, trust)
 
 
 @dataclass(frozen=True)

@@ -100,6 +100,9 @@ def render(stage: Stage, lightmaps: list[NDArray[np.float32] | None], right: boo
             z = depth[part]
             shaded = _shade(stage, surface, lightmaps[index], (ox + z * dx, z * dy, z))
             colors[part][mine[part]] = shaded[mine[part]]
+            if surface.gloss and stage.surroundings is not None:
+                mirrored = np.repeat(np.repeat(stage.surroundings[top:bottom], rays, axis=0), rays, axis=1)
+                colors[mine] += np.float32(surface.gloss) * mirrored[mine]
         image[top:bottom] = cv2.resize(colors, (stage.width, bottom - top), interpolation=cv2.INTER_AREA)
     return image
 

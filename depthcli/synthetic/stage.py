@@ -22,6 +22,7 @@ class Stage:
     max_disparity: int
     wall_contrast: float
     surfaces: list[Surface] = field(default_factory=list)
+    surroundings: Texture | None = None
 
     def __post_init__(self) -> None:
         self.focal = 0.85 * self.width
@@ -118,11 +119,19 @@ class Stage:
         half = np.array([wide / 2, tall / 2, 1.0])
         self.add(Surface("plane", self.at(x, y, disparity), turn, half, picture, outline))
 
-    def box(self, x: float, disparity: float, size: tuple[float, float, float]) -> None:
+    def box(
+        self,
+        x: float,
+        disparity: float,
+        size: tuple[float, float, float],
+        maker: TextureMaker | None = None,
+        yaw: float | None = None,
+        gloss: float = 0.0,
+    ) -> None:
         """A box on the floor, turned about its upright axis; ``size`` (width, height, depth) in pixels."""
         wide, tall, deep = (s / disparity for s in size)
-        turn = rotation(self.rng.uniform(-0.6, 0.6))
-        maker = self.pick(textures.OBJECT_TEXTURES)
+        turn = rotation(self.rng.uniform(-0.6, 0.6) if yaw is None else yaw)
+        maker = maker or self.pick(textures.OBJECT_TEXTURES)
         middle = self.on_floor(x, disparity)
         middle[1] -= tall / 2
         reach = 0.5 * (abs(turn[0, 2]) * wide + abs(turn[2, 2]) * deep)
@@ -137,7 +146,7 @@ class Stage:
         for axes, (a, b), shift in sides:
             picture = self.paint(maker, (a, b), disparity)
             half = np.array([a / 2, b / 2, 1.0])
-            self.surfaces.append(Surface("plane", middle + shift, axes, half, picture))
+            self.surfaces.append(Surface("plane", middle + shift, axes, half, picture, gloss=gloss))
 
     def ball(self, x: float, disparity: float, radius: float) -> None:
         """A ball on the floor; ``radius`` in pixels."""

@@ -21,7 +21,7 @@ from depthcli.synthetic.camera import light_maps, render, trace
 from depthcli.synthetic.stage import Stage
 from depthcli.synthetic.surfaces import Array, Outline, Surface, rotation
 
-Kind = Literal["planes", "foreground", "repetitive", "curved"]
+Kind = Literal["planes", "foreground", "repetitive", "curved", "street"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
@@ -99,7 +99,8 @@ def make_scene(
     ----------
     kind : ``planes`` (a room of slanted boards and boxes), ``foreground`` (cut-out boards before a wall),
         ``repetitive`` (a wall whose pattern repeats inside the search range, with unique stickers here and
-        there), ``curved`` (balls, cones, tubs)
+        there), ``curved`` (balls, cones, tubs), ``street`` (a road between house fronts, cars, poles and trees under
+        a bare sky: large slopes, and depths from the nearest to almost infinity)
     seed : chooses the scene
     width, height : pixels, at least 16
     max_disparity : pixels, at least 4 and at most ``width / 2``; nothing in the scene is nearer
@@ -223,11 +224,73 @@ def _repetitive(stage: Stage) -> None:
     stage.box(x, d, (w * 0.12, h * rng.uniform(0.12, 0.25), w * 0.1))
 
 
+def _street(stage: Stage) -> None:
+    rng, w, h, top = stage.rng, stage.width, stage.height, stage.max_disparity
+    stage.center = (w * rng.uniform(0.4, 0.6), h * rng.uniform(0.35, 0.48))
+    stage.floor = (h - stage.center[1]) / (top * rng.uniform(0.4, 0.85))
+    stage.far = max(0.5, 0.02 * top)
+    half = np.array([2 * w / stage.far, 2 * h / stage.far, 1.0])
+    sky = np.full((8, 8, 3), rng.uniform(0.75, 0.97), np.float32)
+    behind = np.array([0.0, 0.0, stage.focal / stage.far])
+    stage.surfaces.append(Surface("plane", behind, rotation(), half, sky, unbounded=True))
+    stage.light = np.array([rng.uniform(-40, 40), -60.0, rng.uniform(0, 30)])
+    _road(stage)
+    sides = (stage.center[0], w - stage.center[0])
+    fronts = [side / (top * rng.uniform(0.25, 0.7)) for side in sides]
+    for sign, away in zip((-1, 1), fronts, strict=True):
+        _house_fronts(stage, sign, away)
+    stage.surroundings = textures.surroundings(rng, h, w, stage.feature)
+    gloss = rng.uniform(0.05, 0.35)
+    # The nearest cars are cut off by the border of the image, on either side.
+    for k, d in enumerate(top * np.array([0.93, 0.8, 0.5, 0.3, 0.17]) * rng.uniform(0.75, 1.0, 5)):
+        sign, size = (-1) ** (k + int(rng.integers(2))), stage.floor * d
+        away = fronts[(sign + 1) // 2] * rng.uniform(0.55, 0.8)
+        measures = (size * rng.uniform(0.9, 1.1), size * rng.uniform(0.75, 0.95), size * rng.uniform(1.8, 2.4))
+        stage.box(stage.center[0] + sign * away * d, d, measures, textures.bodywork, rng.uniform(-0.08, 0.08), gloss)
+    for _ in range(int(rng.integers(3, 7))):
+        d = top * rng.uniform(0.12, 0.6)
+        sign = 1 if rng.random() < 0.5 else -1
+        x = stage.center[0] + sign * fronts[(sign + 1) // 2] * rng.uniform(0.75, 0.95) * d
+        tall, thin = stage.floor * d * rng.uniform(0.6, 2.6), max(2.0, d * rng.uniform(0.04, 0.12))
+        y = stage.center[1] + stage.floor * d - tall / 2
+        stage.board(x, y, d, (thin, tall), rotation(), maker=textures.plaster)
+        if rng.random() < 0.5:  # a crown, or a sign
+            size = stage.floor * d * rng.uniform(0.25, 1.2)
+            outline, maker = (_blob(rng), textures.camouflage) if rng.random() < 0.6 else (_disk, textures.poster)
+            stage.board(x, y - tall / 2, d * 1.01, (size, size), rotation(), outline, maker)
+
+
+def _road(stage: Stage) -> None:
+    rng, top = stage.rng, stage.max_disparity
+    first, last = stage.focal / top, stage.focal / (0.1 * top)
+    half = np.array([2.0 * stage.width / top, (last - first) / 2, 1.0])
+    picture = stage.paint(textures.asphalt, (2 * half[0], 2 * half[1]), 0.4 * top)
+    middle = np.array([rng.uniform(-1, 1), stage.floor, (first + last) / 2])
+    stage.surfaces.append(Surface("plane", middle, rotation(pitch=np.pi / 2), half, picture, unbounded=True))
+
+
+def _house_fronts(stage: Stage, sign: int, away: float) -> None:
+    """House by house along the road, beside the camera by ``away`` baselines."""
+    rng, top = stage.rng, stage.max_disparity
+    turn = rotation(sign * np.pi / 2)
+    z, end = stage.focal / (0.97 * top), stage.focal / (0.05 * top)
+    while z < end:
+        long, tall = z * rng.uniform(0.5, 1.2), stage.floor * rng.uniform(2.5, 9)
+        near = stage.focal / (z + 0.3 * long)
+        half = np.array([long / 2, tall / 2, 1.0])
+        middle = np.array([sign * away * rng.uniform(1, 1.08), stage.floor - tall / 2, z + long / 2])
+        maker = stage.pick((*textures.WALL_TEXTURES, textures.windows, textures.windows, textures.windows))
+        picture = stage.paint(maker, (long, tall), min(near, 0.5 * top))
+        stage.surfaces.append(Surface("plane", middle, turn, half, stage.faded(picture)))
+        z += long * rng.uniform(1.0, 1.15)
+
+
 _BUILDERS: dict[Kind, Callable[[Stage], None]] = {
     "planes": _planes,
     "foreground": _foreground,
     "repetitive": _repetitive,
     "curved": _curved,
+    "street": _street,
 }
 
 

@@ -46,6 +46,7 @@ class Surface:
     outline : which (x, y) of a plane belong to it; None = the whole square
     unbounded : a plane that goes on for ever (its picture is mirrored on)
     period : width of one repetition of the picture along local x, in baselines; 0 = does not repeat
+    gloss : share of the far surroundings that is mirrored; they lie at the same pixel of both views
     """
 
     shape: Shape
@@ -56,6 +57,7 @@ class Surface:
     outline: Outline | None = None
     unbounded: bool = False
     period: float = 0.0
+    gloss: float = 0.0
 
     def local(self, vector: Vector, point: bool = True) -> Vector:
         """World points (or, with ``point=False``, directions) in the scaled local frame."""

@@ -210,6 +210,49 @@ def camouflage(rng: np.random.Generator, height: int, width: int, feature: float
     return _tint(rng, _soft(picture, 0.7), noise(rng, height, width, feature / 2, 3), 0.06)
 
 
+def asphalt(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+    """Grey with fine grain and wide stains, here and there a bright line along y."""
+    relief = 0.5 * noise(rng, height, width, 3.0, 2) + 0.8 * noise(rng, height, width, feature * 4, 3)
+    picture = _tint(rng, np.full(3, rng.uniform(0.25, 0.5), np.float32), relief, rng.uniform(0.03, 0.1))
+    for _ in range(int(rng.integers(1, 4))):
+        left, wide = int(rng.uniform(0, width)), max(2, int(feature * rng.uniform(0.1, 0.4)))
+        picture[:, left : left + wide] = rng.uniform(0.6, 0.9)
+    return _soft(picture, 0.6)
+
+
+def bodywork(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+    """The side of a car: bare paint, dark panes with a sheen, a few seams."""
+    shade = np.linspace(1.1, 0.75, height, dtype=np.float32)[:, None, None]
+    picture = np.ones((height, width, 1), np.float32) * shade * color(rng, (0.15, 0.9))
+    for k in range(2):
+        left, right = (int(width * (0.08 + 0.44 * k + share)) for share in (0.0, 0.4))
+        pane = picture[int(0.12 * height) : int(0.42 * height), left:right]
+        pane[:] = rng.uniform(0.05, 0.2) + 0.15 * np.linspace(0, 1, pane.shape[1], dtype=np.float32)[None, :, None]
+    for share in (0.1, 0.5, 0.9):
+        picture[int(0.45 * height) :, int(share * width) : int(share * width) + 1] *= 0.6
+    picture[int(0.9 * height) :] = 0.06
+    return np.clip(_soft(picture, 0.8) * (1 + 0.01 * noise(rng, height, width, feature, 2)[:, :, None]), 0.02, 0.98)
+
+
+def surroundings(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+    """What paint and panes mirror: bright sky, dark shapes."""
+    level = noise(rng, height, width, feature * 2, 3, rng.uniform(1, 3))
+    bright = (level > rng.uniform(-0.5, 0.8)).astype(np.float32) + np.float32(0.2) * level
+    return np.repeat(cv2.GaussianBlur(np.clip(bright, 0, 1), (0, 0), 1.0)[:, :, None], 3, axis=2)
+
+
+def windows(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
+    """A house front: plaster with rows of windows that are all alike."""
+    picture = plaster(rng, height, width, feature)
+    wide, tall = (max(8, int(feature * rng.uniform(1.2, 2.5))) for _ in range(2))
+    pane = np.full((max(3, int(0.6 * tall)), max(3, int(0.5 * wide)), 3), rng.uniform(0.08, 0.3), np.float32)
+    pane[:, [0, pane.shape[1] // 2, -1]] = pane[[0, pane.shape[0] // 2, -1]] = rng.uniform(0.6, 0.95)
+    for top in range(tall // 4, height - pane.shape[0], tall):
+        for left in range(wide // 4, width - pane.shape[1], wide):
+            picture[top : top + pane.shape[0], left : left + pane.shape[1]] = pane
+    return _soft(picture, 0.6)
+
+
 def repeated(rng: np.random.Generator, height: int, width: int, tile: int, landmarks: int, feature: float) -> Texture:
     """A pattern that repeats exactly every ``tile`` texels along x (and y), with unique stickers on it.
 

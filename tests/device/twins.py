@@ -69,7 +69,8 @@ COSTS = [
 def test_costs_are_the_same_bytes(device, cost, height, width, disparities):
     for dtype, color in ((np.uint8, True), (np.uint16, False)):
         shape = (height, width, 3) if color else (height, width)
-        pair = StereoPair(texture(shape, 1, dtype), texture(shape, 2, dtype))
+        trust = texture((height, width), 3) if color else None
+        pair = StereoPair(texture(shape, 1, dtype), texture(shape, 2, dtype), light_trust=trust)
         expected = cost(pair, disparities)
         found = twin_of(cost).run(cost, DevicePair(device, pair), disparities).download()
         np.testing.assert_array_equal(found.costs, expected.costs)

@@ -48,6 +48,21 @@ def test_the_best_confidence_orders_pixels_well(name, most):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
+    ("folder", "protocol", "name", "rate", "most"),
+    [
+        ("middlebury_v3", "middlebury_v3", "PianoL", "nonocc", 30.5),
+        ("kitti", "kitti_2015", "2015_first_scene_intGT", "occ", 6.4),
+    ],
+)
+def test_mixed_maps_stand_a_lamp_in_one_view_and_a_sunny_street(folder, protocol, name, rate, most):
+    """Neither taught the network."""
+    pair, truth, top = real_scenes(folder, protocol)[name]
+    result = load_config(FuseConfig, find_config("fuse", "accurate"))(pair, top)
+    assert rates(result.disparity.values, truth, protocol)[rate] <= most
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
     ("folder", "name", "most"),
     [("middlebury_v2", "Teddy", 2.6), ("middlebury_v2", "Venus", 0.2), ("middlebury_2005", "Dolls", 3.9)],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from depthcli.fusion.votes import ColorSupport
 from depthcli.stereo.slopes import slopes
 from depthcli.synthetic.stereo_scenes import make_scene
 from tests.naive import choice as naive
-from tests.stereo._pairs import assert_pure, blocky_pair, random_volume
+from tests.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
 
 KINDS = ("median", "own", "local", "felzenszwalb")
 
@@ -77,6 +78,10 @@ def test_inputs_are_those_of_the_twins():
     shared = dict(zip(SHARED, inputs.shared.reshape(len(SHARED), height, width), strict=True))
     np.testing.assert_allclose(shared["least_raw"], given.volume.costs.min(axis=2) / given.volume.scale, rtol=1e-5)
     np.testing.assert_allclose(shared["filled_share"], (given.filled > 0).mean(axis=0))
+    assert (shared["light_trust"] == 1).all()
+    trust = texture((height, width), 5)
+    dim = Inputs.of(replace(given, pair=replace(given.pair, light_trust=trust)))
+    np.testing.assert_allclose(dim.shared[SHARED.index("light_trust")], trust.ravel() / 255, rtol=1e-6)
 
 
 def test_rows_hold_the_planes_in_the_order_of_their_names():

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.fusion import Fusion
+from depthcli.fusion.maps import _most_agreed
 from depthcli.fusion.surfaces import (
     Smoothness,
     Surface,
@@ -111,6 +112,19 @@ def test_agreement_is_the_weighted_share():
     maps = np.array([[[5.0]], [[5.3]], [[7.0]], [[6.0]]], np.float32)
     weights = np.array([1, 2, 4, 1], np.float32)
     np.testing.assert_allclose(agreement(np.float32([[5.0]]), maps, weights), (1 + 2 + 0.5) / 8)
+
+
+def test_planes_are_fitted_where_most_maps_agree():
+    rng = np.random.default_rng(3)
+    labels = rng.integers(0, 6, (40, 50)).astype(np.int32)
+    labels[0, :5] = 6  # a segment of five pixels
+    agreeing = np.where(labels < 3, rng.integers(0, 4, labels.shape), rng.integers(0, 2, labels.shape))
+    agreeing[labels == 5] = 0
+    agreeing[labels == 4] = 1
+    agreeing[np.nonzero(labels == 4)[0][:5], np.nonzero(labels == 4)[1][:5]] = 3  # too few to go by
+    found = _most_agreed(agreeing, labels, 7)
+    for k, least in enumerate((3, 3, 3, 1, 1, 0, 0)):
+        np.testing.assert_array_equal(found[labels == k], agreeing[labels == k] >= least)
 
 
 SMALL = {

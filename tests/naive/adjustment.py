@@ -14,8 +14,11 @@ def catmull_rom(samples, t):
     return float(weights @ np.asarray(samples, float)) / 2
 
 
-def resampled(image, rows, gains, cell):
-    """(H, W, C): moved along the columns, times the gains between whose cells' centers it is interpolated."""
+def resampled(image, rows, gains, cell, top):
+    """(H, W, C): moved along the columns, times the gains between whose cells' centers it is interpolated.
+
+    Gains below 1 rise to 1 from 92 to 99 % of ``top``.
+    """
     height, width = image.shape[:2]
     out = np.zeros(image.shape)
     for y, x, c in np.ndindex(image.shape):
@@ -28,8 +31,21 @@ def resampled(image, rows, gains, cell):
         i1, j1 = min(i0 + 1, gains.shape[0] - 1), min(j0 + 1, gains.shape[1] - 1)
         upper = (1 - j + j0) * gains[i0, j0, c] + (j - j0) * gains[i0, j1, c]
         lower = (1 - j + j0) * gains[i1, j0, c] + (j - j0) * gains[i1, j1, c]
-        out[y, x, c] = catmull_rom(column, at - first) * ((1 - i + i0) * upper + (i - i0) * lower)
+        value, gain = catmull_rom(column, at - first), (1 - i + i0) * upper + (i - i0) * lower
+        if gain < 1:
+            gain = np.interp(value / top, [0.92, 0.99], [gain, 1])
+        out[y, x, c] = value * gain
     return out
+
+
+def difference_sums(seen, left, right, cell):
+    """(2, h, w): mean difference of the matches' channels, and their number, a pixel of a cell."""
+    sums = np.zeros((2, *(-(-side // cell) for side in seen.shape)))
+    for y, x in zip(*np.nonzero(~np.isnan(seen)), strict=True):
+        u = max(x - int(seen[y, x] + 0.5), 0)
+        apart = np.abs(left[y, x].astype(float) - right[y, u]).mean()
+        sums[:, y // cell, x // cell] += np.array([apart, 1]) / cell**2
+    return sums
 
 
 def light_sums(seen, left, right, gains, unlike, cell, dark):

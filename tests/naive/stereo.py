@@ -116,9 +116,10 @@ def zncc(left, right, disparities, window, noise, outside):
     return volume(left.shape, disparities, cost, outside)
 
 
-def combined(parts, outside):
-    """Eq. 3.6: ``parts`` is a list of (costs, lambda)."""
-    total = sum(1 - np.exp(-costs / scale) for costs, scale in parts)
+def combined(parts, outside, weights=None):
+    """Eq. 3.6: ``parts`` is a list of (costs, lambda); ``weights`` of every part at every pixel, (H, W)."""
+    weights = np.ones((len(parts), 1, 1)) if weights is None else weights
+    total = sum(w[:, :, None] * (1 - np.exp(-costs / scale)) for w, (costs, scale) in zip(weights, parts, strict=True))
     for x in range(total.shape[1]):
         total[:, x, x + 1 :] = outside
     return total

@@ -74,9 +74,9 @@ def test_aggregation_without_refinement(cost, aggregate, golden):
         ("cross", V2, 5.2),
         ("ad-census", V2, 4.8),
         ("adaptive-weight", V2, 6.0),
-        ("accurate", V2, 4.75),
+        ("accurate", V2, 4.7),
         ("accurate", "middlebury_2001", 0.75),
-        ("accurate", "middlebury_2005", 8.6),
+        ("accurate", "middlebury_2005", 8.3),
         ("accurate", "middlebury_2006", 5.95),
     ],
 )
@@ -96,12 +96,14 @@ def test_accurate_beats_sgbm_on_a_street():
         return rates(pipeline(scene.pair, scene.top).disparity.values, scene.truth, "kitti_2012")["noc"]
 
     ours = wrong(load_config(StereoConfig, find_config("stereo", "accurate")).pipeline)
-    assert ours <= 4.4
+    assert ours <= 4.2
     assert ours < wrong(OpencvSgbm()) - 1
 
 
 def test_pairs_that_are_not_quite_rectified_or_lit_alike_hardly_matter():
-    """Playtable and PlaytableP are one scene, rectified imperfectly and perfectly; MotorcycleE is exposed otherwise."""
+    """Playtable and PlaytableP are one scene, rectified imperfectly and perfectly; MotorcycleE is exposed otherwise,
+    PianoL has a lamp in one view only: there grey levels cannot be put right, but not be trusted.
+    """
     found = real_scenes("middlebury_v3", "middlebury_v3")
     pipeline = load_config(StereoConfig, find_config("stereo", "accurate")).pipeline
 
@@ -109,14 +111,15 @@ def test_pairs_that_are_not_quite_rectified_or_lit_alike_hardly_matter():
         return {
             name: rates(pipeline(scene.pair, scene.top).disparity.values, scene.truth, "middlebury_v3")["nonocc"]
             for name, scene in found.items()
-            if name in ("Playtable", "PlaytableP", "Motorcycle", "MotorcycleE")
+            if name in ("Playtable", "PlaytableP", "Motorcycle", "MotorcycleE", "PianoL")
         }
 
     ours = wrong(pipeline)
     assert ours["Playtable"] <= 1.25 * ours["PlaytableP"]
-    assert ours["MotorcycleE"] <= 1.3 * ours["Motorcycle"]
+    assert ours["MotorcycleE"] <= 1.2 * ours["Motorcycle"]
+    assert ours["PianoL"] <= 34
     plain = wrong(pipeline.model_copy(update={"adjust": ()}))
-    assert all(ours[name] < plain[name] for name in ("Playtable", "Motorcycle", "MotorcycleE"))
+    assert all(ours[name] < plain[name] for name in ("Playtable", "Motorcycle", "MotorcycleE", "PianoL"))
 
 
 def test_repeated_patterns_do_not_mislead_accurate():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from depthcli.stereo.config import StereoConfig
 from depthcli.stereo.large import PROCESS, match_in_tiles
 from depthcli.synthetic.stereo_scenes import make_scene
 from tests.naive import adjustment as naive
-from tests.stereo._pairs import texture, threads
+from tests.stereo._pairs import PARAMETERS, texture, threads
 
 BOTH = ("rows", "light")
 TILTED = np.array([0.8, -0.5, 0.4, 0.3, 0.6, -0.5])
@@ -63,7 +64,7 @@ def test_resampling_is_that_of_the_twin(shape, dtype):
     out = np.empty_like(image)
     top = np.iinfo(dtype).max
     adjustment._resample(image, TILTED, gains, 8, np.float32(top), out)
-    expected = np.clip(naive.resampled(image, TILTED, gains, 8), 0, top)
+    expected = np.clip(naive.resampled(image, TILTED, gains, 8, top), 0, top)
     np.testing.assert_allclose(out.astype(float), expected, atol=0.5 + 1e-3 * (top / 255) + 1e-2)
 
 
@@ -79,6 +80,10 @@ def test_sums_are_those_of_the_twins(shape):
     sums = np.zeros((3, *cells, 3), np.float32)
     adjustment._sum_light(seen, left, right, gains, np.float32(1.4), sums)
     expected = naive.light_sums(seen, left, right, gains, 1.4, adjustment._CELL, 8)
+    np.testing.assert_allclose(sums, expected, rtol=1e-4, atol=1e-3)
+    sums = np.zeros((2, *cells), np.float32)
+    adjustment._sum_differences(seen, left, right, sums)
+    expected = naive.difference_sums(seen, left, right, adjustment._CELL)
     np.testing.assert_allclose(sums, expected, rtol=1e-4, atol=1e-3)
     ours, theirs = (adjustment._Details.of(image) for image in (left // 8, right // 8))
     blocks = tuple(-(-side // adjustment._BLOCK) for side in shape)
@@ -113,6 +118,35 @@ def test_light_is_put_right(seed):
     put_right = adjusted(StereoPair(scene.left, other), scene.max_disparity, ("light",)).right
     ratio = np.median(put_right / np.maximum(scene.right, 1.0), axis=(0, 1))
     np.testing.assert_allclose(ratio, 1, atol=0.06)
+
+
+def test_light_is_trusted_where_it_could_be_put_right(scene):
+    """Of the right image's left half a checkered light stays that no smooth factor takes out."""
+    y, x = np.mgrid[: scene.right.shape[0], : scene.right.shape[1]]
+    spots = np.where(x < 180, 1 - 0.4 * ((x // 6 + y // 6) % 2), 1)
+    spotted = (scene.right * spots[:, :, None]).astype(np.uint8)
+    alike, other = (adjusted(StereoPair(scene.left, one), 40, ("light",)) for one in (scene.right, spotted))
+    assert alike.light_trust.shape == other.light_trust.shape == scene.left.shape[:2]
+    assert np.median(alike.light_trust) > 150
+    assert np.median(other.light_trust[:, 60:180]) < 0.5 * np.median(other.light_trust[:, 240:])
+    assert adjusted(StereoPair(scene.left, spotted), 40, ("rows",)).light_trust is None
+    cost = {"method": "combined", **PARAMETERS["combined"]}
+    config = {"pipeline": "local", "cost": cost, "optimization": {"method": "scanline", "p1": 1.5, "p2": 5}}
+    pipeline = StereoConfig.model_validate(config).pipeline
+    seen = [pipeline(replace(other, light_trust=trust), 40) for trust in (None, other.light_trust)]
+    errors = [np.abs(one.disparity.values - scene.disparity_left)[:, 60:180] > 1 for one in seen]
+    assert errors[1].mean() < 0.9 * errors[0].mean()
+
+
+def test_what_is_saturated_stays_so(scene):
+    """A brighter right image: its saturated sky gets no slope from factors that change."""
+    left, right = (np.minimum(image.astype(int) * 3 // 2, 255).astype(np.uint8) for image in (scene.left, scene.right))
+    right = np.minimum(right * np.linspace(1, 1.4, right.shape[1])[:, None], 255).astype(np.uint8)
+    found = adjusted(StereoPair(left, right), 40, ("light",)).right
+    full = right == 255
+    assert full.mean() > 0.05
+    assert (found[full] == 255).all()
+    assert np.mean(found[~full] < right[~full]) > 0.5
 
 
 def test_a_pair_that_fits_stays_much_the_same(scene):
@@ -190,8 +224,9 @@ def test_threads_do_not_matter(scene):
     for count in (1, 2):
         cv2.setNumThreads(count)
         with threads(count):
-            found.append(adjusted(pair, 40, BOTH).right)
-    np.testing.assert_array_equal(*found)
+            found.append(adjusted(pair, 40, BOTH))
+    np.testing.assert_array_equal(*(one.right for one in found))
+    np.testing.assert_array_equal(*(one.light_trust for one in found))
 
 
 def test_large_pairs_are_measured_at_a_smaller_size_still():
@@ -208,7 +243,7 @@ def test_tiles_are_adjusted_as_the_whole(scene):
     config = {
         "pipeline": "local",
         "adjust": BOTH,
-        "cost": "census",
+        "cost": {"method": "combined", **PARAMETERS["combined"]},
         "aggregation": "constant_window",
         "refinement": ["left_right_check", "background_fill"],
     }

@@ -49,6 +49,17 @@ def test_tiny_images_and_wide_ranges(cost, height, width, disparities):
         checked(cost(pair, disparities), (height, width, disparities))
 
 
+@pytest.mark.parametrize("cost", [cost for cost in COSTS if cost.id != "combined"])
+def test_says_whether_it_compares_grey_levels(cost):
+    """Half the light in the right image disturbs what does, and nothing else."""
+    pair = shifted_pair(30, 60, 5)
+    pair = StereoPair(pair.left // 2 * 2, pair.right // 2 * 2)
+    dark = StereoPair(pair.left, pair.right // 2)
+    true, other = (cost(one, 12).costs[MARGIN:-MARGIN, 5 + MARGIN : -MARGIN, 5].mean() for one in (pair, dark))
+    usual = cost(pair, 12).costs[MARGIN:-MARGIN, 5 + MARGIN : -MARGIN, 4].mean()
+    assert (other - true > 0.2 * usual) == cost.compares_levels
+
+
 @pytest.mark.parametrize("cost", COSTS)
 def test_textureless_images_cost_nothing(cost):
     image = np.full((12, 20, 3), 90, np.uint8)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -142,6 +144,12 @@ def test_combined(height, width, disparities):
     volume = combined(pair, disparities)
     volumes = [(part.cost(pair, disparities), part.lambda_) for part in combined.parts]
     expected = naive.combined([(v.costs / v.scale, scale) for v, scale in volumes], combined.outside)
+    np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=len(parts) * 0.52 / volume.scale)
+    trust = texture((height, width), 7)
+    trust[0, 0] = 255
+    volume = combined(replace(pair, light_trust=trust), disparities)
+    weights = np.stack([trust / 255, *2 * [1 + 0.4 * 0.5 * (1 - trust / 255)]])
+    expected = naive.combined([(v.costs / v.scale, scale) for v, scale in volumes], combined.outside, weights)
     np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=len(parts) * 0.52 / volume.scale)
 
 

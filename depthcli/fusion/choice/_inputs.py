@@ -24,7 +24,7 @@ OWN = (
 """Planes of every proposal, in their order."""
 RELATIVE = ("cost_far", "cost_near", "decorrelation", "color_near")
 """Of these the least of all proposals is taken away once more."""
-SHARED = ("least_raw", "deviation_5", "deviation_13", "gradient", "filled_share")
+SHARED = ("least_raw", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
 """Planes of the pixel."""
 
 _FARTHEST = np.float32(4.0)
@@ -84,6 +84,7 @@ class Inputs:
         common["gradient"][:] = np.minimum(np.abs(cv2.Sobel(grey[0], cv2.CV_32F, 1, 0)) / 8, 30)
         plane["filled"][:] = proposals.filled
         common["filled_share"][:] = (proposals.filled > 0).mean(axis=0)
+        common["light_trust"][:] = 1 if pair.light_trust is None else pair.light_trust / np.float32(255)
         warped = np.empty((height, width), np.float32)
         moments = local_moments(grey[0], _WINDOW)
         for k, values in enumerate(maps):

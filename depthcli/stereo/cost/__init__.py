@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated, get_args
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, get_args
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from depthcli.core.frames import StereoPair
@@ -22,6 +25,30 @@ class CostMeasure(Method):
     def halo(self) -> int | None:
         """Pixels around a pixel that its costs depend on; None: the whole image."""
         return None
+
+    compares_levels: ClassVar[bool] = False
+    """Grey levels or their differences are compared: costs of right matches rise where the light differs."""
+
+
+_SHIFTED = 0.4  # share of what measures of grey levels lose that the others gain
+
+
+def light_weights(measures: Sequence[CostMeasure | None], pair: StereoPair) -> NDArray[np.float32] | None:
+    """What measures that are summed count at every pixel, given how far its light can be trusted.
+
+    Returns
+    -------
+    (M, H, W) float32, or None
+        Of each measure: below 1 where it compares grey levels that are not the same light's, above 1 of the
+        others there; all together never more than their number. None: all count 1, everywhere.
+    """
+    levels = [measure is not None and measure.compares_levels for measure in measures]
+    many, others = sum(levels), len(levels) - sum(levels)
+    if pair.light_trust is None or not many or not others:
+        return None
+    trust = pair.light_trust * np.float32(1 / 255)
+    gain = np.float32(1) + np.float32(_SHIFTED * many / others) * (np.float32(1) - trust)
+    return np.stack([trust if own else gain for own in levels])
 
 
 Cost = Annotated[CostMeasure, *method_of("depthcli.stereo.cost")]

@@ -34,6 +34,7 @@ class AbsoluteDifference(CostMeasure):
     outside: float = Field(20.0, ge=0, le=255, description="cost of a match outside the right image, grey levels")
 
     MAX_STORED: ClassVar[int] = 255
+    compares_levels = True
 
     def halo(self) -> int | None:
         return 1 if self.sampling == "tolerant" else 0

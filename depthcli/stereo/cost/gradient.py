@@ -35,6 +35,7 @@ class Gradient(CostMeasure):
     outside: float = Field(4.0, ge=0, le=63, description="cost of a match outside the right image, grey levels a pixel")
 
     SCALE: ClassVar[int] = 4
+    compares_levels = True
 
     def halo(self) -> int | None:
         return 3 if self.sampling == "tolerant" else 2

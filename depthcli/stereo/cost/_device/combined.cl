@@ -1,14 +1,15 @@
-// Sum of parts, each by a table of what its 256 costs weigh; a thread a cell.
+// Sum of parts, each by a table of its 256 costs' shares of a pixel's unit; a thread a cell.
 
-KERNEL void add_part(GLOBAL const uchar *RESTRICT costs, GLOBAL const uchar *RESTRICT table,
-                     GLOBAL uchar *RESTRICT total, int first, int depth, int width, int outside, int last, int rows)
+KERNEL void add_part(GLOBAL const uchar *RESTRICT costs, GLOBAL const float *RESTRICT table,
+                     GLOBAL const float *RESTRICT units, GLOBAL uchar *RESTRICT total, int first, int depth, int width, int outside, int last, int rows)
 {
     int i = GLOBAL_ID(0), y = GLOBAL_ID(1);
     if (i >= width * depth || y >= rows)
         return;
     index_t cell = (index_t)y * width * depth + i;
-    int sum = table[costs[cell]] + (first ? 0 : total[cell]);
-    if (last && i % depth > i / depth)
+    int x = i / depth;
+    int sum = (int)(units[(index_t)y * width + x] * table[costs[cell]] + 0.5f) + (first ? 0 : total[cell]);
+    if (last && i - x * depth > x)
         sum = outside;
-    total[cell] = (uchar)sum;
+    total[cell] = (uchar)min(sum, 255);
 }

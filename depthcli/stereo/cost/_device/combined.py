@@ -6,7 +6,8 @@ import numpy as np
 
 from depthcli.core.method import twin_of
 from depthcli.device import Kernels
-from depthcli.stereo.cost.combined import Combined, part_table
+from depthcli.stereo.cost import light_weights
+from depthcli.stereo.cost.combined import Combined, part_shares
 from depthcli.stereo.on_device import DevicePair, DeviceVolume
 
 _KERNELS = Kernels(__package__, "combined.cl")
@@ -19,16 +20,20 @@ def run(method: Combined, pair: DevicePair, disparities: int) -> DeviceVolume:
     unit = 255 // len(method.parts)
     outside = min(255, round(method.outside * unit))
     total = device.empty((height, width, disparities), np.uint8)
+    weights = light_weights([part.cost for part in method.parts], pair.host)
+    units = device.upload(np.full((height, width), unit, np.float32))
     for k, part in enumerate(method.parts):
+        if weights is not None:
+            units = device.upload(np.float32(unit) * weights[k])
         twin = twin_of(part.cost)
         if twin is None:
             volume = DeviceVolume.upload(device, part.cost(pair.host, disparities))
         else:
             volume = twin.run(part.cost, pair, disparities)
-        table = device.upload(part_table(volume.scale * part.lambda_, unit))
+        table = device.upload(part_shares(volume.scale * part.lambda_))
         last = k == len(method.parts) - 1
         device.launch(
             _KERNELS, "add_part", (width * disparities, height), (256, 1),
-            volume.costs, table, total, int(k == 0), disparities, width, outside, int(last), height,
+            volume.costs, table, units, total, int(k == 0), disparities, width, outside, int(last), height,
         )  # fmt: skip
     return DeviceVolume(device, total, float(unit))
