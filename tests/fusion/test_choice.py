@@ -192,17 +192,18 @@ def test_the_preset_beats_its_parts_and_knows_where_it_is_right():
     assert fusion.maps is not None
     wrong = {"mix": 0.0, "own": 0.0, **dict.fromkeys(range(len(fusion.maps.matchers)), 0.0)}
     areas, random = 0.0, 0.0
-    for seed in (7, 8):  # not among those that teach
-        scene = make_scene("planes", seed, 200, 150, 24, wall_contrast=0.3)
-        pair = StereoPair(scene.left, scene.right)
-        result = fusion(pair, 24)
-        bad = ~(np.abs(result.disparity.values - scene.disparity_left) <= 1)
+    for kind, seed in (("planes", 7), ("curved", 7), ("foreground", 7), ("foreground", 8)):  # none of those that teach
+        scene = make_scene(kind, seed, 240, 180, 30, wall_contrast=0.3)
+        pair, visible = StereoPair(scene.left, scene.right), scene.nonocc
+        result = fusion(pair, 30)
+        bad = ~(np.abs(result.disparity.values - scene.disparity_left) <= 1)[visible]
         wrong["mix"] += bad.mean()
         alone = fusion.model_copy(update={"maps": None, "confidence": ()})
         maps = {"own": alone, **{k: one.matcher for k, one in enumerate(fusion.maps.matchers)}}
         for name, part in maps.items():
-            wrong[name] += np.mean(~(np.abs(part(pair, 24).disparity.values - scene.disparity_left) <= 1))
-        areas += sparsification(result.confidence["probability"].ravel(), bad.ravel()).auc
+            values = part(pair, 30).disparity.values
+            wrong[name] += np.mean(~(np.abs(values - scene.disparity_left) <= 1)[visible])
+        areas += sparsification(result.confidence["probability"][visible], bad).auc
         random += bad.mean()
     assert wrong["mix"] < 0.9 * min(error for name, error in wrong.items() if name != "mix")
     assert areas < 0.35 * random
