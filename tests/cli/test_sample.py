@@ -56,6 +56,11 @@ def test_scenes_are_what_the_generator_made(tmp_path: Path):
     assert set(meta) == {"protocol", "disp_scale", "max_disparity", "width", "height", "masks", "source", "notes"}
 
 
+def test_streets_are_made_where_they_are_asked_for(tmp_path: Path):
+    assert sample(tmp_path, "-n", "2", "--kind", "street", "--kind", "planes") == 0
+    assert sorted(items(tmp_path)) == ["planes_0", "street_0"]
+
+
 def test_same_options_same_bytes_and_a_second_run_keeps_them(tmp_path: Path):
     options = ("--cross-modal", "--speckles", "0.02", "--noise", "3")
     for name, jobs in (("a", "1"), ("b", "2")):

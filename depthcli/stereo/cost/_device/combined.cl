@@ -1,7 +1,8 @@
 // Sum of parts, each by a table of its 256 costs' shares of a pixel's unit; a thread a cell.
 
 KERNEL void add_part(GLOBAL const uchar *RESTRICT costs, GLOBAL const float *RESTRICT table,
-                     GLOBAL const float *RESTRICT units, GLOBAL uchar *RESTRICT total, int first, int depth, int width, int outside, int last, int rows)
+                     GLOBAL const float *RESTRICT units, GLOBAL uchar *RESTRICT total, int first, int depth,
+                     int width, int outside, int last, int rows)
 {
     int i = GLOBAL_ID(0), y = GLOBAL_ID(1);
     if (i >= width * depth || y >= rows)
