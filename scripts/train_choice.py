@@ -292,10 +292,10 @@ def main() -> int:
         taught.append((scene.half, scene.weight, lessons))
         trained_on.append(scene.name)
         print(f"{scene.name}: {100 * (lessons.errors.min(1) > 1).mean():.2f} % out of reach", file=sys.stderr)
-    kinds, sizes = fusion.maps.kinds, tuple(options.units)
+    kinds = fusion.maps.kinds
 
     def learned(lessons: list[tuple[float, Lessons]]) -> Weights:
-        return train(lessons, kinds, options.seed, options.epochs, (sizes[0], sizes[1]))
+        return train(lessons, kinds, options.seed, options.epochs, tuple(options.units))
 
     if options.held_out:
         for half in (0, 1):

@@ -169,7 +169,7 @@ class _Small:
         for unlike in _UNLIKE:
             sums = np.zeros((3, *cells, 3), np.float32)
             _sum_light(seen, left, right, gains, np.float32(unlike), sums)
-            wide, local = ([_blurred(one, reach / _CELL) for one in sums] for reach in (_FAR, _NEAR))
+            wide, local = _around(sums)
             count = _PRIOR * wide[2] + np.float32(1e-3)
             around = (wide[0] + count * usual * _DARK) / (wide[1] + count * _DARK)
             count = _PRIOR * np.maximum(local[2], np.float32(0.05))
@@ -181,7 +181,7 @@ class _Small:
         sums = np.zeros((2, *(-(-side // _CELL) for side in seen.shape)), np.float32)
         _sum_differences(seen, self.pair.left, found.of(self.pair, 1).right, sums)
         usual = sums[0].sum() / sums[1].sum()
-        wide, local = ([_blurred(one, reach / _CELL) for one in sums] for reach in (_FAR, _NEAR))
+        wide, local = _around(sums)
         around = (wide[0] + _FEW * usual) / (wide[1] + _FEW)
         differences = (local[0] + _FEW * around) / (local[1] + _FEW)
         trust = np.asarray(np.rint(255 / (1 + (differences / _UNTRUSTED) ** 2)), np.uint8)
@@ -264,8 +264,20 @@ def _usual_gain(seen: NDArray[np.float32], left: Image, right: Image) -> NDArray
     return np.asarray(np.median((left[y, x] + _DARK) / (right[y, u] + _DARK), axis=0), np.float32)
 
 
-def _blurred(grid: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    return np.asarray(cv2.GaussianBlur(grid, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), np.float32)
+def _around(sums: NDArray[np.float32]) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
+    """Wide and local means of grids of cells."""
+
+    def blurred(grid: NDArray[np.float32], reach: float) -> NDArray[np.float32]:
+        sigma = reach / _CELL
+        return np.asarray(cv2.GaussianBlur(grid, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), np.float32)
+
+    return [blurred(one, _FAR) for one in sums], [blurred(one, _NEAR) for one in sums]
+
+
+@jit
+def _partner(x: int, disparity: Any) -> int:
+    """Column of the right image's pixel."""
+    return max(x - int(disparity + np.float32(0.5)), 0)
 
 
 @parallel_jit
@@ -281,7 +293,7 @@ def _sum_light(seen: Any, left: Any, right: Any, gains: Any, unlike: Any, sums: 
             for x in range(width):
                 if np.isnan(seen[y, x]):
                     continue
-                u = max(x - int(seen[y, x] + np.float32(0.5)), 0)
+                u = _partner(x, seen[y, x])
                 j = u // _CELL
                 for c in range(3):
                     ours, theirs = np.float32(left[y, x, c]), np.float32(right[y, u, c])
@@ -304,7 +316,7 @@ def _sum_differences(seen: Any, left: Any, right: Any, sums: Any) -> None:
             for x in range(width):
                 if np.isnan(seen[y, x]):
                     continue
-                u = max(x - int(seen[y, x] + np.float32(0.5)), 0)
+                u = _partner(x, seen[y, x])
                 sums[1, i, x // _CELL] += share
                 for c in range(3):
                     apart = abs(np.float32(left[y, x, c]) - np.float32(right[y, u, c]))

@@ -79,7 +79,7 @@ def test_occlusion_is_what_a_left_right_check_finds(scenes, case):
             # Visible where the right view's surface is no nearer than this point is.
             found[y, x] = neighbors.min() <= d + 0.6
     # The check sees the right view at whole pixels only, so it may differ at outlines.
-    assert np.mean(found != scene.nonocc) < 0.016
+    assert np.mean(found != scene.nonocc) < (0.016 if case[0] == "street" else 0.012)  # poles are all outline
     outline = cv2.dilate((~scene.nonocc).astype(np.uint8), np.ones((3, 3))) - cv2.erode(
         (~scene.nonocc).astype(np.uint8), np.ones((3, 3))
     )

@@ -21,10 +21,10 @@ def run(method: Combined, pair: DevicePair, disparities: int) -> DeviceVolume:
     outside = min(255, round(method.outside * unit))
     total = device.empty((height, width, disparities), np.uint8)
     weights = light_weights([part.cost for part in method.parts], pair.host)
-    units = device.upload(np.full((height, width), unit, np.float32))
+    if weights is None:
+        weights = np.ones((len(method.parts), height, width), np.float32)
     for k, part in enumerate(method.parts):
-        if weights is not None:
-            units = device.upload(np.float32(unit) * weights[k])
+        units = device.upload(np.float32(unit) * weights[k])
         twin = twin_of(part.cost)
         if twin is None:
             volume = DeviceVolume.upload(device, part.cost(pair.host, disparities))
