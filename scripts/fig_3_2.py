@@ -23,17 +23,17 @@ from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import twin_of
+from depthcli.data.generated.stereo_scenes import make_scene
 from depthcli.device import Device, open_device
 from depthcli.evaluation.report import Table
-from depthcli.stereo.aggregation import Aggregator
-from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
-from depthcli.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.stereo.aggregation.cross import Cross
-from depthcli.stereo.config import StereoConfig
-from depthcli.stereo.cost.combined import Combined
-from depthcli.stereo.on_device import DevicePair, DeviceVolume
-from depthcli.stereo.pipeline._device import local
-from depthcli.synthetic.stereo_scenes import make_scene
+from depthcli.methods.stereo.aggregation import Aggregator
+from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
+from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.aggregation.cross import Cross
+from depthcli.methods.stereo.config import StereoConfig
+from depthcli.methods.stereo.cost.combined import Combined
+from depthcli.methods.stereo.on_device import DevicePair, DeviceVolume
+from depthcli.methods.stereo.pipeline._device import local
 
 WIDTH, HEIGHT, DISPARITIES = 450, 375, 60
 # Milliseconds on a Quadro 5000, for windows of 33 x 33 where there are windows: naive, optimized.

@@ -21,17 +21,17 @@ from pathlib import Path
 
 import numpy as np
 
+from depthcli.data.walk import find_items
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
 from depthcli.evaluation.report import Table, number
-from depthcli.io.walk import find_items
 from depthcli.kernels.winners import winners
-from depthcli.stereo.aggregation import Aggregator
-from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
-from depthcli.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.stereo.aggregation.cross import Cross
-from depthcli.stereo.cost import CostMeasure
-from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
-from depthcli.stereo.cost.combined import Combined
+from depthcli.methods.stereo.aggregation import Aggregator
+from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
+from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.aggregation.cross import Cross
+from depthcli.methods.stereo.cost import CostMeasure
+from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
+from depthcli.methods.stereo.cost.combined import Combined
 
 MASKS = ("nonocc", "all", "disc")
 LAMBDAS = {"gradient": 2.0, "rank": 30.0, "census": 30.0}

@@ -22,22 +22,22 @@ from typing import Any
 import numpy as np
 
 from depthcli.batch.presets import find_config, find_preset
-from depthcli.confidence import confidence_maps, measures
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
+from depthcli.data.generated.cross_modal import cross_modal_pair
+from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.walk import find_items
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.protocols import load
 from depthcli.evaluation.report import Table, number
 from depthcli.evaluation.summary import compare
-from depthcli.fusion import Fusion
-from depthcli.io.items.stereo import StereoItem
-from depthcli.io.walk import find_items
 from depthcli.kernels.winners import winners
+from depthcli.methods.confidence import confidence_maps, measures
+from depthcli.methods.fusion import Fusion
+from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.config import StereoConfig
+from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.report.plots import Line, line_plot
-from depthcli.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.stereo.config import StereoConfig
-from depthcli.stereo.pipeline.local import Local
-from depthcli.synthetic.cross_modal import cross_modal_pair
 
 V2 = "middlebury_v2"
 SETS = (V2, "middlebury_2001", "middlebury_2005", "middlebury_2006")

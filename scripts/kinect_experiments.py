@@ -27,16 +27,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.batch.presets import find_config, list_presets
+from depthcli.core.cameras.geometry import disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, color8
-from depthcli.core.geometry import disparity_of_depth
+from depthcli.data.formats.images import read_image
+from depthcli.data.generated.kinect_scenes import SEQUENCE_KINDS, KinectSample, make_kinect_sequence, simulate_kinect
+from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.walk import find_items
 from depthcli.evaluation.report import Table, number
-from depthcli.io.images import read_image
-from depthcli.io.items.rgbd import RgbdItem
-from depthcli.io.items.stereo import StereoItem
-from depthcli.io.walk import find_items
-from depthcli.kinect.config import RefineKinectConfig
-from depthcli.synthetic.kinect_scenes import SEQUENCE_KINDS, KinectSample, make_kinect_sequence, simulate_kinect
+from depthcli.methods.kinect.config import RefineKinectConfig
 
 SETS = ("middlebury_v2", "middlebury_2005", "middlebury_2006")
 PATTERNS = 5
@@ -175,7 +175,7 @@ def _psnr(left: NDArray[np.uint8], right: NDArray[np.uint8], disparity: NDArray[
 
 def speed(methods: dict[str, Refine | None]) -> None:
     """A row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
-    from depthcli.synthetic.kinect_scenes import make_kinect_scene
+    from depthcli.data.generated.kinect_scenes import make_kinect_scene
 
     frame = simulate_kinect(*make_kinect_scene("foreground", 0, 640, 480), 0).frame()
     hole = np.isnan(frame.depth).astype(np.uint8)

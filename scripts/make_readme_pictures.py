@@ -16,9 +16,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from depthcli.data.formats.disparity import read_disparity
+from depthcli.data.walk import find_items
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
-from depthcli.io.disparity import read_disparity
-from depthcli.io.walk import find_items
 
 
 def main() -> int:

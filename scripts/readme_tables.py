@@ -16,12 +16,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from depthcli.batch.presets import list_presets
-from depthcli.confidence import measures
+from depthcli.commands import command_names, help_of
 from depthcli.core.method import Family
+from depthcli.data.layouts import layouts
 from depthcli.evaluation import protocols
-from depthcli.io.layouts import layouts
-from depthcli.jobs import command_names, help_of
-from depthcli.registration.search import MEASURES
+from depthcli.methods.confidence import measures
+from depthcli.methods.registration.search import MEASURES
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 MARKS = re.compile(r"(<!-- table: ([\w/-]+) -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.io.volumes import simple_itk
+from depthcli.data.formats.volumes import simple_itk
 
 ROOT = Path(__file__).resolve().parent.parent
 LIVER = (("dataset18", "cyc_1_10"), ("dataset18", "cyc_3_10"), ("dataset19", "cyc_1_6"), ("dataset19", "cyc_1_9"))

@@ -30,17 +30,17 @@ from numpy.typing import NDArray
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.volumes import RegisteredPair
+from depthcli.data.formats.volumes import linear, simple_itk
+from depthcli.data.generated.deformed_volumes import smooth_noise
+from depthcli.data.scenes.volume_pair import VolumePairItem
+from depthcli.data.walk import find_items
 from depthcli.evaluation.protocols.registration import area, correlation, ranks
 from depthcli.evaluation.report import Table, number
-from depthcli.io.items.volume_pair import VolumePairItem
-from depthcli.io.volumes import linear, simple_itk
-from depthcli.io.walk import find_items
-from depthcli.registration._volume import gaussian, moved, resample
-from depthcli.registration.config import RegisterConfidenceConfig
-from depthcli.registration.feature.mind import Mind
-from depthcli.registration.pipeline import RegistrationResult
-from depthcli.registration.search import SURER_IF_LARGER, search
-from depthcli.synthetic.deformed_volumes import smooth_noise
+from depthcli.methods.registration._volume import gaussian, moved, resample
+from depthcli.methods.registration.config import RegisterConfidenceConfig
+from depthcli.methods.registration.feature.mind import Mind
+from depthcli.methods.registration.pipeline import RegistrationResult
+from depthcli.methods.registration.search import SURER_IF_LARGER, search
 
 Values = NDArray[np.floating[Any]]
 
@@ -180,7 +180,7 @@ def parameters(items: list[VolumePairItem]) -> list[Table]:
 
 
 def baselines(items: list[VolumePairItem], data: Path | None) -> list[Table]:
-    from depthcli.io.fields import in_millimeters, read_field
+    from depthcli.data.formats.fields import in_millimeters, read_field
 
     rows = []
     for item in items:
@@ -228,7 +228,7 @@ def registered_again(items: list[VolumePairItem], data: Path) -> list[tuple[str,
 
 def forest(items: list[VolumePairItem]) -> list[Table]:
     """Forests that have not seen a pair, and that have not seen its set: lung, dataset18, dataset19."""
-    from depthcli.registration.forest import predict, train
+    from depthcli.methods.registration.forest import predict, train
     from scripts.registration_forest import columns, joined
 
     method = config("self")

@@ -26,12 +26,12 @@ from numpy.typing import NDArray
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.io.forests import write_forest
-from depthcli.io.items.volume_pair import VolumePairItem
-from depthcli.io.volumes import linear
-from depthcli.io.walk import find_items
-from depthcli.registration.config import RegisterConfidenceConfig
-from depthcli.registration.forest import train
+from depthcli.data.formats.forests import write_forest
+from depthcli.data.formats.volumes import linear
+from depthcli.data.scenes.volume_pair import VolumePairItem
+from depthcli.data.walk import find_items
+from depthcli.methods.registration.config import RegisterConfidenceConfig
+from depthcli.methods.registration.forest import train
 
 VOXELS = 2000
 

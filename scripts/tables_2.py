@@ -19,14 +19,14 @@ import numpy as np
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
+from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.walk import find_items
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
 from depthcli.evaluation.report import Table, number
 from depthcli.evaluation.scores import bad_rate
 from depthcli.evaluation.summary import average_ranks
-from depthcli.io.walk import find_items
-from depthcli.stereo.config import StereoConfig
-from depthcli.stereo.pipeline import StereoPipeline
-from depthcli.synthetic.stereo_scenes import make_scene
+from depthcli.methods.stereo.config import StereoConfig
+from depthcli.methods.stereo.pipeline import StereoPipeline
 
 SCENES = ("Tsukuba", "Venus", "Teddy", "Cones")
 MASKS = ("nonocc", "all", "disc")

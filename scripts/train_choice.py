@@ -35,15 +35,15 @@ from numpy.typing import NDArray
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
+from depthcli.data.generated.stereo_scenes import KINDS, Radiometry, make_scene
+from depthcli.data.walk import find_items
 from depthcli.evaluation import protocols
 from depthcli.evaluation.masks import derive_masks
-from depthcli.fusion.choice import Chooser, Chosen, Proposals
-from depthcli.fusion.choice._inputs import Inputs
-from depthcli.fusion.choice.network import Weights, write_weights
-from depthcli.fusion.config import FuseConfig
-from depthcli.fusion.pipeline import Fusion
-from depthcli.io.walk import find_items
-from depthcli.synthetic.stereo_scenes import KINDS, Radiometry, make_scene
+from depthcli.methods.fusion.choice import Chooser, Chosen, Proposals
+from depthcli.methods.fusion.choice._inputs import Inputs
+from depthcli.methods.fusion.choice.network import Weights, write_weights
+from depthcli.methods.fusion.config import FuseConfig
+from depthcli.methods.fusion.pipeline import Fusion
 
 GROUPS = Path(__file__).resolve().parent / "stereo_groups.yaml"
 VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5}

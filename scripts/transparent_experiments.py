@@ -27,21 +27,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.dense_crf import GaussianKernel, TruncatedLinear, mean_field
 from depthcli.batch.presets import find_config
+from depthcli.core.cameras.geometry import depth_of_disparity, disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
-from depthcli.core.geometry import depth_of_disparity, disparity_of_depth
 from depthcli.core.result import Clock
-from depthcli.fusion import Fusion
-from depthcli.io.items.rgbd import RgbdItem
-from depthcli.io.items.stereo import StereoItem
-from depthcli.io.walk import find_items
+from depthcli.data.generated.sparse_depth import sparse_samples
+from depthcli.data.generated.transparent_scenes import glass_of_pair
+from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.walk import find_items
 from depthcli.kernels.winners import winners
-from depthcli.labelling.dense_crf import GaussianKernel, TruncatedLinear, mean_field
-from depthcli.synthetic.sparse_depth import sparse_samples
-from depthcli.synthetic.transparent_scenes import glass_of_pair
-from depthcli.transparent.channels import GREY, learned_weights, mixed
-from depthcli.transparent.config import TransparentConfig
+from depthcli.methods.fusion import Fusion
+from depthcli.methods.transparent.channels import GREY, learned_weights, mixed
+from depthcli.methods.transparent.config import TransparentConfig
 
 PRESETS = ("nearest", "joint-bilateral", "textbook", "crf", "sparse")
 CASES: dict[str, dict[str, Any]] = {

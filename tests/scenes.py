@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
+from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.walk import find_items
 from depthcli.evaluation import protocols
-from depthcli.io.items.stereo import StereoItem
-from depthcli.io.walk import find_items
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 V2 = "middlebury_v2"

@@ -14,10 +14,10 @@ import pytest
 
 from depthcli.batch.presets import find_config, find_preset, list_presets, preset_folder
 from depthcli.cli import main
+from depthcli.commands import load_command
+from depthcli.commands._batch import ConfigCommand
 from depthcli.core.config_file import dump_config, load_config, parse_config
-from depthcli.io.disparity import read_pfm
-from depthcli.jobs import load_command
-from depthcli.jobs._batch import ConfigCommand
+from depthcli.data.formats.disparity import read_pfm
 from depthcli.kernels.jit import set_threads
 
 PRESETS = [(command, name) for command, name, _ in list_presets()]

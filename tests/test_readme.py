@@ -16,11 +16,11 @@ from depthcli.batch.presets import find_config, list_presets
 from depthcli.cli import app, main
 from depthcli.core.maps import DepthStatus, Status
 from depthcli.core.method import Family
-from depthcli.io.disparity import read_pfm
-from depthcli.io.pictures import DEPTH_STATUS_PALETTE
-from depthcli.stereo import cost
+from depthcli.data.formats.disparity import read_pfm
+from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
+from depthcli.methods.stereo import cost
 from scripts import readme_tables
-from tests.stereo._pairs import shifted_pair
+from tests.methods.stereo._pairs import shifted_pair
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXT = (ROOT / "README.md").read_text("utf-8")
@@ -97,7 +97,7 @@ def test_commands_parse(tmp_path: Path):
 def test_files_that_are_named_exist():
     named = re.findall(r"\b((?:scripts|depthcli|tests|configs)/[\w./-]*[\w/])", TEXT)
     assert len(named) > 10
-    example = "depthcli/stereo/cost/squared_difference.py"
+    example = "depthcli/methods/stereo/cost/squared_difference.py"
     missing = [name for name in named if not (ROOT / name).exists() and name != example]
     assert not missing
 
@@ -109,11 +109,11 @@ def added_cost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     (tmp_path / "squared_difference.py").write_text(source)
     monkeypatch.setattr(cost, "__path__", [*cost.__path__, str(tmp_path)])
     yield "squared_difference"  # type: ignore[misc]
-    sys.modules.pop("depthcli.stereo.cost.squared_difference", None)
+    sys.modules.pop("depthcli.methods.stereo.cost.squared_difference", None)
 
 
 def test_the_example_is_a_cost_measure(added_cost: str, made_scenes: Path, tmp_path: Path):
-    family = Family.of("depthcli.stereo.cost")
+    family = Family.of("depthcli.methods.stereo.cost")
     assert added_cost in family.names()
     volume = family.parse(added_cost)(shifted_pair(20, 40, 3), 60)
     assert volume.costs.shape == (20, 40, 60)

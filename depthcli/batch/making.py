@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from depthcli.batch import record, resources
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
-from depthcli.io.items import Item
+from depthcli.data.scenes import Item
 
 BUG = "a bug in depthcli: "
 """How the reason of an item begins that failed by our fault."""

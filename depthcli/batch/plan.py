@@ -15,8 +15,8 @@ from depthcli.batch.runner import Inspector, Options
 from depthcli.batch.tables import aligned
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import InputError
-from depthcli.io.headers import image_size
-from depthcli.io.items import Item
+from depthcli.data.formats.headers import image_size
+from depthcli.data.scenes import Item
 
 DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 

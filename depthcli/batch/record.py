@@ -29,9 +29,9 @@ from pydantic import BaseModel
 from depthcli import __version__
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError, OutputError
-from depthcli.io.atomic import atomic_path, write_text
-from depthcli.io.files import MOST_BYTES, open_regular
-from depthcli.io.images import IMAGE_SUFFIXES
+from depthcli.data.formats.atomic import atomic_path, write_text
+from depthcli.data.formats.files import MOST_BYTES, open_regular
+from depthcli.data.formats.images import IMAGE_SUFFIXES
 
 RUN_FILE = "run.yaml"
 RECORD_FILE = "record.json"

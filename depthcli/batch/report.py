@@ -13,7 +13,7 @@ from typing import Any
 from depthcli.batch import record
 from depthcli.batch.sharing import FolderLock, Shard
 from depthcli.core.errors import OutputError
-from depthcli.io.items import Item
+from depthcli.data.scenes import Item
 
 
 class ReportWriter:

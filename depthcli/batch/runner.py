@@ -25,7 +25,7 @@ from depthcli.batch.report import ReportWriter, row_of
 from depthcli.batch.reporter import Reporter
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock, Shard
 from depthcli.core.errors import ConfigError, IncompleteError
-from depthcli.io.items import Item
+from depthcli.data.scenes import Item
 
 _HIDDEN = ".partial-"
 _REMEMBERED = 16  # digests of files that several items share

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 
 from depthcli.core.errors import ConfigError, OutputError
-from depthcli.io.items import Item
+from depthcli.data.scenes import Item
 
 LOCKS_FILE = ".locks"
 _PATIENCE = 60.0  # seconds that a process waits for another one to set the folder up

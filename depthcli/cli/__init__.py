@@ -20,9 +20,9 @@ from typer.main import get_command
 
 from depthcli.batch.command import SOME_FAILED, Command
 from depthcli.batch.reporter import Reporter
+from depthcli.commands import command_names, help_of, load_command
 from depthcli.core.errors import DepthcliError, IncompleteError
 from depthcli.core.option import Option
-from depthcli.jobs import command_names, help_of, load_command
 
 _COMMON = (
     Option("json", bool, "Print one JSON document instead of a table.", default=False),

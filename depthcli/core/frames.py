@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.rig import Rig
+from depthcli.core.cameras.rig import Rig
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 

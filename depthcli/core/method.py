@@ -172,6 +172,6 @@ def method_of(package: str, key: str = "method") -> Any:
     """Pydantic metadata for a field that holds a method of ``package``.
 
     >>> class Config(BaseModel):
-    ...     cost: Annotated[CostMeasure, *method_of("depthcli.stereo.cost")]
+    ...     cost: Annotated[CostMeasure, *method_of("depthcli.methods.stereo.cost")]
     """
     return (BeforeValidator(Family(package, key).parse), SerializeAsAny())  # type: ignore[type-arg]  # a class at run time, an alias to mypy

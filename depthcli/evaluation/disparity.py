@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
+from depthcli.data.formats.disparity import MAP_SUFFIXES, read_disparity
+from depthcli.data.formats.pictures import STATUS_PALETTE
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.stereo import StereoItem, StereoTruth
 from depthcli.evaluation.pictures import LEGEND_TEXT, error_picture
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import MISSING_IS_BAD, Measure, Score, Tally
-from depthcli.io.disparity import MAP_SUFFIXES, read_disparity
-from depthcli.io.items import Item
-from depthcli.io.items.stereo import StereoItem, StereoTruth
-from depthcli.io.pictures import STATUS_PALETTE
 
 Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]

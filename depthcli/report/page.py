@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.core.errors import ConfigError, OutputError
+from depthcli.data.formats.atomic import write_text
+from depthcli.data.scenes import Item
 from depthcli.evaluation import tables
 from depthcli.evaluation.matrix import Matrix, best_of, by_scene
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.report import Table, number
 from depthcli.evaluation.results import EvaluationReport, Result, Section
 from depthcli.evaluation.summary import Comparison, compare
-from depthcli.io.atomic import write_text
-from depthcli.io.items import Item
 from depthcli.report import colors
 from depthcli.report.plots import plots
 from depthcli.report.scenes import Scene, smaller

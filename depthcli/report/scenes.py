@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
+from depthcli.data.formats.pictures import read_status, status_color, status_words
+from depthcli.data.scenes import Item
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.results import Result
-from depthcli.io.items import Item
-from depthcli.io.pictures import read_status, status_color, status_words
 from depthcli.report import colors
 from depthcli.report.planes import Cut, Packed, cuts, pack, pack_bytes, thinned
 

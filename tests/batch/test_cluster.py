@@ -20,7 +20,7 @@ from depthcli.batch.making import Task
 from depthcli.batch.reporter import Reporter
 from depthcli.batch.runner import Options
 from depthcli.cli import main
-from depthcli.io.items.stereo import StereoItem
+from depthcli.data.scenes.stereo import StereoItem
 
 PRESET = "opencv-sgbm"
 SCENES = 48

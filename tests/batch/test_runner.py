@@ -19,7 +19,7 @@ from depthcli.batch.runner import Options, Outcome, run_items
 from depthcli.batch.tables import run_table
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
 from depthcli.core.result import Clock
-from depthcli.io.items import Item
+from depthcli.data.scenes import Item
 
 
 class Config(BaseModel):

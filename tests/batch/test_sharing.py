@@ -19,11 +19,11 @@ from depthcli.batch import record
 from depthcli.batch.report import joined_rows
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock, Shard, parse_shard
 from depthcli.cli import main
+from depthcli.commands.stereo import COMMAND as STEREO
 from depthcli.core.errors import ConfigError
-from depthcli.io.images import write_png
-from depthcli.io.items.stereo import StereoItem
-from depthcli.jobs.stereo import COMMAND as STEREO
-from depthcli.stereo.config import StereoConfig
+from depthcli.data.formats.images import write_png
+from depthcli.data.scenes.stereo import StereoItem
+from depthcli.methods.stereo.config import StereoConfig
 
 FAST = "opencv-bm"
 

@@ -17,8 +17,8 @@ import pytest
 import yaml
 
 from depthcli.cli import main
-from depthcli.io.disparity import read_disparity, read_pfm
-from depthcli.io.pictures import read_status
+from depthcli.data.formats.disparity import read_disparity, read_pfm
+from depthcli.data.formats.pictures import read_status
 
 FAST = "opencv-bm"
 """The quickest preset; the tests here are about what is around the matching."""
@@ -165,7 +165,7 @@ def test_wrong_usage_is_exit_2_and_a_line(arguments, said, tmp_path: Path, monke
 
 
 def test_a_scene_that_would_not_fit_fails_before_it_starts(made_scenes, tmp_path, capsys, monkeypatch):
-    from depthcli.stereo.pipeline.opencv_sgbm import OpencvSgbm
+    from depthcli.methods.stereo.pipeline.opencv_sgbm import OpencvSgbm
 
     monkeypatch.setattr(OpencvSgbm, "peak_bytes", lambda self, shape, top: 3 << 30)
     monkeypatch.setattr(OpencvSgbm, "__call__", lambda *a: pytest.fail("was started"))

@@ -8,9 +8,9 @@ import yaml
 
 from depthcli.cli import main
 from depthcli.core.frames import StereoPair
-from depthcli.io.disparity import read_pfm
-from depthcli.io.images import write_png
-from depthcli.stereo.cost.census import Census
+from depthcli.data.formats.disparity import read_pfm
+from depthcli.data.formats.images import write_png
+from depthcli.methods.stereo.cost.census import Census
 
 
 def run(*arguments: str | Path) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import depthcli
-from depthcli.io.disparity import read_pfm, write_pfm
+from depthcli.data.formats.disparity import read_pfm, write_pfm
 
 FILES = {
     "inversion/__init__.py": '"""Inverts depth maps."""\n',
@@ -32,11 +32,11 @@ class InvertConfig(BaseModel):
     power: float = Field(1.0, gt=0, le=4, description="the depth is taken to minus this power")
     run: dict[str, object] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
 ''',
-    "io/items/plain.py": '''
+    "data/scenes/plain.py": '''
 from dataclasses import dataclass
 from pathlib import Path
 
-from depthcli.io.items import Item
+from depthcli.data.scenes import Item
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,19 +55,19 @@ class PlainItem(Item):
         return self.inverse is not None
 
     def load(self):
-        from depthcli.io.disparity import read_pfm
+        from depthcli.data.formats.disparity import read_pfm
 
         self.check()
         return read_pfm(self.depth)
 
     def truth(self):
-        from depthcli.io.disparity import read_pfm
+        from depthcli.data.formats.disparity import read_pfm
 
         return read_pfm(self.inverse)
 ''',
-    "io/layouts/plain.py": '''
-from depthcli.io.items.plain import PlainItem
-from depthcli.io.layouts import Folder, Layout
+    "data/layouts/plain.py": '''
+from depthcli.data.scenes.plain import PlainItem
+from depthcli.data.layouts import Folder, Layout
 
 
 class Plain(Layout):
@@ -89,8 +89,8 @@ import numpy as np
 
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Tally
-from depthcli.io.disparity import read_pfm
-from depthcli.io.items.plain import PlainItem
+from depthcli.data.formats.disparity import read_pfm
+from depthcli.data.scenes.plain import PlainItem
 
 
 class Inverse(Protocol):
@@ -125,10 +125,10 @@ class Inverse(Protocol):
         tally = Tally("all", self.error(estimate, truth)[np.isfinite(truth)])
         return [tally.number(self.headline, float(tally.valid.mean()), tally.valid.size)]
 ''',
-    "jobs/invert.py": '''"""Turn depth maps upside down."""
+    "commands/invert.py": '''"""Turn depth maps upside down."""
 
-from depthcli.io.items.plain import PlainItem
-from depthcli.jobs._batch import ConfigCommand
+from depthcli.data.scenes.plain import PlainItem
+from depthcli.commands._batch import ConfigCommand
 
 
 class InvertCommand(ConfigCommand):
@@ -146,7 +146,7 @@ class InvertCommand(ConfigCommand):
 
     def compute(self, config, item, folder, memory):
         from depthcli.batch.runner import Outcome
-        from depthcli.io.disparity import write_pfm
+        from depthcli.data.formats.disparity import write_pfm
 
         depth = item.load()
         write_pfm(folder / "inverse.pfm", depth**-config.power)

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.core.cameras.stereo_rig import Lens, StereoRig
 from depthcli.core.errors import InputError
-from depthcli.core.stereo_rig import Lens, StereoRig
-from depthcli.io.calibration import read_geometry
-from depthcli.io.disparity import read_pfm
-from depthcli.io.images import read_image, write_png
-from depthcli.io.pictures import read_status
-from depthcli.io.stereo_rig import read_stereo_rig
-from depthcli.stereo.rectification import match_views, rectify_uncalibrated, row_error
+from depthcli.data.formats.calibration import read_geometry
+from depthcli.data.formats.disparity import read_pfm
+from depthcli.data.formats.images import read_image, write_png
+from depthcli.data.formats.pictures import read_status
+from depthcli.data.formats.stereo_rig import read_stereo_rig
+from depthcli.methods.stereo.rectification import match_views, rectify_uncalibrated, row_error
 
 SIZE = (240, 180)
 # Planes n . X = 1 in the left camera's frame, nearest last: a slanted wall, a board in front of it.

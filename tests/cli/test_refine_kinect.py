@@ -11,10 +11,10 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.maps import DepthStatus
-from depthcli.io.depth import read_codes, read_depth
-from depthcli.io.disparity import read_pfm
-from depthcli.io.images import write_png
-from depthcli.io.pictures import read_status
+from depthcli.data.formats.depth import read_codes, read_depth
+from depthcli.data.formats.disparity import read_pfm
+from depthcli.data.formats.images import write_png
+from depthcli.data.formats.pictures import read_status
 
 
 @pytest.fixture(scope="module")

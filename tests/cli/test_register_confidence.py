@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.io.volume_files import write_array
-from depthcli.io.volumes import Grid, read_volume
+from depthcli.data.formats.volume_files import write_array
+from depthcli.data.formats.volumes import Grid, read_volume
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.io.images import read_image
-from depthcli.io.items.stereo import StereoItem
-from depthcli.io.walk import find_items
-from depthcli.synthetic.stereo_scenes import Radiometry, make_scene
+from depthcli.data.formats.images import read_image
+from depthcli.data.generated.stereo_scenes import Radiometry, make_scene
+from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.walk import find_items
 
 SMALL = ("--width", "64", "--height", "48", "--max-disparity", "10")
 

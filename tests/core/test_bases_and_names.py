@@ -12,9 +12,9 @@ from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError
 from depthcli.core.method import Family
 from depthcli.core.root_config import RootConfig
-from depthcli.fusion.config import FuseConfig
-from depthcli.stereo.config import StereoConfig
-from depthcli.stereo.pipeline import Pipeline
+from depthcli.methods.fusion.config import FuseConfig
+from depthcli.methods.stereo.config import StereoConfig
+from depthcli.methods.stereo.pipeline import Pipeline
 
 
 def write(folder: Path, **texts: str) -> None:

@@ -9,16 +9,14 @@ import pytest
 from pydantic import BaseModel
 
 from depthcli.core.method import Family
-from depthcli.fusion.config import FuseConfig
-from depthcli.stereo.config import StereoConfig
+from depthcli.methods.fusion.config import FuseConfig
+from depthcli.methods.stereo.config import StereoConfig
 
 FAMILIES = (
-    "stereo.cost", "stereo.aggregation", "stereo.optimization", "stereo.refinement", "stereo.pipeline",
-    "keypoints", "segmentation",
+    "methods.stereo.cost", "methods.stereo.aggregation", "methods.stereo.optimization", "methods.stereo.refinement",
+    "methods.stereo.pipeline", "algorithms.keypoints", "algorithms.segmentation",
 )  # fmt: skip
-METHODS = [
-    Family.of(f"depthcli.{name}").load(method) for name in FAMILIES for method in Family.of(f"depthcli.{name}").names()
-]
+METHODS = [load for each in FAMILIES for load in map(Family.of(f"depthcli.{each}").load, Family.of(f"depthcli.{each}").names())]
 MODELS: list[type[BaseModel]] = [*METHODS, FuseConfig, StereoConfig]
 
 

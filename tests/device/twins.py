@@ -12,28 +12,28 @@ from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Family, twin_of
+from depthcli.data.generated.stereo_scenes import make_scene
 from depthcli.device import Kernels, open_device
-from depthcli.stereo.aggregation.adaptive_weight import AdaptiveWeight
-from depthcli.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.stereo.aggregation.cross import Cross
-from depthcli.stereo.config import StereoConfig
-from depthcli.stereo.cost.absolute_difference import AbsoluteDifference
-from depthcli.stereo.cost.census import Census
-from depthcli.stereo.cost.combined import Combined
-from depthcli.stereo.cost.gradient import Gradient
-from depthcli.stereo.cost.rank import Rank
-from depthcli.stereo.cost.zncc import Zncc
-from depthcli.stereo.on_device import DeviceEvidence, DeviceMap, DevicePair, DeviceVolume
-from depthcli.stereo.optimization.scanline import Scanline
-from depthcli.stereo.pipeline._device import local
-from depthcli.stereo.pipeline.local import Local
-from depthcli.stereo.refinement.median import Median
-from depthcli.stereo.refinement.speckle_filter import SpeckleFilter
-from depthcli.stereo.refinement.surface_fill import SurfaceFill
-from depthcli.stereo.refinement.weighted_median import WeightedMedian
-from depthcli.synthetic.stereo_scenes import make_scene
-from tests.stereo._pairs import TINY, blocky_pair, methods, random_volume, texture
-from tests.stereo.test_contract_refinement import noisy_case
+from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
+from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.aggregation.cross import Cross
+from depthcli.methods.stereo.config import StereoConfig
+from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
+from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.cost.combined import Combined
+from depthcli.methods.stereo.cost.gradient import Gradient
+from depthcli.methods.stereo.cost.rank import Rank
+from depthcli.methods.stereo.cost.zncc import Zncc
+from depthcli.methods.stereo.on_device import DeviceEvidence, DeviceMap, DevicePair, DeviceVolume
+from depthcli.methods.stereo.optimization.scanline import Scanline
+from depthcli.methods.stereo.pipeline._device import local
+from depthcli.methods.stereo.pipeline.local import Local
+from depthcli.methods.stereo.refinement.median import Median
+from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
+from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
+from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
+from tests.methods.stereo._pairs import TINY, blocky_pair, methods, random_volume, texture
+from tests.methods.stereo.test_contract_refinement import noisy_case
 
 SIZES = [*TINY, (37, 61, 70)]
 FEW = [(1, 1, 5), (9, 1, 4), (3, 2, 17), (8, 40, 64), (37, 61, 70)]
@@ -46,13 +46,13 @@ def device():
 
 
 def twins(family):
-    package = importlib.import_module(f"depthcli.stereo.{family}._device")
+    package = importlib.import_module(f"depthcli.methods.stereo.{family}._device")
     return [module.name for module in pkgutil.iter_modules(package.__path__)]
 
 
 def test_every_twin_is_found_by_its_methods_name():
     for family in FAMILIES:
-        methods_there = Family.of(f"depthcli.stereo.{family}").names()
+        methods_there = Family.of(f"depthcli.methods.stereo.{family}").names()
         assert twins(family) and set(twins(family)) <= set(methods_there)
 
 
@@ -128,7 +128,7 @@ def test_scanlines_are_the_same_bytes(device, paths, size):
 
 
 STEPS = [
-    *(p for p in methods("depthcli.stereo.refinement") if twin_of(p.values[0]) is not None),
+    *(p for p in methods("depthcli.methods.stereo.refinement") if twin_of(p.values[0]) is not None),
     pytest.param(Median(window=5), id="median 5"), pytest.param(SpeckleFilter(size=4, step=2), id="speckles of 4"),
     pytest.param(SurfaceFill(rows=3, reach=5, support=4), id="small surfaces"),
     pytest.param(WeightedMedian(radius=2, filled_weight=0, passes=2), id="median without the filled"),

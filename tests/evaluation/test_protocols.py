@@ -13,15 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.data.formats.disparity import read_disparity, write_pfm
+from depthcli.data.scenes.stereo import StereoItem, StereoTruth
+from depthcli.data.walk import find_items
 from depthcli.evaluation import protocols
 from depthcli.evaluation.disparity import DisparityProtocol, DisparityTruth, scale_warning
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
 from depthcli.evaluation.results import Result
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, bad_rate, find_score
-from depthcli.io.disparity import read_disparity, write_pfm
-from depthcli.io.items.stereo import StereoItem, StereoTruth
-from depthcli.io.walk import find_items
 from tests.naive import metrics as naive
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"

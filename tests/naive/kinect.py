@@ -33,7 +33,7 @@ def jump_distance_of_line(line, jump, gap_tolerance):
 
 
 def jump_distance(disparity, jump, gap_tolerance):
-    """(row, column, length) as in depthcli.kinect.suspects.jump_distance."""
+    """(row, column, length) as in depthcli.methods.kinect.suspects.jump_distance."""
     height, width = disparity.shape
     rows = [jump_distance_of_line(disparity[y], jump, gap_tolerance) for y in range(height)]
     columns = [jump_distance_of_line(disparity[:, x], jump, np.inf)[0] for x in range(width)]

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from depthcli.io.disparity import read_disparity, read_plane
-from depthcli.jobs.evaluate import evaluate
+from depthcli.commands.evaluate import evaluate
+from depthcli.data.formats.disparity import read_disparity, read_plane
 from depthcli.report.page import Page
 from depthcli.report.planes import unpack
 from tests.report.conftest import ODD, SHAPE, truth_of

@@ -16,16 +16,16 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.commands.evaluate import evaluate
+from depthcli.data.formats.disparity import read_disparity
+from depthcli.data.formats.volumes import Grid, read_volume
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.volume_pair import RegistrationTruth
+from depthcli.data.walk import BrokenItem
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.results import EvaluationReport, Result
 from depthcli.evaluation.scores import Measure, Score
-from depthcli.io.disparity import read_disparity
-from depthcli.io.items import Item
-from depthcli.io.items.volume_pair import RegistrationTruth
-from depthcli.io.volumes import Grid, read_volume
-from depthcli.io.walk import BrokenItem
-from depthcli.jobs.evaluate import evaluate
 from depthcli.report import colors
 from depthcli.report.page import Page
 from depthcli.report.planes import cuts, pack, pack_bytes, thinned, unpack

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from depthcli.commands.evaluate import evaluate
+from depthcli.data.scenes.stereo import StereoItem, StereoTruth
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.disparity import DisparityTruth
 from depthcli.evaluation.protocols import Settings, load, names
 from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
 from depthcli.evaluation.results import Section
-from depthcli.io.items.stereo import StereoItem, StereoTruth
-from depthcli.jobs.evaluate import evaluate
 from depthcli.report.plots import Line, curve_plot, line_plot
 
 

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import color8
+from depthcli.data.formats.disparity import read_plane
+from depthcli.data.formats.images import read_image
+from depthcli.data.formats.pictures import Palette
+from depthcli.data.scenes import Item
 from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.results import Curve, Result
 from depthcli.evaluation.scores import Measure, Score
-from depthcli.io.disparity import read_plane
-from depthcli.io.images import read_image
-from depthcli.io.items import Item
-from depthcli.io.pictures import Palette
 
 if TYPE_CHECKING:
     from depthcli.evaluation.report import Table

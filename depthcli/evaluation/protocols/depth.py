@@ -10,16 +10,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.cameras.geometry import disparity_of_depth
 from depthcli.core.errors import InputError
-from depthcli.core.geometry import disparity_of_depth
+from depthcli.data.formats.depth import read_depth
+from depthcli.data.formats.disparity import read_plane
+from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.rgbd import RgbdItem, RgbdTruth
 from depthcli.evaluation.pictures import LEGEND_TEXT, error_picture
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally
-from depthcli.io.depth import read_depth
-from depthcli.io.disparity import read_plane
-from depthcli.io.items import Item
-from depthcli.io.items.rgbd import RgbdItem, RgbdTruth
-from depthcli.io.pictures import DEPTH_STATUS_PALETTE
 
 Depth = NDArray[np.float32]
 

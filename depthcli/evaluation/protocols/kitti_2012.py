@@ -10,10 +10,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.data.formats.disparity import KITTI_SCALE
+from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth, Masks, difference
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, float_sum
-from depthcli.io.disparity import KITTI_SCALE
-from depthcli.io.items.stereo import StereoTruth
 
 INTERPOLATED = "background-interpolated"
 _EMPTY = np.float32(-1)

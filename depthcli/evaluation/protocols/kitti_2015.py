@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.disparity import Disparity, DisparityTruth, Masks, difference
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, Kitti2012
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, percent
-from depthcli.io.items.stereo import StereoTruth
 
 
 class Kitti2015(Kitti2012):

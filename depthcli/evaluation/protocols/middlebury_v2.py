@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth, Masks
 from depthcli.evaluation.masks import derive_masks
 from depthcli.evaluation.scores import Score
-from depthcli.io.items.stereo import StereoTruth
 
 
 class MiddleburyV2(DisparityProtocol):

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.data.scenes import Item
 from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth, size
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Measure, Score, Tally, float_sum
-from depthcli.io.items import Item
 
 QUANTILES = (50, 90, 95, 99)
 _FACTORS = {"F": 1, "H": 2, "Q": 4}

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairItem
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.report import Table, number
 from depthcli.evaluation.results import Curve, Result
 from depthcli.evaluation.scores import Measure, Score, percent
-from depthcli.io.items import Item
-from depthcli.io.items.volume_pair import RegistrationTruth, VolumePairItem
 
 if TYPE_CHECKING:
     from depthcli.evaluation.results import Section
@@ -116,7 +116,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         return self._at(path, truth)
 
     def _at(self, path: Path, truth: PreparedTruth) -> Errors:
-        from depthcli.io.volumes import linear, read_volume
+        from depthcli.data.formats.volumes import linear, read_volume
 
         volume = read_volume(path)
         if not volume.grid.same_as(truth.truth.grid):
@@ -172,7 +172,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
 
     def image(self, item: Item) -> NDArray[np.uint8] | None:
         """(Z, Y, X) grey levels of the fixed volume, between its darkest and brightest half percent."""
-        from depthcli.io.volumes import read_volume
+        from depthcli.data.formats.volumes import read_volume
 
         if not isinstance(item, VolumePairItem):
             return None

@@ -1,6 +1,6 @@
 from pydantic import Field
 
-from depthcli.stereo.cost import Cost
+from depthcli.methods.stereo.cost import Cost
 from tests.core.toys import Toy
 
 

@@ -1,0 +1,47 @@
+"""Key points: repeatable spots of a picture with a description that survives the change of view. One file a method."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.method import Method, method_of
+
+
+@dataclass(frozen=True)
+class KeyPoints:
+    """Key points of one image, strongest first.
+
+    Attributes
+    ----------
+    x, y : (N,) float32 position, pixels; the center of the first pixel is (0, 0)
+    scale : (N,) float32 standard deviation of the blob's Gaussian, pixels
+    response : (N,) float32 strength, in the detector's own unit
+    sign : (N,) int8 +1 for dark blobs on light ground, -1 for the reverse, 0 where the detector does not tell
+    descriptors : (N, K) float32, rows of length 1
+    """
+
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    response: NDArray[np.float32]
+    sign: NDArray[np.int8]
+    descriptors: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+
+class Detector(Method):
+    """Finds and describes key points."""
+
+    @abstractmethod
+    def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
+        """Key points of an (H, W) uint8 grey image; deterministic, possibly none."""
+
+
+Detection = Annotated[Detector, *method_of("depthcli.algorithms.keypoints")]

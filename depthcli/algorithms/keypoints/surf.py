@@ -1,0 +1,231 @@
+"""Upright SURF (Bay, Ess, Tuytelaars and Van Gool, CVIU 2008)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.algorithms.keypoints import Detector, KeyPoints
+from depthcli.kernels.jit import jit, parallel_jit, prange
+
+_LAYERS = 4
+
+
+class Surf(Detector):
+    """Blobs by box-filtered Hessians over integral images, described by Haar responses; no orientation.
+
+    A rectified pair shows everything upright, so the orientation would only add noise. The 64 numbers
+    of a descriptor are the sums of dx, |dx|, dy and |dy| over 4 x 4 overlapping cells (Agrawal, Konolige and
+    Blas, ECCV 2008), which changes less than disjoint cells do when a point is found a little off.
+    """
+
+    threshold: float = Field(
+        5e-6, gt=0, le=1, description="smallest determinant of the Hessian, image values in [0, 1]; lower finds more"
+    )
+    octaves: int = Field(2, ge=1, le=6, description="doublings of the scale searched")
+
+    def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
+        grey = np.ascontiguousarray(image, dtype=np.float32) / np.float32(255)
+        # Zero mean keeps the sums small, so that differences of them stay exact enough.
+        integral = np.ascontiguousarray(cv2.integral(grey - grey.mean(), sdepth=cv2.CV_64F))
+        points = np.concatenate(
+            [self._octave(integral, octave) for octave in range(self.octaves)] or [np.zeros((0, 5), np.float32)]
+        )
+        points = points[np.lexsort((points[:, 2], points[:, 0], points[:, 1], -points[:, 3]))]
+        descriptors = np.zeros((len(points), 64), np.float32)
+        _describe(integral, points, descriptors)
+        x, y, scale, response, sign = points.T.copy()
+        return KeyPoints(x, y, scale, response, sign.astype(np.int8), descriptors)
+
+    def _octave(self, integral: NDArray[np.float64], octave: int) -> NDArray[np.float32]:
+        """Key points (N, 5) float32 of one octave: x, y, scale, response, sign."""
+        step = 1 << octave
+        sizes = filter_sizes(octave)
+        height, width = integral.shape[0] - 1, integral.shape[1] - 1
+        shape = (_LAYERS, -(-height // step), -(-width // step))
+        if min(height, width) < sizes[-1]:
+            return np.zeros((0, 5), np.float32)
+        responses = np.zeros(shape, np.float32)
+        signs = np.zeros(shape, np.int8)
+        for layer, size in enumerate(sizes):
+            _hessian(integral, step, size, responses[layer], signs[layer])
+        found: NDArray[np.float32] = _maxima(responses, signs, step, sizes[0], sizes[1] - sizes[0], self.threshold)
+        return found
+
+
+def filter_sizes(octave: int) -> list[int]:
+    """Side lengths of the box filters of an octave: 9, 15, 21, 27 in the first, steps double after it."""
+    return [3 * ((2 << octave) * (layer + 1) + 1) for layer in range(_LAYERS)]
+
+
+@jit
+def _box(integral, y, x, height, width):  # type: ignore[no-untyped-def]
+    """Sum of the pixels [y, y + height) x [x, x + width), cut to the image."""
+    rows, columns = integral.shape
+    y0 = min(max(y, 0), rows - 1)
+    x0 = min(max(x, 0), columns - 1)
+    y1 = min(max(y + height, 0), rows - 1)
+    x1 = min(max(x + width, 0), columns - 1)
+    return integral[y1, x1] - integral[y0, x1] - integral[y1, x0] + integral[y0, x0]
+
+
+@parallel_jit
+def _hessian(integral, step, size, responses, signs):  # type: ignore[no-untyped-def]
+    """Determinant of the box-filter Hessian, normalized by the filter's area; 0 where the filter does not fit."""
+    height, width = integral.shape[0] - 1, integral.shape[1] - 1
+    lobe = size // 3
+    half = size // 2
+    area = 1.0 / (size * size)
+    for j in prange(responses.shape[0]):
+        y = j * step
+        if y < half or y + half >= height:
+            continue
+        for i in range(responses.shape[1]):
+            x = i * step
+            if x < half or x + half >= width:
+                continue
+            dyy = _box(integral, y - half, x - lobe + 1, size, 2 * lobe - 1) - 3.0 * _box(
+                integral, y - lobe // 2, x - lobe + 1, lobe, 2 * lobe - 1
+            )
+            dxx = _box(integral, y - lobe + 1, x - half, 2 * lobe - 1, size) - 3.0 * _box(
+                integral, y - lobe + 1, x - lobe // 2, 2 * lobe - 1, lobe
+            )
+            dxy = (
+                _box(integral, y - lobe, x + 1, lobe, lobe)
+                + _box(integral, y + 1, x - lobe, lobe, lobe)
+                - _box(integral, y - lobe, x - lobe, lobe, lobe)
+                - _box(integral, y + 1, x + 1, lobe, lobe)
+            )
+            dxx *= area
+            dyy *= area
+            dxy *= area
+            # 0.9 squared: what the boxes make of the ratio between the Gaussian's second derivatives.
+            responses[j, i] = dxx * dyy - 0.81 * dxy * dxy
+            signs[j, i] = 1 if dxx + dyy >= 0.0 else -1
+
+
+@jit
+def _maxima(responses, signs, step, first_size, size_step, threshold):  # type: ignore[no-untyped-def]
+    """Maxima over 3 x 3 x 3 cells, moved to the peak of the parabola through them."""
+    layers, rows, columns = responses.shape
+    found = np.empty((256, 5), np.float32)
+    count = 0
+    for k in range(1, layers - 1):
+        for j in range(1, rows - 1):
+            for i in range(1, columns - 1):
+                value = responses[k, j, i]
+                if value < threshold or not _is_peak(responses, k, j, i):
+                    continue
+                dx, dy, dk = _offset(responses, k, j, i)
+                if abs(dx) > 1.0 or abs(dy) > 1.0 or abs(dk) > 1.0:
+                    continue  # no peak here: a ridge
+                if count == found.shape[0]:
+                    larger = np.empty((2 * count, 5), np.float32)
+                    larger[:count] = found
+                    found = larger
+                found[count, 0] = (i + dx) * step
+                found[count, 1] = (j + dy) * step
+                found[count, 2] = 1.2 / 9.0 * (first_size + (k + dk) * size_step)
+                found[count, 3] = value
+                found[count, 4] = signs[k, j, i]
+                count += 1
+    return found[:count].copy()
+
+
+@jit
+def _is_peak(responses, k, j, i):  # type: ignore[no-untyped-def]
+    value = responses[k, j, i]
+    for dk in range(-1, 2):
+        for dj in range(-1, 2):
+            for di in range(-1, 2):
+                other = responses[k + dk, j + dj, i + di]
+                # Of equal cells the first in memory is the peak.
+                earlier = dk < 0 or (dk == 0 and (dj < 0 or (dj == 0 and di < 0)))
+                if other > value or (other == value and earlier):
+                    return False
+    return True
+
+
+@jit
+def _offset(r, k, j, i):  # type: ignore[no-untyped-def]
+    """Peak of the second-order Taylor polynomial around a cell, in cells; 9 where there is none."""
+    gx = 0.5 * (r[k, j, i + 1] - r[k, j, i - 1])
+    gy = 0.5 * (r[k, j + 1, i] - r[k, j - 1, i])
+    gk = 0.5 * (r[k + 1, j, i] - r[k - 1, j, i])
+    center = 2.0 * r[k, j, i]
+    xx = r[k, j, i + 1] + r[k, j, i - 1] - center
+    yy = r[k, j + 1, i] + r[k, j - 1, i] - center
+    kk = r[k + 1, j, i] + r[k - 1, j, i] - center
+    xy = 0.25 * (r[k, j + 1, i + 1] - r[k, j + 1, i - 1] - r[k, j - 1, i + 1] + r[k, j - 1, i - 1])
+    xk = 0.25 * (r[k + 1, j, i + 1] - r[k + 1, j, i - 1] - r[k - 1, j, i + 1] + r[k - 1, j, i - 1])
+    yk = 0.25 * (r[k + 1, j + 1, i] - r[k + 1, j - 1, i] - r[k - 1, j + 1, i] + r[k - 1, j - 1, i])
+    # Cramer's rule on the symmetric 3 x 3 system.
+    a = yy * kk - yk * yk
+    b = xk * yk - xy * kk
+    c = xy * yk - xk * yy
+    determinant = xx * a + xy * b + xk * c
+    if abs(determinant) < 1e-30:
+        return 9.0, 9.0, 9.0
+    d = xx * kk - xk * xk
+    e = xy * xk - xx * yk
+    f = xx * yy - xy * xy
+    dx = -(a * gx + b * gy + c * gk) / determinant
+    dy = -(b * gx + d * gy + e * gk) / determinant
+    dk = -(c * gx + e * gy + f * gk) / determinant
+    return dx, dy, dk
+
+
+@parallel_jit
+def _describe(integral, points, descriptors):  # type: ignore[no-untyped-def]
+    """Fill ``descriptors`` (N, 64): 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9."""
+    for n in prange(points.shape[0]):
+        cx = points[n, 0]
+        cy = points[n, 1]
+        scale = points[n, 2]
+        half = max(1, int(np.floor(scale + 0.5)))
+        horizontal = np.empty((24, 24), np.float32)
+        vertical = np.empty((24, 24), np.float32)
+        for j in range(24):
+            y = int(np.floor(cy + (j - 11.5) * scale + 0.5))
+            for i in range(24):
+                x = int(np.floor(cx + (i - 11.5) * scale + 0.5))
+                # Two halves of a square of side 2 s with its center on the pixel's corner.
+                horizontal[j, i] = _box(integral, y - half, x, 2 * half, half) - _box(
+                    integral, y - half, x - half, 2 * half, half
+                )
+                vertical[j, i] = _box(integral, y, x - half, half, 2 * half) - _box(
+                    integral, y - half, x - half, half, 2 * half
+                )
+        out = descriptors[n]
+        length = np.float32(0.0)
+        for cell in range(16):
+            top = cell // 4 * 5
+            left = cell % 4 * 5
+            dx = np.float32(0.0)
+            dy = np.float32(0.0)
+            ax = np.float32(0.0)
+            ay = np.float32(0.0)
+            for j in range(9):
+                for i in range(9):
+                    weight = np.float32(np.exp(((i - 4) * (i - 4) + (j - 4) * (j - 4)) / -12.5))
+                    h = weight * horizontal[top + j, left + i]
+                    v = weight * vertical[top + j, left + i]
+                    dx += h
+                    dy += v
+                    ax += abs(h)
+                    ay += abs(v)
+            # Cells far from the point count less.
+            v = cell // 4 - 1.5
+            h = cell % 4 - 1.5
+            weight = np.float32(np.exp((v * v + h * h) / -4.5))
+            out[4 * cell] = weight * dx
+            out[4 * cell + 1] = weight * ax
+            out[4 * cell + 2] = weight * dy
+            out[4 * cell + 3] = weight * ay
+            length += weight * weight * (dx * dx + ax * ax + dy * dy + ay * ay)
+        if length > 0.0:
+            scale_to_one = np.float32(1.0) / np.sqrt(length)
+            for i in range(64):
+                out[i] *= scale_to_one

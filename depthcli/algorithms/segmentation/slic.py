@@ -1,0 +1,38 @@
+"""Superpixels by k-means in color and position (Achanta et al., PAMI 2012)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.algorithms.regions import connected_components_of_labels, merge_small_regions
+from depthcli.algorithms.segmentation import Segmenter
+
+
+class Slic(Segmenter):
+    """Superpixels of about one size, compact and even: k-means in color and position, started from a grid."""
+
+    size: float = Field(200.0, ge=4, le=1e6, description="aimed at, pixels a region")
+    compactness: float = Field(
+        10.0, gt=0, le=1000, description="weight of distance against color: small values follow edges, large are square"
+    )
+    iterations: int = Field(10, ge=1, le=100, description="of k-means")
+    min_size: int = Field(
+        20, ge=1, le=10**8, description="smaller regions join the neighbor of the nearest color, pixels"
+    )
+
+    def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
+        from skimage.segmentation import slic
+
+        labels = slic(
+            np.ascontiguousarray(image),
+            n_segments=max(1, round(image.shape[0] * image.shape[1] / self.size)),
+            compactness=self.compactness,
+            max_num_iter=self.iterations,
+            start_label=0,
+            enforce_connectivity=False,
+            channel_axis=-1,
+        )
+        pieces = connected_components_of_labels(np.asarray(labels, dtype=np.int32))
+        return merge_small_regions(pieces, image, self.min_size)

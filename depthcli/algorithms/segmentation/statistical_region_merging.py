@@ -1,0 +1,204 @@
+"""Statistical region merging (Nock and Nielsen, PAMI 2004), guided by depth where it is known (thesis chapter 4)."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from depthcli.algorithms.regions import consecutive, root
+from depthcli.algorithms.segmentation import Segmenter
+from depthcli.kernels.jit import jit
+
+_LEVELS = 256  # g of the paper
+_DEPTH_LEVELS = 4095  # few enough that the sum over a large image is an int32
+_TABLE = 4096  # sizes whose bound is looked up
+_SIZE, _COLOR, _KNOWN, _DEPTH = 0, 1, 4, 5  # columns of a region's row of sums
+
+
+class StatisticalRegionMerging(Segmenter):
+    """Merges neighbors in order of their difference, unless the means of their regions differ significantly.
+
+    With depth, the order and the test look at depth too; a region whose depth is unknown merges by color alone,
+    which is what carries depth into the gaps of a sensor's map.
+    """
+
+    complexity: float = Field(128, gt=0, le=65536, description="Q, number of statistical sources: more, more regions")
+    coarser: tuple[Annotated[float, Field(gt=0, le=65536)], ...] = Field(
+        (), description="Q of further layers, falling: each goes on merging the regions of the one before"
+    )
+    depth_guidance: float = Field(
+        16, ge=0, le=65536, description="Q of the test on depth; 0: depth is not looked at (plain SRM)"
+    )
+    smoothing: float = Field(1.0, ge=0, le=10, description="sigma of the 3 x 3 Gaussian before merging; 0: none")
+    min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor in the end, pixels")
+
+    @model_validator(mode="after")
+    def _falling(self) -> StatisticalRegionMerging:
+        if any(b >= a for a, b in pairwise((self.complexity, *self.coarser))):
+            raise ValueError("complexity and coarser must fall from layer to layer")
+        return self
+
+    def __call__(self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None = None) -> NDArray[np.int32]:
+        return self._merged(image, depth, (self.complexity,))[0]
+
+    def layers(self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None = None) -> list[NDArray[np.int32]]:
+        return self._merged(image, depth, (self.complexity, *self.coarser))
+
+    def _merged(
+        self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None, complexities: tuple[float, ...]
+    ) -> list[NDArray[np.int32]]:
+        smooth = cv2.GaussianBlur(image, (3, 3), self.smoothing) if self.smoothing else image
+        guide = _depth_levels(depth) if depth is not None and self.depth_guidance else np.empty((0, 0), np.int16)
+        labels = np.empty((len(complexities), *image.shape[:2]), np.int32)
+        _merge(
+            np.ascontiguousarray(smooth, dtype=np.uint8), guide, np.array(complexities), self.depth_guidance,
+            self.min_size, labels,
+        )  # fmt: skip
+        return list(labels)
+
+
+def _depth_levels(depth: NDArray[np.float32]) -> NDArray[np.int16]:
+    """``depth`` in levels of its range (0.5 % to 99.5 % quantile), -1 = unknown; all -1 where there is no range."""
+    known = depth[~np.isnan(depth)]
+    low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 0.0)
+    if not high > low:
+        return np.full(depth.shape, -1, np.int16)
+    share = np.clip((depth - np.float32(low)) / np.float32(high - low), 0, 1)
+    return np.where(np.isnan(share), np.float32(-1), np.rint(share * _DEPTH_LEVELS)).astype(np.int16)
+
+
+@jit
+def _bound(size, log_pixels, complexity, levels):  # type: ignore[no-untyped-def]
+    """b^2 of a region of ``size`` pixels whose values span ``levels``."""
+    spread = min(size, _LEVELS) * np.log(1.0 + size) + np.log(6.0) + 2 * log_pixels
+    return np.float32(levels * levels * spread / (2 * complexity * size))
+
+
+@jit
+def _bounds(log_pixels, complexity, levels):  # type: ignore[no-untyped-def]
+    table = np.zeros(_TABLE, np.float32)
+    for size in range(1, _TABLE):
+        table[size] = _bound(size, log_pixels, complexity, levels)
+    return table
+
+
+@jit
+def _look_up(table, size, log_pixels, complexity, levels):  # type: ignore[no-untyped-def]
+    return table[size] if size < _TABLE else _bound(size, log_pixels, complexity, levels)
+
+
+@jit
+def _sorted_pairs(image, depth):  # type: ignore[no-untyped-def]
+    """4-neighbor pairs by difference: 2 p for (p, right of p), 2 p + 1 for (p, below p)."""
+    height, width, _ = image.shape
+    guided = depth.size > 0
+    keys = np.empty(2 * height * width, np.uint8)
+    starts = np.zeros(_LEVELS + 1, np.int64)
+    for y in range(height):
+        for x in range(width):
+            for step in range(2):
+                y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
+                if y2 == height or x2 == width:
+                    continue
+                key: Any = 0
+                for c in range(3):
+                    key = max(key, abs(np.int64(image[y, x, c]) - np.int64(image[y2, x2, c])))
+                if guided and depth[y, x] >= 0 and depth[y2, x2] >= 0:
+                    apart = abs(np.int64(depth[y, x]) - np.int64(depth[y2, x2]))
+                    key = max(key, 255 * apart // _DEPTH_LEVELS)
+                keys[2 * (y * width + x) + step] = key
+                starts[key + 1] += 1
+    for key in range(_LEVELS):
+        starts[key + 1] += starts[key]
+    order = np.empty(starts[_LEVELS], np.int32)
+    for y in range(height):
+        for x in range(width):
+            p = y * width + x
+            for step in range(2):
+                if (x + 1 < width) if step == 0 else (y + 1 < height):
+                    key = keys[2 * p + step]
+                    order[starts[key]] = 2 * p + step
+                    starts[key] += 1
+    return order
+
+
+@jit
+def _merge(image, depth, complexities, guidance, min_size, labels):  # type: ignore[no-untyped-def]
+    height, width, _ = image.shape
+    pixels = height * width
+    guided = depth.size > 0
+    log_pixels = np.log(float(pixels))
+    pairs = _sorted_pairs(image, depth)
+    left = pairs.size  # pairs that no layer has joined yet
+    parent = np.arange(pixels).astype(np.int32)
+    sums = np.zeros((pixels, 8), np.int32)  # a region's sums share a cache line
+    bound = np.empty((pixels, 2), np.float32)
+    for p in range(pixels):
+        y, x = p // width, p % width
+        sums[p, _SIZE] = 1
+        for c in range(3):
+            sums[p, _COLOR + c] = image[y, x, c]
+        if guided and depth[y, x] >= 0:
+            sums[p, _KNOWN] = 1
+            sums[p, _DEPTH] = depth[y, x]
+    depth_table = _bounds(log_pixels, guidance, _DEPTH_LEVELS) if guided else np.empty(0, np.float32)
+    for layer in range(complexities.size):
+        complexity = complexities[layer]
+        table = _bounds(log_pixels, complexity, _LEVELS)
+        for p in range(pixels):
+            if parent[p] == p:
+                bound[p, 0] = _look_up(table, sums[p, _SIZE], log_pixels, complexity, _LEVELS)
+                if guided and layer == 0:
+                    bound[p, 1] = depth_table[1]
+        count, left = left, 0
+        for k in range(count):
+            pair = pairs[k]
+            i = pair >> 1
+            j = i + 1 if pair & 1 == 0 else i + width
+            i, j = root(parent, i), root(parent, j)
+            if i == j:
+                continue
+            limit = bound[i, 0] + bound[j, 0]
+            scale_a, scale_b = 1 / np.float64(sums[i, _SIZE]), 1 / np.float64(sums[j, _SIZE])
+            same = True
+            for c in range(_COLOR, _COLOR + 3):
+                apart = sums[i, c] * scale_a - sums[j, c] * scale_b
+                same &= apart * apart <= limit
+            if guided and sums[i, _KNOWN] > 0 and sums[j, _KNOWN] > 0:
+                apart = sums[i, _DEPTH] / np.float64(sums[i, _KNOWN]) - sums[j, _DEPTH] / np.float64(sums[j, _KNOWN])
+                same &= apart * apart <= bound[i, 1] + bound[j, 1]
+            if not same:
+                pairs[left] = pair
+                left += 1
+                continue
+            if j < i:  # the smaller index becomes the root, so that labels do not depend on the order
+                i, j = j, i
+            parent[j] = i
+            for c in range(6):
+                sums[i, c] += sums[j, c]
+            bound[i, 0] = _look_up(table, sums[i, _SIZE], log_pixels, complexity, _LEVELS)
+            if guided and sums[i, _KNOWN] > 0:
+                bound[i, 1] = _look_up(depth_table, sums[i, _KNOWN], log_pixels, guidance, _DEPTH_LEVELS)
+        labels[layer] = _without_small(parent, sums[:, _SIZE].copy(), pairs[:left], width, min_size).reshape(
+            height, width
+        )
+
+
+@jit
+def _without_small(parent, size, pairs, width, min_size):  # type: ignore[no-untyped-def]
+    """Labels after small regions have joined along the least different of the ``pairs`` that were not joined."""
+    parent = parent.copy()
+    for pair in pairs:
+        i = pair >> 1
+        j = i + 1 if pair & 1 == 0 else i + width
+        i, j = root(parent, i), root(parent, j)
+        if i != j and min(size[i], size[j]) < min_size:
+            i, j = min(i, j), max(i, j)
+            parent[j] = i
+            size[i] += size[j]
+    return consecutive(parent)

@@ -1,0 +1,278 @@
+"""What the commands that go through a folder item by item have in common."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from depthcli.batch.command import SOME_FAILED, Command
+from depthcli.core.errors import ConfigError
+from depthcli.core.option import Option
+from depthcli.data.scenes import Item
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.runner import Outcome
+    from depthcli.batch.tables import Column
+    from depthcli.data.formats.pictures import Palette
+
+INPUT = Option("input", Path, "Folder of scenes, or a CSV file of pairs.", "DIR", short="-i")
+OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True)
+LAYOUT = Option("layout", str, "Layout of the folder, where it is not recognized.", "NAME")
+SCENES = Option("scenes", str, "Only scenes whose name matches; repeatable.", "GLOB", many=True)
+NAME = Option("name", str, "Name of a single scene; default: its file's or folder's.", "NAME")
+_SELECT = (
+    NAME,
+    LAYOUT,
+    SCENES,
+    Option("set", str, "Override one key; repeatable.", "KEY=VALUE", many=True),
+)
+HOW = (
+    Option("jobs", int, "Scenes at a time, each in a process.", "N", default=1, short="-j", least=1, most=512),
+    Option("threads", int, "Threads of each process.", "N", least=1, most=1024),
+    Option("max_memory", str, "Such as 2GiB. Default: all that is free.", "SIZE"),
+    Option("overwrite", bool, "Replace what an earlier run with another config left.", default=False),
+    Option("keep", str, "Files that stay of a scene, such as disp_left.pfm,status.png. Default: all.", "NAMES"),
+    Option("shard", str, "Part I of N of the scenes, beside others in one folder. Default: Slurm's job array.", "I/N"),
+    Option("scheduler", str, "Compute on the workers of a dask.distributed cluster.", "tcp://HOST:PORT"),
+    Option("fail_fast", bool, "Stop at the first scene that fails.", default=False),
+    Option("list_scenes", bool, "Print the names of the scenes; compute nothing.", default=False),
+)
+_EVALUATE = Option("evaluate", bool, "Compare with the ground truth of the input folder.", default=False)
+DRY_RUN = Option("dry_run", bool, "Only say what would be done: config, scenes, memory, what is done.", default=False)
+_HTML = Option("html", bool, "As --evaluate, with evaluation/report.html to look at in a browser.", default=False)
+
+
+class BatchCommand(Command):
+    """Goes through items one by one, into a run folder."""
+
+    @abstractmethod
+    def compute(self, config: Any, item: Any, folder: Path, memory: int) -> Outcome:
+        """Compute ``item`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
+
+    @abstractmethod
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the command's table."""
+
+    def files(self, config: Any, item: Any) -> dict[str, Path]:
+        """Role -> file whose content the result depends on."""
+        files: dict[str, Path] = item.input_files
+        return files
+
+    def settings(self, config: Any, item: Any) -> dict[str, str]:
+        """What else the result depends on, beside the config: facts that the layout found."""
+        return {}
+
+    def effort(self, config: Any, item: Any) -> int | None:
+        """About how much work an item is, in any unit, told quickly; None: it follows the size of its files."""
+        return None
+
+    def run_on(self, config: Any, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> int:
+        """The batch itself, its table and report; the exit code."""
+        if values.get("dry_run"):
+            return self._say_plan(config, items, values, reporter)
+        from depthcli.batch import record
+        from depthcli.batch.runner import BUG, run_items
+        from depthcli.batch.tables import run_table
+
+        options = run_options(values)
+        if values["list_scenes"]:
+            own = items if options.shard is None else options.shard.of(items, lambda item: self.effort(config, item))
+            names = [item.name for item in own]
+            if values["json"]:
+                reporter.data(record.to_json({"command": self.name, "scenes": names}))
+            else:
+                reporter.data("".join(f"{name}\n" for name in names))
+            return 0
+        if options.shard is not None:
+            reporter.info(f"shard {options.shard} of {len(items)} scenes")
+        rows = run_items(self, config, items, values["output"], options, reporter)
+        self._write_legend(values["output"], rows)
+        failed = [row for row in rows if row["status"] == "failed"]
+        evaluation = self._evaluation(items, values, reporter) if _evaluates(values) else None
+        if values["json"]:
+            document = record.report_document(self.name, rows)
+            if evaluation is not None:
+                document["evaluation"] = evaluation.to_dict()
+            reporter.data(record.to_json(document))
+        elif not values["quiet"]:
+            reporter.data(run_table(rows, self.columns()) if evaluation is None else evaluation.text())
+        reporter.info(f"{len(rows) - len(failed)} of {len(rows)} scenes done, in {values['output']}")
+        if options.fail_fast and failed:
+            return 1 if failed[-1]["error"].startswith(BUG) else SOME_FAILED
+        if any(row["error"].startswith(BUG) for row in failed):
+            return 1
+        return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0
+
+    def memory_of(self, config: Any, item: Any) -> int | None:
+        """Estimate of the peak working memory of an item, bytes, from headers alone; None where there is none."""
+        return None
+
+    def _say_plan(self, config: Any, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> int:
+        from depthcli.batch.plan import plan, plan_text
+        from depthcli.batch.record import to_json
+
+        document = plan(self, config, items, values["output"], self.memory_of, run_options(values))
+        reporter.data(to_json(document) if values["json"] else plan_text(document, config))
+        return 0
+
+    def palette(self) -> Palette | None:
+        """Colors of the status maps that it writes, or None."""
+        return None
+
+    def legend_values(self) -> tuple[int, ...] | None:
+        """Combinations of bits that the legend shows; None for each bit alone."""
+        return None
+
+    def _write_legend(self, output: Path, rows: list[dict[str, Any]]) -> None:
+        from depthcli.data.formats.pictures import write_legend
+
+        palette = self.palette()
+        if palette is not None and any(row["status"] == "done" for row in rows):
+            write_legend(output / "legend.png", palette, self.legend_values())
+
+    def _evaluation(self, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> Any:
+        from depthcli.commands.evaluate import evaluate, new_page
+
+        if not any(item.has_truth for item in items):
+            reporter.error(f"{values['input']}: no ground truth there, nothing to evaluate")
+            return None
+        output = values["output"]
+        page = new_page(self, {"html_budget": "50MB", **values}, output / "evaluation") if values.get("html") else None
+        return evaluate(
+            [output], values["input"], output / "evaluation", values["scenes"] or ["*"], values["layout"],
+            reporter=reporter, kinds=tuple({type(item) for item in items}), page=page,
+        )  # fmt: skip
+
+
+class ConfigCommand(BatchCommand):
+    """``depthcli COMMAND CONFIG --input DIR --output DIR ...``: a config, a folder of items, a run folder."""
+
+    kinds: ClassVar[tuple[type[Item], ...]]
+    """Kinds of item that it reads."""
+
+    @property
+    def arguments(self) -> tuple[Option, ...]:
+        """The config."""
+        return (Option("config", str, "YAML file, or the name of a preset.", "CONFIG", required=True),)
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """What the kinds of item declare, between what all batches share."""
+        own = {option.name: option for kind in self.kinds for option in kind.options}
+        return (INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE, _HTML, DRY_RUN)
+
+    @abstractmethod
+    def config_model(self) -> type[BaseModel]:
+        """Model of the config's root."""
+
+    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+        """Compute every item, then evaluate where that is asked for; the exit code."""
+        run_options(values)  # wrong ones are told before anything is looked at
+        config = self.config(values)
+        items = self.find(values, reporter)
+        return self.run_on(config, items, values, reporter)
+
+    def find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Item]:
+        """The items that the command line means."""
+        return find_scenes(self.kinds, values, reporter)
+
+    def config(self, values: Mapping[str, Any]) -> BaseModel:
+        """The config that the command line means; ConfigError with all that is wrong."""
+        from depthcli.batch.presets import find_config, find_preset
+        from depthcli.core.config_file import load_config
+
+        settings: list[str | tuple[str, str]] = list(values["set"] or [])
+        for option in self.options:
+            if option.sets and values[option.name] is not None:
+                settings.append((option.flag, f"{option.sets}={values[option.name]}"))
+        return load_config(
+            self.config_model(),
+            find_config(self.name, values["config"]),
+            settings,
+            lambda name: find_preset(self.name, name),
+        )
+
+
+def find_scenes(kinds: tuple[type[Item], ...], values: Mapping[str, Any], reporter: Reporter) -> list[Item]:
+    """The items that ``--input``, or the files of a single one, mean.
+
+    Raises
+    ------
+    ConfigError
+        Neither or both are given.
+    InputError
+        As :func:`depthcli.data.walk.find_items`.
+    """
+    from depthcli.data.walk import chosen_items
+
+    named = next((items for kind in kinds if (items := kind.named(values))), [])
+    patterns = values["scenes"] or ["*"]
+    if named:
+        if values["input"] is not None:
+            raise ConfigError(f"--input and {_single_options(kinds)} exclude each other")
+        if _evaluates(values):
+            raise ConfigError("--evaluate wants --input: a single scene has no ground truth")
+        if values["name"] is None:
+            return chosen_items(named, patterns, "the command line")
+        if len(named) > 1:
+            raise ConfigError(f"--name is for a single scene, these are {len(named)}")
+        return [_renamed(named[0], values["name"])]
+    if values["input"] is None:
+        raise ConfigError(f"want --input DIR, or {_single_options(kinds)}")
+    if values["name"] is not None:
+        raise ConfigError(f"--name is for a single scene, given by {_single_options(kinds)}")
+    if _evaluates(values) and values["input"].is_file():
+        raise ConfigError(f"{values['input']}: --evaluate wants a folder of scenes, with their ground truth")
+    return items_of(values["input"], kinds, values["layout"], patterns, reporter)
+
+
+def items_of(
+    place: Path, kinds: tuple[type[Item], ...], layout: str | None, patterns: Sequence[str], reporter: Reporter
+) -> list[Item]:
+    """The items of a folder, or of a table of files."""
+    from depthcli.data.pairs import TABLE_SUFFIXES
+    from depthcli.data.walk import chosen_items, find_items
+
+    if place.is_file() and place.suffix.lower() in TABLE_SUFFIXES:
+        return chosen_items(kinds[0].of_table(place), patterns, place)
+    return find_items(place, kinds, layout, patterns, reporter.info)
+
+
+def _single_options(kinds: tuple[type[Item], ...]) -> str:
+    texts = (" and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path) for kind in kinds)
+    return ", or ".join(text for text in texts if text)
+
+
+def run_options(values: Mapping[str, Any]) -> Any:
+    """How a run is done; ConfigError for a wrong size or part."""
+    import os
+
+    from depthcli.batch.resources import parse_bytes
+    from depthcli.batch.runner import Options
+    from depthcli.batch.sharing import parse_shard
+
+    memory = parse_bytes(values["max_memory"]) if values["max_memory"] else None
+    shard = parse_shard(values["shard"], os.environ)
+    if shard is not None and _evaluates(values):
+        raise ConfigError("--evaluate wants all scenes: run depthcli evaluate when all shards are done")
+    scheduler = values["scheduler"]
+    if scheduler is not None and values["jobs"] != 1:
+        raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
+    keep = tuple(name.strip() for name in (values["keep"] or "").split(",") if name.strip())
+    return Options(values["jobs"], values["threads"], memory, values["overwrite"], shard, values["fail_fast"], keep,
+                   scheduler)  # fmt: skip
+
+
+def _evaluates(values: Mapping[str, Any]) -> bool:
+    return bool(values.get("evaluate") or values.get("html"))
+
+
+def _renamed(item: Item, name: str) -> Item:
+    from dataclasses import replace
+
+    return replace(item, name=name)

@@ -1,0 +1,100 @@
+"""Results as files, one writer a kind of result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.batch.record import to_csv
+from depthcli.core.frames import Intrinsics
+from depthcli.core.result import Result
+from depthcli.data.formats.atomic import write_text
+from depthcli.data.formats.depth import write_depth_png, write_ply
+from depthcli.data.formats.disparity import write_disparity_png, write_pfm
+from depthcli.data.formats.images import write_png
+from depthcli.data.formats.pictures import (
+    DEPTH_STATUS_PALETTE,
+    STATUS_PALETTE,
+    confidence_picture,
+    preview,
+    preview_depth,
+    write_status,
+)
+from depthcli.methods.kinect.result import RefinedDepth
+from depthcli.methods.stereo.volume import StereoResult
+
+
+def save_stereo(result: StereoResult, folder: Path, low: int, top: int) -> None:
+    """Write everything a stereo pipeline gave for the disparities ``low`` .. ``top`` into the existing ``folder``.
+
+    The PNG has no code for what is negative: those pixels have no value there.
+    """
+    values = result.disparity.values
+    write_pfm(folder / "disp_left.pfm", values)
+    shown = np.where(values < 0, np.float32(np.nan), values) if low < 0 else values
+    write_disparity_png(folder / "disp_left.png", shown)
+    write_status(folder / "status.png", result.disparity.status, STATUS_PALETTE)
+    write_png(folder / "preview.png", preview(values - np.float32(low), top - low))
+    _save_rest(result, folder)
+
+
+def save_depth(
+    result: RefinedDepth,
+    folder: Path,
+    scale: float,
+    rotate: int = 0,
+    cloud: tuple[Intrinsics, NDArray[np.uint8]] | None = None,
+) -> None:
+    """Write everything a refinement of depth gave into the existing ``folder``.
+
+    Parameters
+    ----------
+    scale : codes a meter of ``depth.png``
+    rotate : bits that the codes are rotated left by (SUN RGB-D: 3)
+    cloud : camera and (H, W, 3) color of a point cloud, or None for none
+    """
+    values = result.depth.values
+    write_pfm(folder / "depth.pfm", values)
+    write_depth_png(folder / "depth.png", values, scale, rotate)
+    write_pfm(folder / "sigma.pfm", result.sigma)
+    write_status(folder / "status.png", result.depth.status, DEPTH_STATUS_PALETTE)
+    write_png(folder / "preview.png", preview_depth(values))
+    if cloud is not None:
+        write_ply(folder / "points.ply", values, *cloud)
+    _save_rest(result, folder)
+
+
+def save_metric_depth(
+    depth: NDArray[np.float32],
+    status: NDArray[np.uint8],
+    folder: Path,
+    scale: float,
+    cloud: tuple[Intrinsics, NDArray[np.uint8], NDArray[np.bool_]] | None = None,
+) -> None:
+    """Write the depth of a disparity map into the existing ``folder``.
+
+    Parameters
+    ----------
+    depth : (H, W) float32, meters, NaN = unknown
+    status : (H, W) uint8, bits of the disparity map
+    scale : codes a meter of ``depth.png``
+    cloud : camera, (H, W, 3) color and (H, W) bool of the pixels of a point cloud, or None for none
+    """
+    write_pfm(folder / "depth.pfm", depth)
+    write_depth_png(folder / "depth.png", depth, scale)
+    write_status(folder / "status.png", status, STATUS_PALETTE)
+    write_png(folder / "preview.png", preview_depth(depth))
+    if cloud is not None:
+        write_ply(folder / "points.ply", depth, *cloud)
+
+
+def _save_rest(result: Result, folder: Path) -> None:
+    for name, confidence in result.confidence.items():
+        write_pfm(folder / f"confidence_{name}.pfm", confidence)
+        write_png(folder / f"confidence_{name}.png", confidence_picture(confidence))
+    for name, rows in result.tables.items():
+        write_text(folder / f"{name}.csv", to_csv(rows))
+    for name, picture in result.pictures.items():
+        write_png(folder / f"{name}.png", picture)

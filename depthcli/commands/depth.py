@@ -1,0 +1,316 @@
+"""Turn the disparity maps of a run into metric depth maps and point clouds.
+
+The calibration lies beside the images that the run was made from (``calib.txt`` of Middlebury, ETH3D and of
+``rectify``, KITTI's files), or is said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from depthcli.commands._batch import DRY_RUN, HOW, OUTPUT, SCENES, BatchCommand, items_of
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.option import Option
+from depthcli.data.scenes import Item
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.runner import Outcome
+    from depthcli.batch.tables import Column
+    from depthcli.core.cameras.stereo_rig import PairGeometry
+    from depthcli.data.formats.pictures import Palette
+
+_MAP = "disp_left.pfm"
+_BY_HAND = ("focal", "baseline")
+_MANY_LOST = 0.01  # share of depths beyond the PNG's codes above which a map says so
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisparityItem(Item):
+    """A disparity map that a run made, and what belongs to it.
+
+    Attributes
+    ----------
+    disparity : the map
+    status : why its pixels have values, or None
+    confidence : name -> map
+    left : the image that it describes, or None where that has gone
+    calibration : file beside that image, or the one that was said; or None
+    cameras : numbers of the pair's cameras in a calibration of several
+    """
+
+    disparity: Path
+    status: Path | None = None
+    confidence: dict[str, Path] = field(default_factory=dict)
+    left: Path | None = None
+    calibration: Path | None = None
+    cameras: tuple[int, int] = (2, 3)
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """Everything that a depth map may depend on."""
+        known = {"disparity": self.disparity, "status": self.status, "left": self.left, "calibration": self.calibration}
+        files = {role: file for role, file in known.items() if file is not None}
+        return files | {f"confidence_{name}": file for name, file in self.confidence.items()}
+
+    def load(self) -> NDArray[np.float32]:
+        """The disparities, pixels, NaN = unknown."""
+        from depthcli.data.formats.disparity import read_disparity
+
+        self.check()
+        return read_disparity(self.disparity)
+
+
+class DepthCommand(BatchCommand):
+    """``depthcli depth RUN --output DIR [--calibration FILE]``."""
+
+    @property
+    def arguments(self) -> tuple[Option, ...]:
+        """The run."""
+        return (Option("run", Path, "Run folder of stereo or fuse, or one disparity map.", "RUN", required=True),)
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """Where the calibration is, which pixels, which files."""
+        return (
+            OUTPUT,
+            SCENES,
+            Option("input", Path, "The run's folder of scenes, where it has moved.", "DIR", short="-i"),
+            Option("left", Path, "Left image of a single map, for the point cloud.", "FILE"),
+            Option("calibration", Path, "Calibration of all scenes: calib.txt, KITTI's projections.", "FILE"),
+            Option("focal", float, "Focal length, instead of a file.", "PIXELS", least=1e-6),
+            Option("baseline", float, "Distance of the cameras, instead of a file.", "METERS", least=1e-9),
+            Option("doffs", float, "x of the right principal point minus the left one's.", "PIXELS"),
+            Option("mask", str, "Pixels: measured, all, or confident:0.8, the surest 80 % of the measured ones "
+                   "(confident:0.8:NAME of several maps). Default: all in the maps, measured in the cloud.", "WHICH"),
+            Option("ply", bool, "Write a colored point cloud of every scene, too.", default=False),
+            Option("depth_scale", float, "Codes a meter of depth.png.", "CODES", default=1000.0, least=1e-3, most=1e6),
+            *HOW,
+            DRY_RUN,
+        )  # fmt: skip
+
+    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+        """Turn every map of the run into depth."""
+        by_hand = [name for name in (*_BY_HAND, "doffs") if values[name] is not None]
+        if by_hand and not all(values[name] is not None for name in _BY_HAND):
+            raise ConfigError("--focal and --baseline belong together (and --doffs, where the cameras have one)")
+        if by_hand and values["calibration"] is not None:
+            raise ConfigError(f"--calibration and --{by_hand[0]} exclude each other")
+        _parse_mask(values["mask"])
+        config = {name: values[name] for name in (*_BY_HAND, "doffs", "mask", "ply", "depth_scale")}
+        return self.run_on(config, self._find(values, reporter), values, reporter)
+
+    def _find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Item]:
+        from depthcli.data.scenes.stereo import StereoItem
+        from depthcli.data.walk import items_with_files
+
+        place: Path = values["run"]
+        if place.is_file():
+            left, calibration = values["left"], values["calibration"]
+            return [DisparityItem(name=place.stem, folder=place.parent, disparity=place, left=left,
+                                  calibration=calibration)]  # fmt: skip
+        maps = _maps_of(place, values["scenes"] or ["*"])
+        sources: dict[str, Item]
+        if values["input"] is not None:
+            sources = {item.name: item for item in items_of(values["input"], (StereoItem,), None, ["*"], reporter)}
+        else:
+            known = items_with_files(source for _, source in maps.values() if source is not None)
+            sources = {name: known[source] for name, (_, source) in maps.items() if source in known}
+        found: list[Item] = []
+        for name, (folder, source) in maps.items():
+            origin, left = sources.get(name), source if source is not None and source.is_file() else None
+            calibration, cameras = None, (2, 3)
+            if isinstance(origin, StereoItem):
+                left, calibration, cameras = origin.left, origin.calibration, origin.cameras
+            if (folder / "calib.txt").is_file() and (folder / "left.png").is_file():  # rectified for the map
+                left, calibration, cameras = folder / "left.png", folder / "calib.txt", (2, 3)
+            elif origin is None and left is not None and (beside := left.parent / "calib.txt").is_file():
+                calibration = beside
+            status = folder / "status.png"
+            found.append(
+                DisparityItem(
+                    name=name,
+                    folder=folder,
+                    disparity=folder / _MAP,
+                    status=status if status.is_file() else None,
+                    confidence={p.stem.partition("_")[2]: p for p in sorted(folder.glob("confidence_*.pfm"))},
+                    left=left,
+                    calibration=values["calibration"] or (calibration if values["focal"] is None else None),
+                    cameras=cameras,
+                )
+            )
+        return found
+
+    def settings(self, config: Any, item: DisparityItem) -> dict[str, str]:
+        """The cameras of a file that holds several."""
+        return {"cameras": f"{item.cameras}"}
+
+    def memory_of(self, config: Any, item: DisparityItem) -> None:
+        """No estimate: little more than the map itself; InputError where there is no calibration."""
+        if config["focal"] is None:
+            _geometry(config, item)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Size, share of pixels with depth, how far they are, and what depth was computed with."""
+        from depthcli.batch.tables import SIZE, Column, percent
+
+        def number(key: str, unit: str) -> Column:
+            return Column(key.replace("_", " "), lambda row: f"{row[key]:.4g} {unit}" if row.get(key) else "-")
+
+        return (SIZE, Column("density", percent("density")), number("median_depth", "m"), number("focal", "px"),
+                number("baseline", "m"))  # fmt: skip
+
+    def palette(self) -> Palette:
+        """Of the disparity map's status, which is the depth map's."""
+        from depthcli.data.formats.pictures import STATUS_PALETTE
+
+        return STATUS_PALETTE
+
+    def compute(self, config: Any, item: DisparityItem, folder: Path, memory: int) -> Outcome:
+        """The depth of one map.
+
+        Raises
+        ------
+        InputError
+            The files cannot be used, or there is no calibration.
+        """
+        import numpy as np
+
+        from depthcli.batch.runner import Outcome
+        from depthcli.commands._save import save_metric_depth
+        from depthcli.core.frames import color8
+        from depthcli.core.result import Clock
+        from depthcli.data.formats.images import read_image
+        from depthcli.data.formats.pictures import read_status
+
+        clock = Clock()
+        disparity = item.load()
+        height, width = disparity.shape
+        geometry = _geometry(config, item).for_size(width, height)
+        status = np.zeros(disparity.shape, np.uint8) if item.status is None else read_status(item.status)
+        _same_size(item.status, status, disparity)
+        cloud = None
+        if config["ply"]:
+            if item.left is None:
+                raise InputError(f"{item.folder}: the left image has gone, no color for a point cloud; say --input")
+            cloud = color8(read_image(item.left))
+            _same_size(item.left, cloud, disparity)
+        clock.stop("load")
+        kept = _mask(config["mask"] or "all", item, disparity, status)
+        depth = geometry.depth(np.where(kept, disparity, np.float32(np.nan)))
+        clock.stop("depth")
+        in_cloud = _mask(config["mask"] or "measured", item, disparity, status)
+        points = None if cloud is None else (geometry.left, cloud, in_cloud)
+        save_metric_depth(depth, status, folder, config["depth_scale"], points)
+        clock.stop("save")
+        known = np.isfinite(depth)
+        lost = float(np.mean(depth[known] * config["depth_scale"] >= 65535.5)) if known.any() else 0.0
+        facts: dict[str, Any] = {
+            "width": width,
+            "height": height,
+            "density": round(float(known.mean()), 6),
+            "median_depth": round(float(np.median(depth[known])), 6) if known.any() else None,
+            "focal": geometry.left.fx,
+            "baseline": geometry.baseline,
+            "doffs": geometry.offset,
+            "beyond_png": round(lost, 6),
+        }
+        if cloud is not None:
+            facts["points"] = int(np.count_nonzero(known & in_cloud))
+        warnings = []
+        if lost > _MANY_LOST:
+            far = 65535 / config["depth_scale"]
+            warnings.append(f"{100 * lost:.0f} % of the depths are beyond the {far:.4g} m that depth.png can hold: 0 "
+                            "there, depth.pfm has them; see --depth-scale")  # fmt: skip
+        return Outcome(facts, clock.seconds, warnings)
+
+
+def _maps_of(run: Path, patterns: list[str]) -> dict[str, tuple[Path, Path | None]]:
+    """Scene -> its folder and where its left image was, of the scenes that have a map."""
+    from depthcli.batch.record import is_inside, read_report
+    from depthcli.data.walk import matches_any
+
+    if not run.is_dir():
+        raise InputError(f"{run}: no such run folder or map")
+    rows = read_report(run)
+    names = {name for name in rows if is_inside(name) and (run / name / _MAP).is_file()}
+    names |= {path.parent.relative_to(run).as_posix() for depth in ("*", "*/*") for path in run.glob(f"{depth}/{_MAP}")}
+    chosen = sorted(name for name in names if not name.startswith(".") and matches_any(name, patterns))
+    if not chosen:
+        raise InputError(f"{run}: no {'scene matches' if names else 'disparity maps there'} (SCENE/{_MAP})")
+    sources = {name: Path(source) for name in chosen if (source := rows.get(name, {}).get("source"))}
+    return {name: (run / name, sources.get(name)) for name in chosen}
+
+
+def _geometry(config: Mapping[str, Any], item: DisparityItem) -> PairGeometry:
+    from depthcli.core.cameras.stereo_rig import PairGeometry
+    from depthcli.core.frames import Intrinsics
+    from depthcli.data.formats.calibration import read_geometry
+
+    if config["focal"] is not None:
+        height, width = item.load().shape
+        camera = Intrinsics(config["focal"], config["focal"], (width - 1) / 2, (height - 1) / 2)
+        return PairGeometry(camera, config["baseline"], config["doffs"] or 0.0)
+    if item.calibration is None:
+        raise InputError(f"{item.folder}: no calibration beside the images; say --calibration, or --focal, --baseline")
+    return read_geometry(item.calibration, item.cameras)
+
+
+def _parse_mask(text: str | None) -> tuple[str, float, str]:
+    """Kind, share and name of ``measured``, ``all``, ``confident:0.8:NAME``."""
+    kind, _, rest = (text or "all").partition(":")
+    share, _, name = rest.partition(":")
+    try:
+        number = float(share or "nan")
+    except ValueError:
+        number = -1.0
+    if (kind in ("measured", "all") and not rest) or (kind == "confident" and 0 < number <= 1):
+        return kind, number, name
+    raise ConfigError(f"--mask: want measured, all, or confident:0.8 (got {text!r})")
+
+
+def _mask(
+    text: str, item: DisparityItem, disparity: NDArray[np.float32], status: NDArray[np.uint8]
+) -> NDArray[np.bool_]:
+    """Which pixels; of the confident ones those above the quantile, ties included."""
+    import numpy as np
+
+    from depthcli.core.maps import Status
+    from depthcli.data.formats.disparity import read_pfm
+
+    kind, share, name = _parse_mask(text)
+    known = np.isfinite(disparity)
+    if kind == "all":
+        return known
+    measured: NDArray[np.bool_] = known & ((status & Status.FILLED) == 0)
+    if kind == "measured":
+        return measured
+    there = ", ".join(item.confidence)
+    if not name and len(item.confidence) == 1:
+        name = there
+    if name not in item.confidence:
+        has = f"the run has: {there}" if there else "the run has none; see confidence: in the config"
+        raise InputError(f"{item.folder}: --mask {text}: which confidence map? {has}")
+    confidence = read_pfm(item.confidence[name])
+    _same_size(item.confidence[name], confidence, disparity)
+    measured &= np.isfinite(confidence)
+    if measured.any():
+        measured &= confidence >= np.quantile(confidence[measured], 1 - share, method="higher")
+    return measured
+
+
+def _same_size(path: Path | None, values: NDArray[Any], disparity: NDArray[np.float32]) -> None:
+    if values.shape[:2] != disparity.shape:
+        raise InputError(
+            f"{path}: {values.shape[1]} x {values.shape[0]}, but the disparity map is "
+            f"{disparity.shape[1]} x {disparity.shape[0]}"
+        )
+
+
+COMMAND = DepthCommand()

@@ -1,0 +1,76 @@
+"""List the presets, or print one with every field and what it means: presets show NAME."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from depthcli.batch.command import Command
+from depthcli.core.errors import ConfigError
+from depthcli.core.option import Option
+
+if TYPE_CHECKING:
+    from depthcli.batch.reporter import Reporter
+
+
+class PresetsCommand(Command):
+    """Reads the configs that travel with the package."""
+
+    @property
+    def arguments(self) -> tuple[Option, ...]:
+        """``show NAME``, or nothing."""
+        return (
+            Option("action", str, "'show' prints one preset.", "show"),
+            Option("preset", str, "NAME, or COMMAND/NAME.", "NAME"),
+        )
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """None."""
+        return ()
+
+    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+        """Print the list or the preset."""
+        from depthcli.batch.presets import THESIS, list_presets
+        from depthcli.batch.record import to_json
+
+        if values["action"] == "show" and values["preset"]:
+            reporter.data(_show(values["preset"]))
+        elif values["action"] is not None:
+            raise ConfigError("want: depthcli presets, or depthcli presets show NAME")
+        elif values["json"]:
+            found = list_presets()
+            reporter.data(to_json([{"command": c, "preset": p, "about": about} for c, p, about in found]))
+        else:
+            found = list_presets()
+            width = max((len(f"{command} {preset}") for command, preset, _ in found), default=0)
+            lines = [(p.startswith(THESIS), f"{f'{c} {p}':<{width}}  {about}") for c, p, about in found]
+            usual = [line for of_thesis, line in lines if not of_thesis]
+            reporter.data("\n".join([*usual, "", *(line for of_thesis, line in lines if of_thesis)]).rstrip())
+        return 0
+
+
+def _show(name: str) -> str:
+    """A preset as YAML with every field and its description; ``name`` may be ``command/name``."""
+    from depthcli.batch.presets import THESIS, describe, find_config, find_preset, leading_comment, list_presets
+    from depthcli.commands import load_command
+    from depthcli.commands._batch import ConfigCommand
+    from depthcli.core.config_file import load_config
+
+    found = [(c, p) for c, p, _ in list_presets() if name.lower() in (p, f"{c}/{p}", p.removeprefix(THESIS))]
+    if not found:
+        raise ConfigError(f"no preset called {name!r}; see: depthcli presets")
+    if len(found) > 1:
+        said = " or ".join(f"{command}/{preset}" for command, preset in found)
+        raise ConfigError(f"several commands have a preset {name!r}; say depthcli presets show {said}")
+    ((command, preset),) = found
+    batch = load_command(command)
+    assert isinstance(batch, ConfigCommand)
+    file = find_config(command, preset)
+    title = [leading_comment(file.read_text("utf-8"))]
+    title.append(f"Use it as it is: depthcli {command} {preset} ...; or save, change and name this text as a file.")
+    config = load_config(batch.config_model(), file, find=lambda base: find_preset(command, base))
+    return describe(config, "\n".join(title))
+
+
+COMMAND = PresetsCommand()

@@ -1,0 +1,166 @@
+"""Rectify image pairs by a calibration of the cameras, or without one: scenes that ``stereo`` and ``depth`` take.
+
+Every scene gets the rectified pair, its calibration as calib.txt, and the search range that matched key points
+suggest.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from depthcli.commands._batch import DRY_RUN, HOW, INPUT, LAYOUT, NAME, OUTPUT, SCENES, BatchCommand, find_scenes
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.option import Option
+from depthcli.data.scenes.stereo import StereoItem
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.runner import Outcome
+    from depthcli.batch.tables import Column
+    from depthcli.core.cameras.stereo_rig import RectifiedRig
+    from depthcli.methods.stereo.config import Calibration
+    from depthcli.methods.stereo.rectification import RectifyingHomographies
+
+
+class RectifyCommand(BatchCommand):
+    """``depthcli rectify --input DIR --calibration FILE --output DIR``."""
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """The pairs, the cameras, and what the images shall show."""
+        images = tuple(option for option in StereoItem.options if option.name in ("left", "right"))
+        return (
+            INPUT,
+            *images,
+            OUTPUT,
+            NAME,
+            LAYOUT,
+            SCENES,
+            Option("calibration", Path, "OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain, "
+                   "KITTI calib_cam_to_cam; repeatable.", "FILE", many=True),
+            Option("uncalibrated", bool, "By matched key points alone; depths stay unknown.", default=False),
+            Option("unit", str, "Unit of OpenCV's translation: m, cm or mm.", "UNIT", default="m"),
+            Option("fisheye", bool, "The lenses of OpenCV's file are fisheye.", default=False),
+            Option("cameras", str, "Numbers of the left and right camera in KITTI's file.", "L,R", default="2,3"),
+            Option("alpha", float, "0: only what both images hold; 1: all that either holds.", "SHARE", default=0.0,
+                   least=0, most=1),
+            *HOW,
+            DRY_RUN,
+        )  # fmt: skip
+
+    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+        """Rectify every pair."""
+        files = [str(path.absolute()) for path in values["calibration"] or ()]
+        if values["uncalibrated"] == bool(files):
+            raise ConfigError("want --calibration FILE, or --uncalibrated")
+        if len(files) > 2:
+            raise ConfigError("--calibration: at most two files belong together")
+        if values["unit"] not in ("m", "cm", "mm"):
+            raise ConfigError(f"--unit: want m, cm or mm (got {values['unit']!r})")
+        first, _, second = values["cameras"].partition(",")
+        if not (first.isdigit() and second.isdigit() and len(first + second) == 2 and first != second):
+            raise ConfigError(f"--cameras: want two numbers such as 2,3 (got {values['cameras']!r})")
+        config = {key: values[key] for key in ("uncalibrated", "unit", "fisheye", "alpha", "cameras")}
+        items = find_scenes((StereoItem,), values, reporter)
+        self._calibration = tuple(Path(file) for file in files)
+        return self.run_on(config, items, values, reporter)
+
+    _calibration: tuple[Path, ...] = ()
+
+    def files(self, config: Any, item: StereoItem) -> dict[str, Path]:
+        """The pair and the calibration."""
+        return item.input_files | {f"calibration_{k}": file for k, file in enumerate(self._calibration)}
+
+    def memory_of(self, config: Any, item: StereoItem) -> None:
+        """No estimate: little more than the images themselves; InputError where the calibration cannot be read."""
+        if not config["uncalibrated"]:
+            from depthcli.data.formats.stereo_rig import read_stereo_rig
+
+            how = self._calibrated(config)
+            read_stereo_rig(self._calibration, how.unit, how.fisheye, how.cameras)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Size, median row error before and after, share of the image that both cameras see."""
+        from depthcli.batch.tables import SIZE, Column, percent
+
+        def pixels(key: str) -> Column:
+            return Column(key.replace("_", " "), lambda row: f"{row[key]:.2f} px" if row.get(key) is not None else "-")
+
+        overlap = Column("overlap", percent("overlap"))
+        return (SIZE, pixels("row_error_before"), pixels("row_error"), overlap)
+
+    def compute(self, config: Any, item: StereoItem, folder: Path, memory: int) -> Outcome:
+        """Rectify one pair.
+
+        Raises
+        ------
+        InputError
+            The images or the calibration cannot be used, or the rows still differ by more than a pixel.
+        """
+        import numpy as np
+
+        from depthcli.batch.runner import Outcome
+        from depthcli.commands import _rectified
+        from depthcli.core.cameras.stereo_rig import RectifiedRig
+        from depthcli.core.frames import StereoPair
+        from depthcli.core.result import Clock
+        from depthcli.data.formats.atomic import write_text
+
+        clock = Clock()
+        left, right = item.load_views()
+        clock.stop("load")
+        points = _rectified.match_rows(left, right)
+        clock.stop("key points")
+        found = self._rectifier(config, points, left, right)
+        views = found.images(left, right)
+        rows, warnings = _rectified.row_errors(points, found)
+        clock.stop("warp")
+        meta: dict[str, Any] = {"source": f"rectified by depthcli from {item.name}"}
+        facts: dict[str, Any] = {"width": found.size[0], "height": found.size[1], **rows}
+        facts["overlap"] = round(float(np.mean(views[2])), 6)
+        same = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
+        try:
+            alike = views[:2] if same else [_rectified.grey8(view) for view in views[:2]]
+            search = _rectified.suggested_range(StereoPair(*alike))
+            meta |= search
+            facts |= search
+        except InputError as error:
+            warnings.append(str(error))
+        if isinstance(found, RectifiedRig):
+            facts |= {"focal": found.geometry.left.fx, "baseline": found.geometry.baseline}
+        _rectified.save_views(folder, views[0], views[1], found, meta.get("max_disparity"))
+        write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
+        clock.stop("save")
+        return Outcome(facts, clock.seconds, warnings)
+
+    def _rectifier(
+        self, config: Any, points: tuple[NDArray[np.float64], NDArray[np.float64]], left: Any, right: Any
+    ) -> RectifiedRig | RectifyingHomographies:
+        from depthcli.commands._rectified import rectified_rig
+        from depthcli.methods.stereo.rectification import rectify_uncalibrated
+
+        if not config["uncalibrated"]:
+            return rectified_rig(self._calibrated(config), left, right)
+        sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
+        if sizes[0] != sizes[1]:
+            raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
+        return rectify_uncalibrated(*points, sizes[0])
+
+    def _calibrated(self, config: Any) -> Calibration:
+        from depthcli.methods.stereo.config import Calibration
+
+        first, _, second = config["cameras"].partition(",")
+        files = tuple(str(file) for file in self._calibration)
+        return Calibration(
+            files=files, unit=config["unit"], fisheye=config["fisheye"], cameras=(int(first), int(second)),
+            alpha=config["alpha"],
+        )  # fmt: skip
+
+
+COMMAND = RectifyCommand()

@@ -1,0 +1,207 @@
+"""Run a config with many settings, a run folder each, and compare them: which key matters, which value is best.
+
+A sweep is resumed like a run: what is done is kept, and more values or draws add to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from depthcli.batch.command import SOME_FAILED, Command
+from depthcli.commands._batch import HOW, LAYOUT, OUTPUT, SCENES, ConfigCommand, run_options
+from depthcli.commands.evaluate import HTML, evaluate, new_page
+from depthcli.core.errors import ConfigError
+from depthcli.core.option import Option
+
+if TYPE_CHECKING:
+    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.sweep import Axis, Combination, Effect
+    from depthcli.evaluation.results import EvaluationReport, Section
+
+_RUNS = "runs"
+_MOST_SHOWN = 20
+
+
+class SweepCommand(Command):
+    """``depthcli sweep CONFIG --over KEY=VALUES ... --input DIR --output DIR``."""
+
+    @property
+    def arguments(self) -> tuple[Option, ...]:
+        """The config."""
+        return (Option("config", str, "YAML file, or the name of a preset.", "CONFIG", required=True),)
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """What to vary, of which command, on what."""
+        return (
+            Option(
+                "over", str, "KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable.", "KEY=VALUES", many=True, required=True
+            ),
+            Option("command", str, "The command that CONFIG belongs to.", "COMMAND", default="stereo"),
+            Option("input", Path, "Folder of scenes.", "DIR", short="-i", required=True),
+            OUTPUT,
+            Option("random", int, "Draw N combinations instead of taking all.", "N", least=1),
+            Option("seed", int, "Seed of the draw.", "N", default=0, least=0),
+            LAYOUT,
+            SCENES,
+            Option("set", str, "Override one key in all runs; repeatable.", "KEY=VALUE", many=True),
+            *HOW,
+            Option("dry_run", bool, "Only list the runs, and how many scenes of each are done.", default=False),
+            *HTML,
+        )
+
+    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+        """Every run, then the evaluation; the exit code.
+
+        Raises
+        ------
+        ConfigError
+            A wrong config, key or value; told before anything is computed.
+        """
+        from depthcli.batch.sweep import combinations, folder_names, parse_axis
+
+        command = _command(values["command"])
+        axes = [parse_axis(text) for text in values["over"]]
+        chosen = combinations(axes, values["random"], values["seed"])
+        names = folder_names(axes, chosen)
+        given: dict[str, Any] = {option.name: option.default for option in (*command.arguments, *command.options)}
+        given |= {name: value for name, value in values.items() if name in given}
+        given |= {"json": False, "quiet": True, "evaluate": False, "html": False, "name": None}
+        each = {}
+        for name, combination in zip(names, chosen, strict=True):
+            settings = [f"{axis.key}={value}" for axis, value in zip(axes, combination, strict=True)]
+            folder = values["output"] / _RUNS / name
+            each[name] = {**given, "set": [*(values["set"] or []), *settings], "output": folder}
+        configs = {name: command.config(own) for name, own in each.items()}
+        if values["dry_run"]:
+            return _say_plan(command, each, configs, values, reporter)
+        failed = False
+        for number, (name, own) in enumerate(each.items(), 1):
+            reporter.info(f"run {number} of {len(each)}: {name}")
+            failed |= command.run(own, reporter) != 0
+        report = _evaluate(self, values, list(each), reporter)
+        if report is not None:
+            _say_result(axes, dict(zip(names, chosen, strict=True)), report, values, reporter)
+            failed |= bool(report.failed)
+        return SOME_FAILED if failed else 0
+
+
+def _command(name: str) -> ConfigCommand:
+    from depthcli.commands import command_names, load_command
+
+    found = load_command(name) if name in command_names() else None
+    if not isinstance(found, ConfigCommand):
+        takes = [each for each in command_names() if isinstance(load_command(each), ConfigCommand)]
+        raise ConfigError(f"--command: want {', '.join(takes)} (got {name!r})")
+    return found
+
+
+def _say_plan(
+    command: ConfigCommand,
+    each: Mapping[str, Mapping[str, Any]],
+    configs: Mapping[str, Any],
+    values: Mapping[str, Any],
+    reporter: Reporter,
+) -> int:
+    from depthcli.batch.plan import DONE, plan
+    from depthcli.batch.record import to_json
+    from depthcli.batch.tables import aligned
+
+    rows = []
+    for name, own in each.items():
+        items = command.find(own, reporter)
+        document = plan(command, configs[name], items, own["output"], command.memory_of, run_options(own))
+        done = sum(row["status"] == DONE for row in document["scenes"])
+        rows.append({"run": name, "scenes": len(document["scenes"]), "done": done, "refused": document["refused"]})
+    if values["json"]:
+        reporter.data(to_json({"command": command.name, "runs": rows}))
+    else:
+        lines = [
+            ("run", "", "scenes", "done"),
+            *((r["run"], r["refused"], str(r["scenes"]), str(r["done"])) for r in rows),
+        ]
+        reporter.data(aligned(lines) + "\n\nnothing was computed\n")
+    return 0
+
+
+def _evaluate(
+    sweep: SweepCommand, values: Mapping[str, Any], names: Sequence[str], reporter: Reporter
+) -> EvaluationReport | None:
+    from depthcli.data.walk import find_items
+
+    items = find_items(values["input"], None, values["layout"], values["scenes"] or ["*"])
+    if not any(item.has_truth for item in items):
+        reporter.info(f"{values['input']}: no ground truth there, the runs are not compared")
+        return None
+    target = values["output"] / "evaluation"
+    runs = [values["output"] / _RUNS / name for name in names]
+    return evaluate(
+        runs, values["input"], target, values["scenes"] or ["*"], values["layout"], reporter=reporter,
+        page=new_page(sweep, values, target),
+    )  # fmt: skip
+
+
+def _say_result(
+    axes: Sequence[Axis],
+    chosen: Mapping[str, Combination],
+    report: EvaluationReport,
+    values: Mapping[str, Any],
+    reporter: Reporter,
+) -> None:
+    """The runs by their figure, and what every key does to it; also as ``sweep.csv`` and ``sweep.json``."""
+    from depthcli.batch.record import to_csv, to_json
+    from depthcli.batch.sweep import document_of, effects
+    from depthcli.data.formats.atomic import write_text
+    from depthcli.evaluation.tables import mean
+
+    rows: list[dict[str, Any]] = []
+    documents, texts = [], []
+    for section in report.by_protocol:
+        headline, sign = section.protocol.headline, -1 if section.protocol.headline.larger_is_better else 1
+        figures = {run: math.nan if (s := section.figure(run)) is None else s.value for run in report.runs}
+        order = sorted(report.runs, key=lambda run: (math.isnan(figures[run]), sign * figures[run]))
+        found = effects(axes, {chosen[run]: figures[run] for run in report.runs}, headline.larger_is_better)
+        for run in order:
+            settings = {axis.key: value for axis, value in zip(axes, chosen[run], strict=True)}
+            seconds = mean(r.seconds for r in section.of(run))
+            rows.append({"protocol": section.protocol.name, "run": run, **settings, headline.heading: figures[run],
+                         "seconds": seconds, "missing": section.lacking(run)})  # fmt: skip
+        documents.append({"protocol": section.protocol.name, "headline": headline.heading, "unit": headline.unit,
+                          "larger_is_better": headline.larger_is_better, "best": order[0],
+                          "runs": [row for row in rows if row["protocol"] == section.protocol.name],
+                          "sensitivity": [document_of(effect) for effect in found]})  # fmt: skip
+        texts.append(_text(section, order, figures, found))
+    document = {"over": {axis.key: axis.values for axis in axes}, "results": documents}
+    write_text(values["output"] / "sweep.json", to_json(document))
+    write_text(values["output"] / "sweep.csv", to_csv(rows))
+    if values["json"]:
+        reporter.data(to_json(document))
+    elif not values["quiet"]:
+        reporter.data("\n".join(texts))
+    reporter.info(f"runs, evaluation, sweep.csv and sweep.json in {values['output']}")
+
+
+def _text(section: Section, order: Sequence[str], figures: Mapping[str, float], found: Sequence[Effect]) -> str:
+    from depthcli.evaluation.report import Table, number
+    from depthcli.evaluation.tables import mean
+
+    headline = section.protocol.headline
+    rows = [(run, number(figures[run]), number(mean(r.seconds for r in section.of(run)))) for run in order]
+    what = f"{headline.heading}{f', {headline.unit}' if headline.unit else ''}"
+    more = f"; the first {_MOST_SHOWN} of {len(order)}" if len(order) > _MOST_SHOWN else ""
+    runs = Table(f"{section.protocol.title}: the best first{more}", ("run", what, "seconds"), tuple(rows[:_MOST_SHOWN]))
+    lines = [
+        (effect.key if first else "", value, str(effect.runs[value]), number(mean_), number(effect.best[value]),
+         number(effect.spread) if first else "", number(100 * effect.share, 0) if first else "")
+        for effect in found
+        for first, (value, mean_) in zip((True, *[False] * len(effect.means)), effect.means.items(), strict=False)
+    ]  # fmt: skip
+    header = ("key", "value", "runs", f"mean {what}", "best", "spread of means", "% of variance")
+    note = "over the runs with a value; spread: largest difference of the means; variance: what the key explains alone"
+    return runs.text() + "\n" + Table("Sensitivity, the strongest first", header, tuple(lines), note).text()
+
+
+COMMAND = SweepCommand()

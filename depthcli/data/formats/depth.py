@@ -1,0 +1,146 @@
+"""Depth maps as files: codes of sensors and data sets, meters, and colored point clouds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.core.frames import Intrinsics
+from depthcli.data.formats.atomic import write_bytes
+from depthcli.data.formats.disparity import read_plane
+from depthcli.data.formats.files import shown
+from depthcli.data.formats.images import write_png
+
+MILLIMETERS = 1000.0
+"""Codes per meter of Kinect, NYU and ROS (``16UC1``, REP 118); TUM RGB-D has 5000, KITTI 256."""
+
+
+def read_codes(path: Path | str, rotate: int = 0, swapped: bool = False) -> NDArray[np.uint16]:
+    """Read (H, W) 16-bit codes: depth, or the raw disparity of a Kinect.
+
+    Parameters
+    ----------
+    path : PNG, PGM, TIFF or integer npy; its kind is told by the content
+    rotate : every code is rotated right by so many bits (SUN RGB-D: 3)
+    swapped : the two bytes of every code are the wrong way round (raw dumps of NYU Depth v2)
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, or not one channel of codes from 0 to 65535; one line that names the file.
+    """
+    values = read_plane(path)
+    if values.dtype.kind not in "iu" or (values.dtype.itemsize > 1 and (values.min() < 0 or values.max() > 65535)):
+        raise InputError(f"{shown(path)}: want codes from 0 to 65535, got {values.dtype}")
+    codes = values.astype(np.uint16)
+    if swapped:
+        codes = codes.byteswap()
+    return (codes >> np.uint16(rotate)) | (codes << np.uint16(16 - rotate)) if rotate else codes
+
+
+def read_depth(
+    path: Path | str, scale: float | None = None, rotate: int = 0, swapped: bool = False
+) -> NDArray[np.float32]:
+    """Read a depth map in meters.
+
+    Codes (PNG, PGM, TIFF, integer npy) are divided by ``scale``; 0 is unknown. PFM, float npy and TIFF hold meters
+    unless a ``scale`` is given; what is not a positive number (NaN, +-inf, 0 or less) is unknown.
+
+    Parameters
+    ----------
+    path : the file; its kind is told by the content
+    scale : codes per meter; None: 1000 for 16-bit codes, 1 for floats
+    rotate, swapped : as in :func:`read_codes`
+
+    Returns
+    -------
+    (H, W) float32, meters, NaN = unknown
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
+    """
+    values = read_plane(path)
+    if values.dtype.kind in "iu":
+        if scale is None and values.dtype.itemsize == 1:
+            raise InputError(f"{shown(path)}: 8-bit depth needs a scale (codes per meter)")
+        values, scale = read_codes(path, rotate, swapped), scale or MILLIMETERS
+    with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
+        depth = (values / np.float64(scale or 1)).astype(np.float32)
+    depth[~((depth > 0) & np.isfinite(depth))] = np.nan
+    return depth
+
+
+def write_depth_png(
+    path: Path | str, depth: NDArray[np.floating[Any]], scale: float = MILLIMETERS, rotate: int = 0
+) -> None:
+    """Write (H, W) meters as 16-bit codes, ``depth x scale`` rounded, atomically; 0 = unknown.
+
+    Depths beyond the largest code are written as unknown: a nearer surface would be invented otherwise. A positive
+    depth below the smallest code gets that code. The codes are rotated left by ``rotate`` bits (SUN RGB-D: 3).
+
+    Raises
+    ------
+    ValueError
+        Not two-dimensional.
+    OutputError
+        The file cannot be written.
+    """
+    if depth.ndim != 2:
+        raise ValueError(f"want (H, W), got {depth.shape}")
+    codes = np.zeros(depth.shape, np.uint16)
+    with np.errstate(all="ignore"):
+        exact = np.rint(depth.astype(np.float64) * scale)
+    known = (depth > 0) & (exact <= 65535)
+    codes[known] = np.maximum(exact[known], 1).astype(np.uint16)
+    if rotate:
+        codes = (codes << np.uint16(rotate)) | (codes >> np.uint16(16 - rotate))
+    write_png(path, codes)
+
+
+def write_ply(
+    path: Path | str,
+    depth: NDArray[np.float32],
+    intrinsics: Intrinsics,
+    color: NDArray[np.uint8],
+    mask: NDArray[np.bool_] | None = None,
+) -> None:
+    """Write a depth map as a point cloud: PLY, binary little endian, one colored vertex a pixel with depth.
+
+    Vertices are in the camera's frame, meters: x right, y down, z forward.
+
+    Parameters
+    ----------
+    path : the file
+    depth : (H, W) float32, meters, NaN = unknown
+    intrinsics : of the camera whose pixels these are
+    color : (H, W, 3) uint8 RGB
+    mask : (H, W) bool, True = write the pixel (measured ones, for instance); None: all with depth
+
+    Raises
+    ------
+    ValueError
+        Arrays of different sizes.
+    OutputError
+        The file cannot be written.
+    """
+    if color.shape != (*depth.shape, 3) or (mask is not None and mask.shape != depth.shape):
+        raise ValueError(f"depth {depth.shape}, color {color.shape} and mask must have one size")
+    chosen = np.isfinite(depth) if mask is None else np.isfinite(depth) & mask
+    rows, columns = np.nonzero(chosen)
+    z = depth[chosen].astype(np.float64)
+    vertices = np.empty(z.size, [(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")])
+    vertices["x"] = (columns - intrinsics.cx) / intrinsics.fx * z
+    vertices["y"] = (rows - intrinsics.cy) / intrinsics.fy * z
+    vertices["z"] = z
+    for channel, name in enumerate(("red", "green", "blue")):
+        vertices[name] = color[..., channel][chosen]
+    types = {"f": "float", "u": "uchar"}
+    properties = [f"property {types[vertices.dtype[name].kind]} {name}" for name in vertices.dtype.names or ()]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {z.size}", *properties, "end_header", ""]
+    write_bytes(path, "\n".join(header).encode("ascii") + vertices.tobytes())

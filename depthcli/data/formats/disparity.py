@@ -1,0 +1,174 @@
+"""Disparity maps and other float maps as files: PFM, KITTI PNG, scaled 8-bit images, npy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError, OutputError
+from depthcli.data.formats.atomic import write_bytes
+from depthcli.data.formats.files import naming, read_bytes, shown
+from depthcli.data.formats.headers import image_kind, pfm_header
+from depthcli.data.formats.images import IMAGE_SUFFIXES, decode_floats, decode_grey
+from depthcli.data.formats.npy import decode_npy
+
+MAP_SUFFIXES = (".pfm", ".npy", *IMAGE_SUFFIXES)
+"""File name endings of disparity maps, most exact first."""
+
+KITTI_SCALE = 256.0
+"""Codes per pixel of 16-bit disparity PNGs (KITTI, DSEC)."""
+
+
+def read_disparity(
+    path: Path | str, scale: float | None = None, scale_8bit: float | None = None
+) -> NDArray[np.float32]:
+    """Read a disparity map in pixels.
+
+    PFM, float npy and float TIFF hold pixels (+-inf and NaN: unknown). Integer codes (PNG, PGM, integer npy) are
+    divided by ``scale``; a code of 0 or less is unknown.
+
+    Parameters
+    ----------
+    path : the file; its kind is told by the content
+    scale : codes per pixel; None: 1 for PFM, float npy and float TIFF, 256 for 16-bit codes (KITTI)
+    scale_8bit : codes per pixel of 8-bit files where ``scale`` is None; such a file has no scale of its own
+
+    Returns
+    -------
+    (H, W) float32, pixels, NaN = unknown
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
+    """
+    values = read_plane(path)
+    if np.issubdtype(values.dtype, np.integer):
+        if scale is None:
+            scale = scale_8bit if values.dtype.itemsize == 1 else KITTI_SCALE
+        if scale is None:
+            raise InputError(
+                f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale, "
+                "or by --scale"
+            )
+        disparity = (values / np.float64(scale)).astype(np.float32)
+        disparity[values <= 0] = np.nan
+        return disparity
+    with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
+        disparity = values.astype(np.float32)
+        if scale is not None and scale != 1:
+            disparity = disparity / np.float32(scale)
+    disparity[~np.isfinite(disparity)] = np.nan
+    return disparity
+
+
+def read_pfm(path: Path | str) -> NDArray[np.float32]:
+    """Read a one-channel PFM file of either byte order, top row first.
+
+    Rows are stored bottom to top; a negative scale in the header means little endian, its size is
+    ignored, as by the Middlebury SDK. A colour PFM is accepted where its channels are equal.
+
+    Returns
+    -------
+    (H, W) float32 with the values as stored (+inf: unknown)
+
+    Raises
+    ------
+    InputError
+        Bad header, or the data are not exactly as long as the header says.
+    """
+    data = read_bytes(path)
+    with naming(path):
+        return _decode_pfm(data)
+
+
+def read_plane(path: Path | str) -> NDArray[Any]:
+    """Read one channel of numbers as stored: a map (PFM, npy, float TIFF) or codes; the kind is told by the content.
+
+    Returns
+    -------
+    (H, W) of any integer or float dtype
+
+    Raises
+    ------
+    InputError
+        Not readable, damaged, or not one channel; one line that names the file.
+    """
+    data = read_bytes(path)
+    with naming(path):
+        kind = image_kind(data)
+        if kind == "pfm":
+            return _decode_pfm(data)
+        if kind == "npy":
+            return decode_npy(data)
+        floats = decode_floats(data)
+        return decode_grey(data) if floats is None else floats
+
+
+def _decode_pfm(data: bytes) -> NDArray[np.float32]:
+    height, width, channels, little, start = pfm_header(data)
+    want, got = width * height * channels * 4, len(data) - start
+    if want != got:
+        raise InputError(f"damaged PFM ({width} x {height} needs {want} bytes of data, the file has {got})")
+    values = np.frombuffer(data, "<f4" if little else ">f4", offset=start).reshape(height, width, channels)[::-1]
+    if channels == 3 and not all(np.array_equal(values[..., 0], values[..., c], equal_nan=True) for c in (1, 2)):
+        raise InputError("a colour PFM, want one channel")
+    plane: NDArray[np.float32] = values[..., 0].astype(np.float32, order="C")
+    return plane
+
+
+def write_pfm(path: Path | str, values: NDArray[np.floating[Any]]) -> None:
+    """Write (H, W) float values as little-endian PFM, atomically; NaN becomes +inf (unknown).
+
+    Raises
+    ------
+    ValueError
+        Not two-dimensional.
+    OutputError
+        The file cannot be written.
+    """
+    write_bytes(path, encode_pfm(values))
+
+
+def encode_pfm(values: NDArray[np.floating[Any]]) -> bytes:
+    """The bytes that :func:`write_pfm` writes."""
+    if values.ndim != 2:
+        raise ValueError(f"want (H, W), got {values.shape}")
+    plane = values.astype("<f4")
+    plane[np.isnan(plane)] = np.inf
+    header = f"Pf\n{plane.shape[1]} {plane.shape[0]}\n-1\n".encode()
+    return header + plane[::-1].tobytes()
+
+
+def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) -> None:
+    """Write a KITTI disparity PNG: uint16, disparity x 256, 0 = unknown, atomically.
+
+    Known values are kept within the codes 1..65535 (1/256 to just under 256 pixels): the format has
+    no code for a disparity of exactly 0.
+
+    Raises
+    ------
+    ValueError
+        Not two-dimensional.
+    OutputError
+        The file cannot be written.
+    """
+    data = encode_disparity_png(disparity)
+    if data is None:
+        raise OutputError(f"{path}: cannot be encoded as PNG")
+    write_bytes(path, data)
+
+
+def encode_disparity_png(disparity: NDArray[np.floating[Any]]) -> bytes | None:
+    """The bytes that :func:`write_disparity_png` writes; None where they cannot be made."""
+    if disparity.ndim != 2:
+        raise ValueError(f"want (H, W), got {disparity.shape}")
+    known = np.isfinite(disparity)
+    codes = np.zeros(disparity.shape, np.uint16)
+    codes[known] = np.clip(np.rint(disparity[known].astype(np.float64) * KITTI_SCALE), 1, 65535).astype(np.uint16)
+    done, data = cv2.imencode(".png", codes)
+    return data.tobytes() if done else None

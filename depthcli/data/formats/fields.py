@@ -1,0 +1,348 @@
+"""Transforms and displacement fields of the usual registration programs, all as mm along LPS on the fixed grid.
+
+======================  ==============================================================================
+ITK, elastix            vector MHA, NRRD, NIfTI: displacement, mm, LPS; ``.tfm .txt .h5 .mat`` transforms;
+                        ``TransformParameters.N.txt`` (translation, Euler, affine, B-spline, and chains)
+ANTs                    ``1Warp.nii.gz`` (5-D, intent 1007): displacement, mm, LPS; ``0GenericAffine.mat``
+NiftyReg                5-D, intent name NREG_TRANS, mm, RAS; intent_p1: 0 positions, 1 displacements
+Learn2Reg, VoxelMorph   ``.npz`` or 4-D NIfTI (X, Y, Z, 3): displacement, voxels
+======================  ==============================================================================
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.data.formats.files import naming, open_regular, read_bytes
+from depthcli.data.formats.volumes import (
+    Grid,
+    Volume,
+    nifti_header,
+    quiet,
+    read_image,
+    read_volume,
+    simple_itk,
+    suffix_of,
+)
+
+TRANSFORM_SUFFIXES = (".tfm", ".txt", ".h5", ".hdf5", ".mat", ".xfm")
+FIELD_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")
+
+READINGS = {
+    "itk": "displacement in mm, LPS (ITK, elastix, ANTs)",
+    "niftyreg": "displacement in mm, RAS (NiftyReg)",
+    "positions": "positions in mm, RAS (NiftyReg deformation field)",
+    "voxels": "displacement in voxels (Learn2Reg, VoxelMorph)",
+}
+"""What the numbers of a field may mean."""
+
+_CLEARLY = 1.1  # mutual information of the better reading over that of the named one
+_AT_LEAST = 0.02  # nats
+_SAMPLES = 60_000
+_BINS = 24
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field as stored.
+
+    Attributes
+    ----------
+    values : (Z, Y, X, 3) float32, components as in the file: x, y, z
+    grid : where it is
+    named : key of READINGS that the header, or the file's kind, says
+    """
+
+    values: NDArray[np.float32]
+    grid: Grid
+    named: str
+
+
+def read_field(path: Path, fixed: Grid) -> Field:
+    """Read a field.
+
+    Raises
+    ------
+    InputError
+        Not readable, without three components, or of another size than the fixed volume where it has no grid of its
+        own.
+    """
+    with naming(path):
+        kind = suffix_of(path)
+        if kind == ".npz":
+            return _bare(_npz(path), fixed)
+        if kind in (".nii", ".nii.gz"):
+            header = nifti_header(path)
+            if len(header["dim"]) == 4 and header["dim"][3] == 3:
+                image = read_image(path)
+                return _bare(simple_itk().GetArrayFromImage(image).transpose(1, 2, 3, 0), fixed)
+            volume = read_volume(path, vector=True)
+            if header["intent_name"] == "NREG_TRANS":
+                return Field(volume.values, volume.grid, "positions" if round(header["intent_p1"]) == 0 else "niftyreg")
+            return Field(volume.values, volume.grid, "itk")
+        volume = read_volume(path, vector=True)
+        return Field(volume.values, volume.grid, "itk")
+
+
+def _npz(path: Path) -> NDArray[Any]:
+    with open_regular(path) as file:
+        try:
+            with np.load(file, allow_pickle=False) as stored:
+                arrays = [stored[name] for name in stored.files]
+        except (ValueError, OSError, zipfile.BadZipFile, EOFError):
+            raise InputError("not a readable .npz file") from None
+    fields = [array for array in arrays if array.ndim == 4 and 3 in (array.shape[0], array.shape[3])]
+    if len(fields) != 1:
+        raise InputError("want one array (X, Y, Z, 3) or (3, X, Y, Z) of displacements")
+    array = fields[0] if fields[0].shape[3] == 3 else np.moveaxis(fields[0], 0, 3)
+    turned: NDArray[Any] = array.transpose(2, 1, 0, 3)
+    return turned
+
+
+def _bare(values: NDArray[Any], fixed: Grid) -> Field:
+    """A field without a grid of its own: it has the fixed volume's."""
+    if values.shape[:3] != fixed.shape:
+        have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
+        raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
+    return Field(np.ascontiguousarray(values, np.float32), fixed, "voxels")
+
+
+def in_millimeters(field: Field, reading: str) -> NDArray[np.float64]:
+    """(Z, Y, X, 3) displacement in mm, LPS, of the field read as a key of READINGS."""
+    values: NDArray[np.float64] = field.values.astype(np.float64)
+    ras = np.array([-1.0, -1.0, 1.0])
+    if reading == "voxels":
+        turned: NDArray[np.float64] = (values * np.array(field.grid.spacing)) @ field.grid.axes.T
+        return turned
+    if reading == "itk":
+        return values
+    if reading == "niftyreg":
+        values *= ras
+        return values
+    z, y, x = np.meshgrid(*(np.arange(n, dtype=np.float64) for n in field.grid.shape), indexing="ij")
+    places = np.stack([z.ravel(), y.ravel(), x.ravel()], axis=1)
+    values *= ras
+    values -= field.grid.to_point(places).reshape(values.shape)
+    return values
+
+
+def read_moving_transform(
+    transform: Path | None, displacement: Path | None, convention: str, fixed: Volume, moving: Volume | None
+) -> Any:
+    """The SimpleITK transform that maps a point of the fixed volume to the moving one.
+
+    With both files, the displacement comes first and the transform after it (ANTs: ``1Warp``, ``0GenericAffine``).
+
+    Parameters
+    ----------
+    convention : auto, itk, ants, niftyreg or voxels. ``auto`` takes what the header says and compares, where the moving
+        volume is there, the warped volumes of all plausible readings
+
+    Raises
+    ------
+    InputError
+        A file cannot be used, or another reading is clearly better than the one its header says.
+    """
+    sitk = simple_itk()
+    chain = []
+    after = None if transform is None else _read_transform(transform)
+    if after is not None:
+        chain.append(after)
+    if displacement is not None and suffix_of(displacement) in (".h5", ".tfm", ".txt"):
+        chain.append(_read_transform(displacement))
+    elif displacement is not None:
+        field = read_field(displacement, fixed.grid)
+        reading = _chosen(field, convention)
+        if convention == "auto" and moving is not None:
+            with naming(displacement):
+                _check_reading(field, reading, fixed, moving, after)
+        chain.append(_as_transform(in_millimeters(field, reading), field.grid))
+    if not chain:
+        raise InputError("neither a transform nor a displacement field")
+    return sitk.CompositeTransform(chain)
+
+
+def _chosen(field: Field, convention: str) -> str:
+    if convention == "auto":
+        return field.named
+    if convention == "niftyreg":
+        return field.named if field.named == "positions" else "niftyreg"
+    return "itk" if convention == "ants" else convention
+
+
+def _as_transform(displacement: NDArray[np.float64], grid: Grid) -> Any:
+    sitk = simple_itk()
+    image = sitk.GetImageFromArray(displacement, isVector=True)
+    place(image, grid)
+    return sitk.DisplacementFieldTransform(image)
+
+
+def place(image: Any, grid: Grid) -> None:
+    """Give a SimpleITK image the grid's geometry."""
+    image.SetSpacing(grid.spacing)
+    image.SetOrigin(grid.origin)
+    image.SetDirection(grid.direction)
+
+
+def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, after: Any) -> None:
+    """Refuse a field that warps the moving volume clearly better under another reading than the named one."""
+    count = int(np.prod(field.grid.shape))
+    chosen = np.arange(0, count, max(1, count // _SAMPLES))
+    z, y, x = np.unravel_index(chosen, field.grid.shape)
+    places = np.stack([z, y, x], axis=1).astype(np.float64)
+    points = field.grid.to_point(places)
+    at = fixed.grid.to_index(points)
+    inside = np.all((at >= 0) & (at <= np.array(fixed.grid.shape) - 1), axis=1)
+    target = sample(fixed.values, at[inside])
+    scores = {}
+    for reading in READINGS:
+        moved = points[inside] + in_millimeters(field, reading).reshape(-1, 3)[chosen[inside]]
+        if after is not None:
+            moved = np.array([after.TransformPoint(point) for point in moved.tolist()])
+        scores[reading] = _information(target, sample(moving.values, moving.grid.to_index(moved)))
+    best = max(scores, key=lambda reading: scores[reading])
+    if best != named and scores[best] > max(_CLEARLY * scores[named], scores[named] + _AT_LEAST):
+        option = "niftyreg" if best == "positions" else best
+        raise InputError(
+            f"its header says {READINGS[named]}, but read as {READINGS[best]} it fits the volumes clearly better "
+            f"(mutual information {scores[best]:.2f} against {scores[named]:.2f}); see --field {option}, or --field "
+            f"{'itk' if named == 'itk' else 'niftyreg' if named == 'positions' else named} to keep to the header"
+        )
+
+
+def sample(values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Values at the nearest voxels of (N, 3) places z, y, x; NaN outside."""
+    nearest = np.rint(places).astype(np.int64)
+    inside = np.all((nearest >= 0) & (nearest < np.array(values.shape)), axis=1)
+    found = np.full(len(places), np.nan, np.float32)
+    found[inside] = values[tuple(nearest[inside].T)]
+    return found
+
+
+def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
+    """Mutual information, nats; what falls outside the moving volume is a value of its own."""
+    low, high = (float(np.nanmin(other)), float(np.nanmax(other))) if np.isfinite(other).any() else (0.0, 1.0)
+    outside = np.isnan(other)
+    second = np.where(outside, 0, (other - low) / max(high - low, 1e-12) * (_BINS - 2) + 1).astype(np.int64)
+    span = max(float(one.max() - one.min()), 1e-12)
+    first = np.clip((one - one.min()) / span * _BINS, 0, _BINS - 1).astype(np.int64)
+    joint = np.bincount(first * _BINS + np.clip(second, 0, _BINS - 1), minlength=_BINS * _BINS).reshape(_BINS, _BINS)
+    p = joint / joint.sum()
+    a, b = p.sum(axis=1, keepdims=True), p.sum(axis=0, keepdims=True)
+    known = p > 0
+    return float(np.sum(p[known] * np.log(p[known] / (a * b)[known])))
+
+
+# Transform files
+
+
+def _read_transform(path: Path) -> Any:
+    """ITK's own formats, or a chain of elastix parameter files."""
+    sitk = simple_itk()
+    with naming(path):
+        if suffix_of(path) == ".txt":
+            text = read_bytes(path, 1 << 30).decode("latin-1")
+            if "(Transform " in text:
+                return sitk.CompositeTransform(_elastix_chain(path, text, ()))
+        with open_regular(path):
+            pass
+        try:
+            with quiet():
+                return sitk.ReadTransform(str(path))
+        except RuntimeError:
+            raise InputError("not a transform that ITK can read") from None
+
+
+def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]:
+    """This file's transform, then those it starts from: SimpleITK applies the last one first."""
+    fields = _elastix_fields(text)
+    if path.resolve() in before:
+        raise InputError("its chain of initial transforms comes back to it")
+    if fields.get("HowToCombineTransforms", ["Compose"])[0] != "Compose":
+        raise InputError("transforms that are added, not composed, are not read")
+    own = _elastix_transform(fields)
+    initial = (
+        fields.get("InitialTransformParameterFileName") or fields.get("InitialTransformParametersFileName") or [""]
+    )[0]
+    if initial in ("", "NoInitialTransform"):
+        return [own]
+    file = path.parent / Path(initial).name
+    if not file.is_file() and Path(initial).is_file():
+        file = Path(initial)
+    with naming(file):
+        below = read_bytes(file, 1 << 30).decode("latin-1")
+    return [own, *_elastix_chain(file, below, (*before, path.resolve()))]
+
+
+def _elastix_fields(text: str) -> dict[str, list[str]]:
+    found = {}
+    for line in text.splitlines():
+        match = re.match(r"\s*\((\w+)\s+(.*?)\)\s*(//.*)?$", line)
+        if match:
+            found[match[1]] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', match[2])]
+    return found
+
+
+def _elastix_transform(fields: dict[str, list[str]]) -> Any:
+    sitk = simple_itk()
+    name = fields["Transform"][0]
+
+    def numbers(key: str, default: list[float] | None = None) -> list[float]:
+        if key not in fields and default is not None:
+            return default
+        try:
+            return [float(value) for value in fields[key]]
+        except (KeyError, ValueError):
+            raise InputError(f"no usable {key}") from None
+
+    if numbers("FixedImageDimension", [3.0]) != [3.0]:
+        raise InputError("not a transform of three dimensions")
+    parameters = numbers("TransformParameters")
+    makers: dict[str, tuple[int, Callable[[], Any]]] = {
+        "TranslationTransform": (3, lambda: sitk.TranslationTransform(3, parameters)),
+        "EulerTransform": (6, lambda: _euler(parameters, numbers("CenterOfRotationPoint"), fields)),
+        "AffineTransform": (
+            12,
+            lambda: sitk.AffineTransform(parameters[:9], parameters[9:], numbers("CenterOfRotationPoint")),
+        ),
+    }
+    if name in makers:
+        wanted, make = makers[name]
+        if len(parameters) != wanted:
+            raise InputError(f"{name} with {len(parameters)} parameters, want {wanted}")
+        return make()
+    if name not in ("BSplineTransform", "RecursiveBSplineTransform"):
+        raise InputError(f"a {name} is not read; write the field with transformix -def all")
+    size = [int(n) for n in numbers("GridSize")]
+    order = int(numbers("BSplineTransformSplineOrder", [3.0])[0])
+    if len(size) != 3 or min(size) < 1 or len(parameters) != 3 * size[0] * size[1] * size[2]:
+        raise InputError(f"{len(parameters)} B-spline parameters do not fit a grid of {size}")
+    # elastix writes the direction column by column.
+    axes = np.array(numbers("GridDirection", [1, 0, 0, 0, 1, 0, 0, 0, 1])).reshape(3, 3).T
+    spacing, index = np.array(numbers("GridSpacing")), np.array(numbers("GridIndex", [0, 0, 0]))
+    origin = np.array(numbers("GridOrigin")) + axes @ (spacing * index)
+    grid = Grid((size[0], size[1], size[2]), tuple(spacing), tuple(origin), tuple(axes.ravel()))
+    images = []
+    for component in np.array(parameters).reshape(3, *grid.shape):
+        image = sitk.GetImageFromArray(component)
+        place(image, grid)
+        images.append(image)
+    return sitk.BSplineTransform(images, order)
+
+
+def _euler(parameters: list[float], center: list[float], fields: dict[str, list[str]]) -> Any:
+    sitk = simple_itk()
+    transform = sitk.Euler3DTransform()
+    transform.SetComputeZYX(fields.get("ComputeZYX", ["false"])[0] == "true")
+    transform.SetCenter(center)
+    transform.SetParameters(parameters)
+    return transform

@@ -1,0 +1,280 @@
+"""Read and write images, refusing damaged files.
+
+Many decoders take damaged files without complaint (a grey lower half, a torn row). Here a file either
+gives all of its pixels or an :class:`InputError`. Pillow decodes what it can hold; OpenCV decodes color of
+16 bit, which Pillow cannot.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError, OutputError
+from depthcli.core.frames import Image as Image
+from depthcli.core.frames import StereoPair
+from depthcli.data.formats.atomic import write_bytes
+from depthcli.data.formats.files import naming, read_bytes, shown
+from depthcli.data.formats.headers import (
+    ImageSize,
+    check_png,
+    check_size,
+    declared_bits,
+    decoding,
+    holds_floats,
+    image_kind,
+    image_size,
+    jpeg_scan_ends,
+    open_with_pillow,
+    pnm_header,
+)
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".pnm", ".tif", ".tiff", ".bmp")
+"""File name endings that scene folders are searched for, best known first."""
+
+_MOST_PLAIN = 1 << 25  # every number takes 50 bytes while it is read
+_OTHER_BITS = bytes(range(7, 247, 5)) * 2
+
+
+def read_image(path: Path | str, max_bytes: int | None = None) -> Image:
+    """Read a PNG, JPEG, PGM, PPM, TIFF or BMP file; the kind is told by the content.
+
+    Parameters
+    ----------
+    path : the file
+    max_bytes : most memory that reading may take; what the header announces is compared with it before any
+        pixel is decoded. None: 2 GiB
+
+    Returns
+    -------
+    (H, W) grey or (H, W, 3) RGB, uint8 or uint16; transparency is dropped, palettes are resolved.
+
+    Raises
+    ------
+    InputError
+        Not readable, not an image, truncated or damaged, too large, or neither 8 nor 16 bit; one line that
+        names the file.
+    """
+    data = read_bytes(path)
+    with naming(path):
+        return decode_image(data, max_bytes)
+
+
+def read_pair(left: Path | str, right: Path | str, max_bytes: int | None = None) -> StereoPair:
+    """Read a rectified pair; the range of 10- and 12-bit samples in 16-bit files is declared or found.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_image` (``max_bytes`` is for each image), or the images differ in size or type.
+    """
+    images, declared = [], []
+    for path in (left, right):
+        data = read_bytes(path)
+        with naming(path):
+            images.append(decode_image(data, max_bytes))
+            declared.append(declared_bits(data))
+    said = declared[0] if declared[0] == declared[1] else None
+    return pair_of(images[0], images[1], (Path(left), Path(right)), said)
+
+
+def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int | None = None) -> StereoPair:
+    """Two images as a pair; where one is grey and the other color, both become grey.
+
+    Parameters
+    ----------
+    paths : the files, for messages
+    declared : bits of the samples, where the files say them
+
+    Raises
+    ------
+    InputError
+        The images differ in size or type.
+    """
+    if left.shape[:2] != right.shape[:2] or left.dtype != right.dtype:
+        raise InputError(
+            f"{shown(paths[1])}: {_kind(right)}, but {shown(paths[0].name)} is {_kind(left)}; the pair must agree"
+        )
+    bits = sample_bits(left, right, declared=declared)
+    if left.ndim != right.ndim:
+        # Grey levels of one scale: luma of the color image, as it is stored.
+        left, right = (StereoPair(image, image).grey[0] for image in (left, right))
+    return StereoPair(left, right, bits)
+
+
+def sample_bits(*images: Image, declared: int | None = None) -> int:
+    """Bits of the samples of images that share one scale: 8, 16, or what 16-bit files hold.
+
+    Parameters
+    ----------
+    images : uint8 or uint16, of one type
+    declared : what the files say; believed where no sample is larger
+
+    Returns
+    -------
+    ``declared``; else 10 or 12 where no sample of any image is larger than 1023 or 4095; else the type's bits
+    """
+    bits = 8 * images[0].dtype.itemsize
+    top = max(int(image.max()) for image in images)
+    if declared is not None and declared <= bits and top < 1 << declared:
+        return declared if bits == 16 else bits
+    return next((few for few in (10, 12) if top < 1 << few), bits) if bits == 16 else bits
+
+
+def read_grey(path: Path | str, max_bytes: int | None = None) -> Image:
+    """Read an image of codes (disparities, a mask) that may be stored with three equal channels.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_image`, and where the channels differ.
+    """
+    data = read_bytes(path)
+    with naming(path):
+        return decode_grey(data, max_bytes)
+
+
+def decode_grey(data: bytes, max_bytes: int | None = None) -> Image:
+    """As :func:`read_grey`, from the bytes of a file."""
+    pixels = decode_image(data, max_bytes)
+    if pixels.ndim == 3:
+        first = pixels[..., 0]
+        if not (np.array_equal(first, pixels[..., 1]) and np.array_equal(first, pixels[..., 2])):
+            raise InputError("a colour image, want one channel of codes")
+        return cast(Image, np.ascontiguousarray(first))
+    return pixels
+
+
+def decode_floats(data: bytes) -> NDArray[np.float32] | None:
+    """(H, W) numbers of a TIFF with samples of floating point, from its bytes; None for any other file.
+
+    Numbers of 64 bit become the nearest of 32 bit, infinite beyond their range.
+    """
+    if not holds_floats(data):
+        return None
+    size = image_size(data)
+    check_size(size, len(data), None)
+    if size.channels != 1 or size.bits not in (32, 64):
+        raise InputError(f"{size.channels} x {size.bits} bit floating point, want one channel of 32 or 64")
+    # Pillow knows no numbers of 64 bit, and swaps the bytes of compressed big-endian ones twice.
+    pixels = _decode_with_opencv(data)
+    if pixels is None or pixels.dtype.kind != "f" or pixels.shape != (size.height, size.width):
+        raise InputError("damaged TIFF image (cannot be decoded)")
+    with np.errstate(over="ignore"):
+        return pixels.astype(np.float32)
+
+
+def write_png(path: Path | str, array: NDArray[Any]) -> None:
+    """Write (H, W) grey or (H, W, 3) RGB, uint8 or uint16 (bool: 0 and 255), atomically.
+
+    Raises
+    ------
+    ValueError
+        Another shape or dtype.
+    OutputError
+        The file cannot be written.
+    """
+    if array.dtype == np.bool_:
+        array = array.astype(np.uint8) * np.uint8(255)
+    if array.dtype not in (np.uint8, np.uint16) or not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)):
+        raise ValueError(f"want (H, W) or (H, W, 3) uint8 or uint16, got {array.shape} {array.dtype}")
+    done, code = cv2.imencode(".png", np.ascontiguousarray(array if array.ndim == 2 else array[..., ::-1]))
+    if not done:
+        raise OutputError(f"{path}: cannot be encoded as PNG")
+    write_bytes(path, code.tobytes())
+
+
+def decode_image(data: bytes, max_bytes: int | None = None) -> Image:
+    """As :func:`read_image`, from the bytes of a file."""
+    kind = image_kind(data)
+    if kind in ("pfm", "npy"):
+        raise InputError(f"a map of numbers ({kind}), want an image")
+    size = image_size(data)
+    check_size(size, len(data), max_bytes)
+    if kind == "pnm":
+        return _decode_pnm(data)
+    if kind == "jpeg":
+        return _decode_jpeg(data)
+    if kind == "png":
+        data = check_png(data)
+    if size.bits == 16 and (size.channels > 1 or kind == "png"):
+        return _decode_16bit(data, kind, size)
+    return _decode_with_pillow(data, kind)
+
+
+def _decode_with_pillow(data: bytes, kind: str) -> Image:
+    image = open_with_pillow(data)
+    if image.mode in ("I", "F"):
+        raise InputError("samples of 32 bit, or signed ones; want 8 or 16 bit")
+    with decoding(kind):
+        image.load()
+        if image.mode in ("1", "LA", "La"):
+            pixels = np.asarray(image.convert("L"))
+        elif image.mode in ("L", "RGB") or image.mode.startswith("I;16"):
+            pixels = np.asarray(image)
+        else:
+            pixels = np.asarray(image.convert("RGB"))
+    return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype == np.uint8 else np.uint16))
+
+
+def _decode_jpeg(data: bytes) -> Image:
+    ends = jpeg_scan_ends(data)
+    pixels = _decode_with_pillow(data, "jpeg")
+    # A scan that ends early is filled up with grey, and nothing tells. With other bits after it, it is filled with
+    # something else; bits after a complete scan are passed over.
+    parts = [data[a:b] for a, b in zip([0, *ends], [*ends, len(data)], strict=True)]
+    if not np.array_equal(pixels, _decode_with_pillow(_OTHER_BITS.join(parts), "jpeg")):
+        raise InputError("damaged JPEG image (some of its pixels are missing)")
+    return pixels
+
+
+def _decode_16bit(data: bytes, kind: str, size: ImageSize) -> Image:
+    pixels = _decode_with_opencv(data)
+    if pixels is None or pixels.dtype != np.uint16:
+        raise InputError(f"damaged {kind.upper()} image (cannot be decoded)")
+    if pixels.ndim == 3:  # grey with transparency comes as color
+        pixels = pixels[..., 0] if size.channels < 3 else pixels[..., 2::-1]
+    return cast(Image, np.ascontiguousarray(pixels))
+
+
+def _decode_with_opencv(data: bytes) -> NDArray[Any] | None:
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        with decoding(image_kind(data)):
+            return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+def _decode_pnm(data: bytes) -> Image:
+    height, width, channels, top, start = pnm_header(data)
+    count = height * width * channels
+    samples: NDArray[Any]
+    if data[:2] in (b"P2", b"P3"):
+        if len(data) > _MOST_PLAIN:
+            raise InputError("too large for a plain PGM/PPM; store it as a binary one (P5, P6)")
+        words = data[start:].split(maxsplit=count)[:count]
+        if len(words) < count:
+            raise InputError(f"truncated: {len(words)} samples where {count} are announced")
+        if not all(word.isdigit() and len(word) < 9 for word in words):
+            raise InputError("damaged plain PGM/PPM (not a number)")
+        samples = np.array(words).astype(np.uint32)
+    else:
+        dtype = np.dtype(">u2" if top > 255 else "u1")
+        missing = count * dtype.itemsize - (len(data) - start)
+        if missing > 0:
+            raise InputError(f"truncated: {missing} bytes are missing")
+        samples = np.frombuffer(data, dtype, count, start)
+    if samples.max() > top:
+        raise InputError(f"damaged PGM/PPM (sample above the announced maximum {top})")
+    shape = (height, width) if channels == 1 else (height, width, channels)
+    return cast(Image, samples.astype(np.uint16 if top > 255 else np.uint8).reshape(shape))
+
+
+def _kind(image: Image) -> str:
+    color = "grey" if image.ndim == 2 else "colour"
+    return f"{image.shape[1]} x {image.shape[0]} {color} {image.dtype}"

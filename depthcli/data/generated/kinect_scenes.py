@@ -1,0 +1,352 @@
+"""What a Kinect-like sensor measures of a scene whose disparity is known, and scenes to show it.
+
+The sensor looks through the color camera's pixels. Its two systematic faults are those of all triangulating
+sensors: surfaces in front look wider than they are, since a matching window that sees both takes the
+better textured or nearer one (mismatch), and the far side of every left edge lies in the projector's shadow (gap).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.geometry import depth_of_disparity
+from depthcli.core.frames import RgbdFrame
+from depthcli.data.generated import textures
+from depthcli.data.generated.stereo_scenes import make_scene
+
+Disparity = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+SceneKind = Literal["planes", "foreground", "curved", "camouflage"]
+SCENE_KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
+SequenceKind = Literal["static", "moving"]
+SEQUENCE_KINDS: tuple[SequenceKind, ...] = get_args(SequenceKind)
+
+_COLOR_NOISE = 2.0  # grey levels, of every frame of a sequence
+
+
+@dataclass(frozen=True)
+class KinectSample:
+    """A simulated frame and what is known about it. Every mask is (H, W) bool and keeps to pixels with known truth.
+
+    Attributes
+    ----------
+    color : (H, W, 3) uint8 RGB
+    disparity : (H, W) float32, what the sensor measured; pixels, NaN = unknown
+    truth : (H, W) float32 true disparity; pixels, NaN = unknown
+    occluded : in the shadow of something nearer, without a measurement
+    specular : in a disc without a measurement, and not in shadow
+    mismatch : measured, but the value of the surface in front
+    measured : measured rightly, up to noise
+    """
+
+    color: NDArray[np.uint8]
+    disparity: Disparity
+    truth: Disparity
+    occluded: Mask
+    specular: Mask
+    mismatch: Mask
+    measured: Mask
+
+    @property
+    def gap(self) -> Mask:
+        """Pixels without a measurement whose truth is known."""
+        return self.occluded | self.specular
+
+    def frame(self, fb: float = RgbdFrame.fb) -> RgbdFrame:
+        """The measurement as a frame in meters; ``fb`` in pixel meters."""
+        return RgbdFrame(self.color, depth_of_disparity(self.disparity, fb), fb)
+
+    def depth_true(self, fb: float = RgbdFrame.fb) -> NDArray[np.float32]:
+        """(H, W) float32, meters, NaN = unknown."""
+        return depth_of_disparity(self.truth, fb)
+
+
+def simulate_kinect(
+    color: NDArray[np.uint8],
+    truth: NDArray[np.floating[Any]],
+    seed: int = 0,
+    *,
+    fattening: int = 4,
+    noise: float = 0.3,
+    discs: int = 8,
+    disc_radius: tuple[float, float] = (8.0, 22.0),
+    jump: float = 1.0,
+) -> KinectSample:
+    """A Kinect-like measurement of a scene.
+
+    At every step of more than ``jump`` between neighbors of a row, the nearer surface's edge value is written over
+    ``fattening`` pixels of the farther one. Then what lies in shadow is taken out: left of every such edge, as many
+    pixels as the disparity jumps (a pixel x whose ``x - d`` is not left of every nearer pixel's on its right), and
+    some random discs. What is left gets Gaussian noise. Where the truth is unknown nothing is measured.
+
+    Parameters
+    ----------
+    color : (H, W, 3) uint8 RGB
+    truth : (H, W) float, pixels of disparity, NaN or infinite = unknown
+    seed : of discs and noise
+    fattening : pixels
+    noise : standard deviation, pixels of disparity
+    discs : how many specular spots
+    disc_radius : least and largest radius, pixels
+    jump : pixels of disparity; smaller steps are slopes
+
+    Raises
+    ------
+    ValueError
+        For sizes that differ, nothing known, or negative amounts.
+    """
+    if color.shape[:2] != truth.shape or truth.ndim != 2:
+        raise ValueError(f"color {color.shape} and truth {truth.shape} differ in size")
+    if fattening < 0 or noise < 0 or discs < 0 or jump <= 0 or not 0 <= disc_radius[0] <= disc_radius[1]:
+        raise ValueError("want fattening, noise, discs >= 0, jump > 0 and a range of radii")
+    known = np.isfinite(truth)
+    if not known.any():
+        raise ValueError("no pixel has a true disparity")
+    surface = _behind(np.where(known, truth, np.nan).astype(np.float32))
+    seen = _fattened(surface, fattening, jump)
+    shadow = _shadow(seen, jump)
+    rng = np.random.Generator(np.random.PCG64([seed, 0x4B1]))
+    spots = _discs(rng, (truth.shape[0], truth.shape[1]), discs, disc_radius)
+    values = seen + noise * rng.standard_normal(truth.shape, np.float32)
+    wrong = np.abs(seen - surface) > jump
+    missing = shadow | spots
+    return KinectSample(
+        color=color,
+        disparity=np.where(known & ~missing, values, np.nan).astype(np.float32),
+        truth=np.where(known, truth, np.nan).astype(np.float32),
+        occluded=known & shadow,
+        specular=known & spots & ~shadow,
+        mismatch=known & wrong & ~missing,
+        measured=known & ~wrong & ~missing,
+    )
+
+
+def _behind(truth: Disparity) -> Disparity:
+    """Unknown runs of each row take the smaller of the values at their ends; rows without any, the row above's."""
+    left, right = truth.copy(), truth.copy()
+    for x in range(1, truth.shape[1]):
+        left[:, x] = np.where(np.isnan(left[:, x]), left[:, x - 1], left[:, x])
+        right[:, -x - 1] = np.where(np.isnan(right[:, -x - 1]), right[:, -x], right[:, -x - 1])
+    filled: Disparity = np.fmin(left, right)
+    empty = np.isnan(filled[:, 0])
+    if empty.any():
+        given = np.flatnonzero(~empty)
+        filled = filled[given[np.abs(np.arange(len(filled))[:, None] - given).argmin(axis=1)]]
+    return filled
+
+
+def _fattened(surface: Disparity, width: int, jump: float) -> Disparity:
+    """Surfaces in front, spread over ``width`` pixels on both sides along the rows."""
+    step = np.diff(surface, axis=1)
+    faces_left, faces_right = np.full_like(surface, -np.inf), np.full_like(surface, -np.inf)
+    faces_left[:, 1:] = np.where(step > jump, surface[:, 1:], -np.inf)
+    faces_right[:, :-1] = np.where(step < -jump, surface[:, :-1], -np.inf)
+    result = surface.copy()
+    for k in range(1, min(width, surface.shape[1] - 1) + 1):
+        np.maximum(result[:, :-k], faces_left[:, k:], out=result[:, :-k])
+        np.maximum(result[:, k:], faces_right[:, :-k], out=result[:, k:])
+    return result
+
+
+def _shadow(seen: Disparity, jump: float) -> Mask:
+    """Pixels whose projected position ``x - d`` is hidden behind a surface to their right, nearer by over ``jump``."""
+    position = np.arange(seen.shape[1], dtype=np.float32) - seen
+    shadow = np.zeros(seen.shape, bool)
+    front = position[:, -1].copy()
+    front_value = seen[:, -1].copy()
+    for x in range(seen.shape[1] - 2, -1, -1):
+        shadow[:, x] = (position[:, x] >= front) & (front_value - seen[:, x] > jump)
+        ahead = position[:, x] < front
+        front = np.where(ahead, position[:, x], front)
+        front_value = np.where(ahead, seen[:, x], front_value)
+    return shadow
+
+
+def _discs(rng: np.random.Generator, shape: tuple[int, int], count: int, radius: tuple[float, float]) -> Mask:
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    spots = np.zeros(shape, bool)
+    for _ in range(count):
+        y, x, r = rng.uniform(0, shape[0]), rng.uniform(0, shape[1]), rng.uniform(*radius)
+        spots |= (rows - y) ** 2 + (columns - x) ** 2 <= r * r
+    return spots
+
+
+# ---------------------------------------------------------------------------------------------------------
+# Scenes from nothing
+
+
+def make_kinect_scene(
+    kind: SceneKind, seed: int = 0, width: int = 400, height: int = 300, max_disparity: int = 48
+) -> tuple[NDArray[np.uint8], Disparity]:
+    """Color (H, W, 3) uint8 RGB and exact disparity (H, W) float32, pixels; the same arguments give the same scene.
+
+    Parameters
+    ----------
+    kind : ``planes``, ``foreground``, ``curved`` as in :func:`depthcli.data.generated.stereo_scenes.make_scene`;
+        ``camouflage``: boards before a wall, every other one painted like it, so that only the depth shows the edge
+    seed : chooses the scene
+    width, height : pixels, at least 16
+    max_disparity : pixels, at least 4 and at most ``width / 2``
+
+    Raises
+    ------
+    ValueError
+        For an unknown kind or an impossible size or range.
+    """
+    if kind not in SCENE_KINDS:
+        raise ValueError(f"kind must be one of {', '.join(SCENE_KINDS)}, got {kind!r}")
+    if kind != "camouflage":
+        scene = make_scene(kind, seed, width, height, max_disparity)
+        return scene.left, scene.disparity_left
+    if width < 16 or height < 16 or not 4 <= max_disparity <= width / 2:
+        raise ValueError(f"want at least 16 x 16 pixels and 4 <= max_disparity <= width / 2, got {width} x {height}")
+    rng = np.random.Generator(np.random.PCG64([seed, 0xCA3]))
+    paint = textures.color(rng)
+    canvas = _Canvas(rng, width, height, paint, far=0.3 * max_disparity)
+    for index, nearness in enumerate(np.linspace(0.45, 0.85, 4)):
+        own = paint if index % 2 == 0 else textures.color(rng)
+        center = ((index + rng.uniform(0.35, 0.65)) * width / 4, rng.uniform(0.3, 0.7) * height)
+        size = (rng.uniform(0.07, 0.11) * width, rng.uniform(0.15, 0.3) * height)
+        canvas.put(canvas.board(center, size, nearness * max_disparity, own))
+    return canvas.photograph()
+
+
+def make_kinect_sequence(
+    kind: SequenceKind,
+    frames: int = 10,
+    seed: int = 0,
+    width: int = 320,
+    height: int = 240,
+    max_disparity: int = 40,
+    *,
+    speed: int = 4,
+    fattening: int = 4,
+    noise: float = 0.3,
+) -> list[KinectSample]:
+    """A sequence as a Kinect on a tripod sees it: new noise in color and depth in every frame, exact truth.
+
+    Parameters
+    ----------
+    kind : ``static`` (nothing moves) or ``moving`` (a board crosses the scene)
+    frames : how many
+    seed : chooses the scene, discs and noise; specular discs stay where they are
+    width, height, max_disparity : pixels
+    speed : pixels a frame that the board moves to the right
+    fattening, noise : as in :func:`simulate_kinect`
+
+    Raises
+    ------
+    ValueError
+        For an unknown kind, fewer than one frame, or an impossible size or range.
+    """
+    if kind not in SEQUENCE_KINDS:
+        raise ValueError(f"kind must be one of {', '.join(SEQUENCE_KINDS)}, got {kind!r}")
+    if frames < 1:
+        raise ValueError(f"want at least one frame, got {frames}")
+    color, truth = make_kinect_scene("foreground", seed, width, height, max_disparity)
+    rng = np.random.Generator(np.random.PCG64([seed, 0x5E0]))
+    canvas = _Canvas(rng, width, height, textures.color(rng), far=1.0)
+    canvas.color, canvas.truth = color.astype(np.float32) / np.float32(255), truth
+    size = (0.09 * width, 0.2 * height)
+    mover = canvas.board((0.2 * width, 0.55 * height), size, 0.85 * max_disparity, textures.color(rng), flat=True)
+    spots = _discs(rng, (height, width), 8, (8.0, 22.0))
+    samples = []
+    for index in range(frames):
+        if kind == "moving":
+            color, truth = canvas.photograph(_moved(mover, index * speed))
+        grain = _COLOR_NOISE * rng.standard_normal(color.shape, np.float32)
+        noisy = np.clip(np.rint(color + grain), 0, 255).astype(np.uint8)
+        sample = simulate_kinect(noisy, truth, int(rng.integers(2**31)), fattening=fattening, noise=noise, discs=0)
+        samples.append(_with_spots(sample, spots))
+    return samples
+
+
+def _with_spots(sample: KinectSample, spots: Mask) -> KinectSample:
+    return KinectSample(
+        color=sample.color,
+        disparity=np.where(spots, np.float32(np.nan), sample.disparity),
+        truth=sample.truth,
+        occluded=sample.occluded,
+        specular=np.isfinite(sample.truth) & spots & ~sample.occluded,
+        mismatch=sample.mismatch & ~spots,
+        measured=sample.measured & ~spots,
+    )
+
+
+@dataclass(frozen=True)
+class _Board:
+    """A cut-out: share of each pixel that it covers, its color in [0, 1], its disparity plane (H, W)."""
+
+    cover: NDArray[np.float32]
+    color: NDArray[np.float32]
+    disparity: Disparity
+
+
+def _moved(board: _Board, columns: int) -> _Board:
+    """Shifted to the right, out of the picture where it ends."""
+    cover = np.roll(board.cover, columns, axis=1)
+    cover[:, : min(columns, cover.shape[1])] = 0
+    color, disparity = np.roll(board.color, columns, axis=1), np.roll(board.disparity, columns, axis=1)
+    return _Board(cover, color, disparity)
+
+
+class _Canvas:
+    """A picture and its disparity, onto which boards are put from far to near."""
+
+    def __init__(self, rng: np.random.Generator, width: int, height: int, paint: NDArray[np.float32], far: float):
+        self._rng = rng
+        self._rows, self._columns = np.mgrid[:height, :width].astype(np.float32)
+        self.color = self._plaster(paint)
+        self.truth = self._plane((width / 2, height / 2), far, 0.06 * far)
+
+    def _plaster(self, paint: NDArray[np.float32]) -> NDArray[np.float32]:
+        """A painted surface: fine grain and large stains, the same for all who wear the paint."""
+        height, width = self._rows.shape
+        relief = textures.noise(self._rng, height, width, 6.0, 3) + textures.noise(self._rng, height, width, 60.0, 2)
+        painted: NDArray[np.float32] = np.clip(paint * (1 + 0.03 * relief[:, :, None]), 0, 1).astype(np.float32)
+        return painted
+
+    def _plane(self, center: tuple[float, float], disparity: float, most: float) -> Disparity:
+        """A plane, tilted by at most ``most`` pixels of disparity over a quarter of the picture."""
+        height, width = self._rows.shape
+        tilt_x, tilt_y = self._rng.uniform(-most, most, 2) * (4 / width, 4 / height)
+        plane = disparity + tilt_x * (self._columns - center[0]) + tilt_y * (self._rows - center[1])
+        positive: Disparity = np.maximum(plane, 0.5).astype(np.float32)
+        return positive
+
+    def board(
+        self,
+        center: tuple[float, float],
+        size: tuple[float, float],
+        disparity: float,
+        paint: NDArray[np.float32],
+        flat: bool = False,
+    ) -> _Board:
+        """A wavy disc, ``size`` = half its width and height in pixels."""
+        x, y = (self._columns - center[0]) / size[0], (self._rows - center[1]) / size[1]
+        angle = np.arctan2(y, x)
+        waves = sum(self._rng.uniform(0.02, 0.12) * np.cos(k * angle + self._rng.uniform(0, 6.3)) for k in (2, 3, 5))
+        inside = (0.9 * (1 + waves) - np.hypot(x, y)) * min(size)
+        cover = np.clip(inside + 0.5, 0, 1).astype(np.float32)
+        return _Board(cover, self._plaster(paint), self._plane(center, disparity, 0.0 if flat else 0.1 * disparity))
+
+    def put(self, board: _Board) -> None:
+        """Lay a board over what is there, for good."""
+        self.color, self.truth = self._over(board)
+
+    def _over(self, board: _Board) -> tuple[NDArray[np.float32], Disparity]:
+        share = board.cover[:, :, None]
+        color = share * board.color + (1 - share) * self.color
+        return color, np.where(board.cover >= 0.5, np.maximum(board.disparity, self.truth), self.truth)
+
+    def photograph(self, board: _Board | None = None) -> tuple[NDArray[np.uint8], Disparity]:
+        """Color, blurred as by a lens, and disparity; with one more board on top for this picture alone."""
+        color, truth = (self.color, self.truth) if board is None else self._over(board)
+        shown = cv2.GaussianBlur(color, (0, 0), 0.6) * 255
+        return np.clip(np.rint(shown), 0, 255).astype(np.uint8), truth

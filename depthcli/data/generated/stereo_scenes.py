@@ -1,0 +1,327 @@
+"""Rectified stereo scenes with exact ground truth in both views.
+
+Every scene is a toy room of analytic surfaces, seen by two pinhole cameras. Disparity and visibility come
+from the ray through each pixel's center, not from a warped map, so they are exact to rounding; colors are
+the mean over a grid of rays a pixel (a box filter) of pictures that stick to the surfaces, so that both
+views see the same continuous picture at their own sub-pixel positions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.filters.discontinuity import discontinuity_mask
+from depthcli.data.generated import textures
+from depthcli.data.generated.camera import light_maps, render, trace
+from depthcli.data.generated.stage import Stage
+from depthcli.data.generated.surfaces import Array, Outline, Surface, rotation
+
+Kind = Literal["planes", "foreground", "repetitive", "curved", "street"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+
+@dataclass(frozen=True)
+class SyntheticScene:
+    """A rectified pair and everything known about it.
+
+    Attributes
+    ----------
+    left, right : (H, W, 3) uint8 RGB
+    disparity_left, disparity_right : (H, W) float32, pixels, at pixel centers; every pixel has a value
+    nonocc : (H, W) bool: the left pixel's surface point lies in the right image and is visible there
+    disc : (H, W) bool: non-occluded and near a depth discontinuity or an occlusion
+    repetition : (H, W) float32: after how many pixels along x the left picture repeats; NaN = it does not
+    max_disparity : largest disparity to search, inclusive
+    """
+
+    left: NDArray[np.uint8]
+    right: NDArray[np.uint8]
+    disparity_left: NDArray[np.float32]
+    disparity_right: NDArray[np.float32]
+    nonocc: NDArray[np.bool_]
+    disc: NDArray[np.bool_]
+    repetition: NDArray[np.float32]
+    max_disparity: int
+
+
+@dataclass(frozen=True)
+class Radiometry:
+    """How the right camera sees the same light: ``255 * (gain * v ** gamma * fall-off) + bias``, v in [0, 1].
+
+    Attributes
+    ----------
+    gain, gamma : factor and exponent, > 0
+    bias : grey levels of 255
+    vignetting : share of the light that the corners lose, in [0, 1)
+    """
+
+    gain: float = 1.0
+    bias: float = 0.0
+    gamma: float = 1.0
+    vignetting: float = 0.0
+
+    @classmethod
+    def of_strength(cls, strength: float) -> Radiometry:
+        """From 0 (both cameras alike) to 1 (another exposure, gamma 0.8, dark corners)."""
+        return cls(1 + 0.25 * strength, -12 * strength, 1 - 0.2 * strength, 0.35 * strength)
+
+    def apply(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(H, W, 3) float32 in [0, 1] -> the same, as the right camera records it (not clipped)."""
+        if self == Radiometry():
+            return image
+        height, width = image.shape[:2]
+        y, x = np.linspace(-1, 1, height), np.linspace(-1, 1, width)
+        fall_off = 1 - self.vignetting * (y[:, None] ** 2 + x[None, :] ** 2) / 2
+        changed = self.gain * np.power(np.clip(image, 0, 1), self.gamma) * fall_off[:, :, None] + self.bias / 255
+        return changed.astype(np.float32)
+
+
+def make_scene(
+    kind: Kind,
+    seed: int = 0,
+    width: int = 400,
+    height: int = 300,
+    max_disparity: int = 48,
+    *,
+    noise: float = 0.0,
+    radiometry: Radiometry | None = None,
+    wall_contrast: float = 1.0,
+    supersampling: int = 3,
+) -> SyntheticScene:
+    """Render one scene; the same arguments give the same scene.
+
+    Parameters
+    ----------
+    kind : ``planes`` (a room of slanted boards and boxes), ``foreground`` (cut-out boards before a wall),
+        ``repetitive`` (a wall whose pattern repeats inside the search range, with unique stickers here and
+        there), ``curved`` (balls, cones, tubs), ``street`` (a road between house fronts, cars, poles and trees under
+        a bare sky: large slopes, and depths from the nearest to almost infinity)
+    seed : chooses the scene
+    width, height : pixels, at least 16
+    max_disparity : pixels, at least 4 and at most ``width / 2``; nothing in the scene is nearer
+    noise : standard deviation in grey levels of the noise of each camera
+    radiometry : of the right camera; None = both cameras are alike
+    wall_contrast : contrast of the walls' pictures: 1 = full, 0 = walls without texture (the repeated pattern
+        of ``repetitive`` stays as it is)
+    supersampling : rays a pixel, along each axis
+
+    Raises
+    ------
+    ValueError
+        For an unknown kind or an impossible size, range or amount.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
+    if width < 16 or height < 16:
+        raise ValueError(f"a scene is at least 16 x 16 pixels, got {width} x {height}")
+    if not 4 <= max_disparity <= width / 2:
+        raise ValueError(f"max_disparity must lie in 4 .. width / 2 = {width // 2}, got {max_disparity}")
+    if noise < 0 or not 0 <= wall_contrast <= 1 or supersampling < 1:
+        raise ValueError("want noise >= 0, 0 <= wall_contrast <= 1 and supersampling >= 1")
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    stage = Stage(rng, width, height, max_disparity, wall_contrast)
+    _BUILDERS[kind](stage)
+    return _photograph(stage, radiometry or Radiometry(), noise, supersampling)
+
+
+def _blob(rng: np.random.Generator) -> Outline:
+    """A wavy round outline."""
+    waves = np.arange(2, 7)
+    amounts = rng.uniform(0.02, 0.3, waves.size) / waves**0.7
+    phases = rng.uniform(0, 2 * np.pi, waves.size)
+
+    def inside(x: Array, y: Array) -> NDArray[np.bool_]:
+        angle = np.arctan2(y, x)
+        edge = sum(a * np.cos(k * angle + p) for k, a, p in zip(waves, amounts, phases, strict=True))
+        kept: NDArray[np.bool_] = np.hypot(x, y) < 0.78 * (1 + edge)
+        return kept
+
+    return inside
+
+
+def _saw(rng: np.random.Generator) -> Outline:
+    """A board with a toothed upper edge."""
+    teeth, depth = int(rng.integers(2, 5)), rng.uniform(0.3, 0.7)
+
+    def inside(x: Array, y: Array) -> NDArray[np.bool_]:
+        saw = np.abs(np.mod(x * teeth / 2, 1.0) - 0.5) * 2
+        kept: NDArray[np.bool_] = y > -1 + depth * saw
+        return kept
+
+    return inside
+
+
+def _disk(x: Array, y: Array) -> NDArray[np.bool_]:
+    kept: NDArray[np.bool_] = x * x + y * y < 1
+    return kept
+
+
+def _planes(stage: Stage) -> None:
+    rng, w, h = stage.rng, stage.width, stage.height
+    stage.room()
+    for x, d in stage.spread(3):
+        size = (w * rng.uniform(0.22, 0.34), h * rng.uniform(0.35, 0.6))
+        turn = rotation(rng.uniform(-0.7, 0.7), rng.uniform(-0.5, 0.5), rng.uniform(-0.3, 0.3))
+        outline = _saw(rng) if rng.random() < 0.6 else None
+        stage.board(x, h * rng.uniform(0.3, 0.65), 0.5 * (d + stage.far), size, turn, outline)
+    for x, d in stage.spread(2):
+        stage.box(x, d, (w * rng.uniform(0.12, 0.22), h * rng.uniform(0.12, 0.28), w * rng.uniform(0.1, 0.2)))
+
+
+def _foreground(stage: Stage) -> None:
+    rng, w, h = stage.rng, stage.width, stage.height
+    stage.room()
+    for x, d in stage.spread(4):
+        outline = (_blob(rng), _disk, None)[int(rng.integers(3))]
+        size = (w * rng.uniform(0.16, 0.26), h * rng.uniform(0.25, 0.42))
+        turn = rotation(rng.uniform(-0.15, 0.15), rng.uniform(-0.15, 0.15), rng.uniform(-0.6, 0.6))
+        stage.board(x, h * rng.uniform(0.2, 0.8), d, size, turn, outline)
+    for x, d in stage.spread(2):
+        stage.box(x, d, (w * rng.uniform(0.08, 0.14), h * rng.uniform(0.2, 0.45), w * rng.uniform(0.05, 0.12)))
+
+
+def _curved(stage: Stage) -> None:
+    rng, w, h = stage.rng, stage.width, stage.height
+    stage.room()
+    for index, (x, d) in enumerate(stage.spread(6)):
+        match index % 3:
+            case 0:
+                stage.ball(x, d, 0.5 * min(w * 0.75, h) * rng.uniform(0.2, 0.36))
+            case 1:
+                stage.cone(x, d, (w * rng.uniform(0.07, 0.1), h * rng.uniform(0.35, 0.6)))
+            case _:
+                stage.tub(x, d, (w * rng.uniform(0.05, 0.09), h * rng.uniform(0.15, 0.3)))
+
+
+def _repetitive(stage: Stage) -> None:
+    """The pattern's wall leans about the X axis only: one period and one disparity a row."""
+    rng, w, h = stage.rng, stage.width, stage.height
+    stage.far = stage.max_disparity * rng.uniform(0.4, 0.5)
+    texels = stage.far
+    # In baselines the period is the share of the disparity by which a wrong match is off: below 1, d - period
+    # is a disparity, and at these depths so is d + period.
+    tile = max(4, round(texels * rng.uniform(0.5, 0.75)))
+    period = tile / texels
+    # The picture covers what the two views see of the wall and little more, so that its stickers are seen.
+    skirting = stage.center[1] + stage.floor * texels
+    wide, tall = int(w + 3 * texels), int(skirting * 1.15)
+    picture = textures.repeated(rng, tall, wide, tile, int(rng.integers(16, 25)), min(w, h) * 0.13)
+    half = np.array([(wide - 1) / 2 / texels, (tall - 1) / 2 / texels, 1.0])
+    middle = stage.at((w + texels) / 2, skirting * 0.5, texels)
+    lean = rotation(pitch=rng.uniform(-0.25, 0.25))
+    stage.surfaces.append(Surface("plane", middle, lean, half, picture, unbounded=True, period=period))
+    stage.lay_floor()
+    for x, d in stage.spread(2):
+        size = (w * rng.uniform(0.14, 0.22), h * rng.uniform(0.25, 0.4))
+        turn = rotation(rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2), rng.uniform(-0.4, 0.4))
+        stage.board(x, h * rng.uniform(0.4, 0.75), d, size, turn, _blob(rng))
+    x, d = stage.spread(1)[0]
+    stage.box(x, d, (w * 0.12, h * rng.uniform(0.12, 0.25), w * 0.1))
+
+
+def _street(stage: Stage) -> None:
+    rng, w, h, top = stage.rng, stage.width, stage.height, stage.max_disparity
+    stage.center = (w * rng.uniform(0.4, 0.6), h * rng.uniform(0.35, 0.48))
+    stage.floor = (h - stage.center[1]) / (top * rng.uniform(0.4, 0.85))
+    stage.far = max(0.5, 0.02 * top)
+    half = np.array([2 * w / stage.far, 2 * h / stage.far, 1.0])
+    sky = np.full((8, 8, 3), rng.uniform(0.75, 0.97), np.float32)
+    behind = np.array([0.0, 0.0, stage.focal / stage.far])
+    stage.surfaces.append(Surface("plane", behind, rotation(), half, sky, unbounded=True))
+    stage.light = np.array([rng.uniform(-40, 40), -60.0, rng.uniform(0, 30)])
+    _road(stage)
+    sides = (stage.center[0], w - stage.center[0])
+    fronts = [side / (top * rng.uniform(0.25, 0.7)) for side in sides]
+    for sign, away in zip((-1, 1), fronts, strict=True):
+        _house_fronts(stage, sign, away)
+    stage.surroundings = textures.surroundings(rng, h, w, stage.feature)
+    gloss = rng.uniform(0.05, 0.35)
+    # The nearest cars are cut off by the border of the image, on either side.
+    for k, d in enumerate(top * np.array([0.93, 0.8, 0.5, 0.3, 0.17]) * rng.uniform(0.75, 1.0, 5)):
+        sign, size = (-1) ** (k + int(rng.integers(2))), stage.floor * d
+        away = fronts[(sign + 1) // 2] * rng.uniform(0.55, 0.8)
+        measures = (size * rng.uniform(0.9, 1.1), size * rng.uniform(0.75, 0.95), size * rng.uniform(1.8, 2.4))
+        stage.box(stage.center[0] + sign * away * d, d, measures, textures.bodywork, rng.uniform(-0.08, 0.08), gloss)
+    for _ in range(int(rng.integers(3, 7))):
+        d = top * rng.uniform(0.12, 0.6)
+        sign = 1 if rng.random() < 0.5 else -1
+        x = stage.center[0] + sign * fronts[(sign + 1) // 2] * rng.uniform(0.75, 0.95) * d
+        tall, thin = stage.floor * d * rng.uniform(0.6, 2.6), max(2.0, d * rng.uniform(0.04, 0.12))
+        y = stage.center[1] + stage.floor * d - tall / 2
+        stage.board(x, y, d, (thin, tall), rotation(), maker=textures.plaster)
+        if rng.random() < 0.5:  # a crown, or a sign
+            size = stage.floor * d * rng.uniform(0.25, 1.2)
+            outline, maker = (_blob(rng), textures.camouflage) if rng.random() < 0.6 else (_disk, textures.poster)
+            stage.board(x, y - tall / 2, d * 1.01, (size, size), rotation(), outline, maker)
+
+
+def _road(stage: Stage) -> None:
+    rng, top = stage.rng, stage.max_disparity
+    first, last = stage.focal / top, stage.focal / (0.1 * top)
+    half = np.array([2.0 * stage.width / top, (last - first) / 2, 1.0])
+    picture = stage.paint(textures.asphalt, (2 * half[0], 2 * half[1]), 0.4 * top)
+    middle = np.array([rng.uniform(-1, 1), stage.floor, (first + last) / 2])
+    stage.surfaces.append(Surface("plane", middle, rotation(pitch=np.pi / 2), half, picture, unbounded=True))
+
+
+def _house_fronts(stage: Stage, sign: int, away: float) -> None:
+    """House by house along the road, beside the camera by ``away`` baselines."""
+    rng, top = stage.rng, stage.max_disparity
+    turn = rotation(sign * np.pi / 2)
+    z, end = stage.focal / (0.97 * top), stage.focal / (0.05 * top)
+    while z < end:
+        long, tall = z * rng.uniform(0.5, 1.2), stage.floor * rng.uniform(2.5, 9)
+        near = stage.focal / (z + 0.3 * long)
+        half = np.array([long / 2, tall / 2, 1.0])
+        middle = np.array([sign * away * rng.uniform(1, 1.08), stage.floor - tall / 2, z + long / 2])
+        maker = stage.pick((*textures.WALL_TEXTURES, textures.windows, textures.windows, textures.windows))
+        picture = stage.paint(maker, (long, tall), min(near, 0.5 * top))
+        stage.surfaces.append(Surface("plane", middle, turn, half, stage.faded(picture)))
+        z += long * rng.uniform(1.0, 1.15)
+
+
+_BUILDERS: dict[Kind, Callable[[Stage], None]] = {
+    "planes": _planes,
+    "foreground": _foreground,
+    "repetitive": _repetitive,
+    "curved": _curved,
+    "street": _street,
+}
+
+
+def _photograph(stage: Stage, radiometry: Radiometry, noise: float, rays: int) -> SyntheticScene:
+    lightmaps = light_maps(stage)
+    left = render(stage, lightmaps, False, rays)
+    right = radiometry.apply(render(stage, lightmaps, True, rays))
+
+    columns, rows = np.arange(stage.width, dtype=np.float64)[None], np.arange(stage.height, dtype=np.float64)[:, None]
+    depth, owner = trace(stage, columns, rows, False)
+    disparity = stage.focal / depth
+    depth_right, _ = trace(stage, columns, rows, True)
+    matched = columns - disparity
+    seen, _ = trace(stage, matched, rows, True)
+    nonocc = (matched >= 0) & (seen >= depth * (1 - 1e-9))
+    periods = np.array([s.period for s in stage.surfaces])[owner]
+    repetition = np.where(periods > 0, periods * disparity, np.nan)
+    return SyntheticScene(
+        left=_developed(stage, left, noise),
+        right=_developed(stage, right, noise),
+        disparity_left=disparity.astype(np.float32),
+        disparity_right=(stage.focal / depth_right).astype(np.float32),
+        nonocc=nonocc,
+        disc=discontinuity_mask(disparity, nonocc),
+        repetition=repetition.astype(np.float32),
+        max_disparity=stage.max_disparity,
+    )
+
+
+def _developed(stage: Stage, image: NDArray[np.float32], noise: float) -> NDArray[np.uint8]:
+    grey_levels = image * 255
+    if noise > 0:
+        grey_levels = grey_levels + noise * stage.rng.standard_normal(image.shape, np.float32)
+    return np.clip(np.rint(grey_levels), 0, 255).astype(np.uint8)

@@ -1,0 +1,42 @@
+"""Sequences of KITTI odometry."""
+
+from __future__ import annotations
+
+from depthcli.data.layouts import Folder, Layout
+from depthcli.data.layouts.views import view_images
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.stereo import StereoItem
+
+_VIEWS = (("image_2", "image_3"), ("image_0", "image_1"))
+_RANGE = 255  # as of the other KITTI sets, which come without a range of their own
+
+
+class KittiOdometry(Layout):
+    """A folder a sequence; color where there is color."""
+
+    kind = StereoItem
+    wants = "`image_2`, `image_3` or `image_0`, `image_1` with `000000.png`; `calib.txt`"
+
+    def items(self, folder: Folder) -> list[Item]:
+        for left_view, right_view in _VIEWS:
+            if not folder.has(left_view, right_view):
+                continue
+            left, right = (view_images(folder.path / view, (".png",)) for view in (left_view, right_view))
+            frames = sorted(name for name in {**left, **right} if name.isdigit())
+            if frames:
+                return [
+                    StereoItem(
+                        name=folder.prefix + name,
+                        folder=folder.path,
+                        layout=self.name,
+                        protocol="kitti_2015",
+                        problem="" if name in left and name in right else f"{folder.path}: {name}.png lacks a view",
+                        left=left.get(name, folder.path / left_view / f"{name}.png"),
+                        right=right.get(name),
+                        max_disparity=_RANGE,
+                        calibration=folder.one("calib", (".txt",)),
+                        cameras=(2, 3) if left_view == "image_2" else (0, 1),
+                    )
+                    for name in frames
+                ]
+        return []

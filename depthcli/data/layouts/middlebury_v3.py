@@ -1,0 +1,67 @@
+"""Scenes of the third Middlebury evaluation."""
+
+from __future__ import annotations
+
+import re
+
+from depthcli.core.errors import InputError
+from depthcli.data.formats.files import read_bytes
+from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.layouts import Folder, Layout
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.stereo import StereoItem
+
+
+class MiddleburyV3(Layout):
+    """``im0`` and ``im1`` with a ``calib.txt``."""
+
+    kind = StereoItem
+    wants = "`im0`, `im1`, `calib.txt`, `disp0GT.pfm`, `mask0nocc.png`"
+    protocol = "middlebury_v3"
+
+    def fits(self, folder: Folder) -> bool:
+        """True where the folder is of this layout and not of a related one."""
+        return not folder.has("cameras.txt", "images.txt")
+
+    def items(self, folder: Folder) -> list[Item]:
+        left, right = folder.one("im0", IMAGE_SUFFIXES), folder.one("im1", IMAGE_SUFFIXES)
+        if left is None or not self.fits(folder):
+            return []
+        calib = _calibration(folder)
+        top = calib.get("ndisp")
+        # ETH3D writes the image width where Middlebury writes the search range.
+        if top is not None and (top < 1 or top >= calib.get("width", float("inf"))):
+            top = None
+        mask = folder.one("mask0nocc", IMAGE_SUFFIXES)
+        return [
+            StereoItem(
+                name=folder.name,
+                folder=folder.path,
+                layout=self.name,
+                protocol=self.protocol,
+                problem="" if right else f"{folder.path}: only one image of the pair, no im1.*",
+                left=left,
+                right=right,
+                disparity_left=folder.one("disp0GT", (".pfm",)) or folder.one("disp0", (".pfm",)),
+                disparity_right=folder.one("disp1GT", (".pfm",)) or folder.one("disp1", (".pfm",)),
+                masks={} if mask is None else {"nonocc": mask},
+                max_disparity=None if top is None else int(top),
+                round_disparity=calib.get("isint", 0) == 1,
+                calibration=folder.one("calib", (".txt",)),
+            )
+        ]
+
+
+def _calibration(folder: Folder) -> dict[str, float]:
+    """The plain numbers of a calib.txt (``key=value`` lines)."""
+    if not folder.has("calib.txt"):
+        return {}
+    path = folder.path / "calib.txt"
+    text = read_bytes(path).decode("utf-8", "replace")
+    values = {}
+    for key, value in re.findall(r"^\s*(\w+)\s*=\s*([-+0-9.eE]+)\s*$", text, re.MULTILINE):
+        try:
+            values[key] = float(value)
+        except ValueError:
+            raise InputError(f"{path}: {key}: want a number (got {value[:40]!r})") from None
+    return values

@@ -1,0 +1,61 @@
+"""Our own layout of registered volumes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from depthcli.core.errors import InputError
+from depthcli.data.layouts import Folder, Layout
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.volume_pair import VolumePairItem
+
+_VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img", ".png", ".jpg", ".jpeg")
+_FIELDS = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")
+_TRANSFORMS = (".tfm", ".txt", ".h5", ".hdf5", ".mat", ".xfm")
+_POINTS = (".csv", ".txt", ".pts")
+
+
+class Registration(Layout):
+    """A folder a pair, everything under a name that says what it is."""
+
+    kind = VolumePairItem
+    wants = (
+        "`fixed.*` and `moving_warped.*`, or `moving.*` with `displacement.*` or `transform.*` (NIfTI, MHA/MHD, NRRD, "
+        "DIR-Lab `.img`, PNG, JPEG); where known `mask.*`, `landmarks_fixed.csv` with `landmarks_moving.csv` (x, y, z "
+        "in mm), `error_true.*` (mm)"
+    )
+
+    def items(self, folder: Folder) -> list[Item]:
+        fixed = _one(folder, "fixed", _VOLUMES)
+        warped = _one(folder, "moving_warped", _VOLUMES)
+        moving = _one(folder, "moving", _VOLUMES)
+        if fixed is None and warped is None:
+            return []
+        displacement, transform = _one(folder, "displacement", _FIELDS), _one(folder, "transform", _TRANSFORMS)
+        problem = ""
+        if fixed is None:
+            problem = f"{folder.path}: no fixed.*"
+        elif warped is None and moving is None:
+            problem = f"{folder.path}: neither moving_warped.* nor moving.*"
+        elif warped is None and displacement is None and transform is None:
+            problem = f"{folder.path}: moving.* wants displacement.* or transform.* beside it"
+        return [
+            VolumePairItem(
+                name=folder.name, folder=folder.path, layout=self.name, protocol="registration", problem=problem,
+                fixed=fixed or folder.path / "fixed.mha", moving_warped=warped, moving=moving, transform=transform,
+                displacement=displacement, mask=_one(folder, "mask", _VOLUMES),
+                landmarks_fixed=_one(folder, "landmarks_fixed", _POINTS),
+                landmarks_moving=_one(folder, "landmarks_moving", _POINTS),
+                error_true=_one(folder, "error_true", _VOLUMES),
+            )
+        ]  # fmt: skip
+
+
+def _one(folder: Folder, stem: str, suffixes: tuple[str, ...]) -> Path | None:
+    """The file of that stem and one of the endings, of which ``.nii.gz`` has two parts."""
+    fitting = sorted(
+        name for name in folder.names if name.startswith(f"{stem}.") and name[len(stem) :].lower() in suffixes
+    )
+    if len(fitting) > 1:
+        raise InputError(f"{folder.path}: both {fitting[0]} and {fitting[1]}; keep one")
+    return folder.path / fitting[0] if fitting else None

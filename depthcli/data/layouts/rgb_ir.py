@@ -1,0 +1,36 @@
+"""Our own layout of color, infrared and depth."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.layouts import Folder, Layout
+from depthcli.data.layouts.rgbd import Rgbd
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.rgb_ir import RgbIrItem
+
+
+class RgbIr(Layout):
+    """As ``rgbd``, with an infrared image and the calibration of both cameras."""
+
+    kind = RgbIrItem
+    wants = (
+        "as `rgbd`, with `ir.*` (8 or 16 bit) and `calib.json` or OpenCV's `calib.yml` (M1 D1 M2 D2 R T); calib.json "
+        "has `color`, `infrared` (K, distortion, size), R and t, or `rectified`: true and `fb`; where known "
+        "`ir_noprojector.*`"
+    )
+
+    def items(self, folder: Folder) -> list[Item]:
+        infrared = folder.one("ir", IMAGE_SUFFIXES)
+        if infrared is None:
+            return []
+        found: list[Item] = []
+        for item in Rgbd().frames(folder):
+            known = {field.name: getattr(item, field.name) for field in dataclasses.fields(item)}
+            calibration = folder.one("calib", (".json", ".yml", ".yaml"))
+            known |= {"layout": self.name, "calibration": calibration}
+            plain = folder.one("ir_noprojector", IMAGE_SUFFIXES)
+            top = folder.whole(folder.meta(), "max_disparity")
+            found.append(RgbIrItem(**known, infrared=infrared, infrared_plain=plain, max_disparity=top))
+        return found

@@ -1,0 +1,77 @@
+"""Our own layout of color and depth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from depthcli.core.errors import InputError
+from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.layouts import Folder, Layout
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.rgbd import RgbdItem
+
+DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
+
+
+class Rgbd(Layout):
+    """A folder a frame, everything under a name that says what it is."""
+
+    kind = RgbdItem
+    wants = (
+        "`color.*`, `depth.*`; where known `depth_true.*`, `mask_<name>.*` (255 = evaluate), `sparse.*` (a second "
+        "depth map, known at some pixels) with `sparse_confidence.*`, `meta.json` "
+        "(`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, cy; `fb`)"
+    )
+
+    def items(self, folder: Folder) -> list[Item]:
+        if folder.one("ir", IMAGE_SUFFIXES):  # of rgb-ir
+            return []
+        return list(self.frames(folder))
+
+    def frames(self, folder: Folder) -> list[RgbdItem]:
+        """The frame in ``folder``, if it has one, whatever else lies there."""
+        color = folder.one("color", IMAGE_SUFFIXES)
+        depth = folder.one("depth", DEPTH_SUFFIXES) or folder.one("depth_raw", DEPTH_SUFFIXES)
+        if folder.asked == "sun-rgbd" or (color is None and depth is None):
+            return []
+        if depth is None and folder.starting("disparity", IMAGE_SUFFIXES):  # of kinect-raw
+            return []
+        missing = "color" if color is None else "depth" if depth is None else ""
+        problem = f"{folder.path}: only half of a frame, no {missing}.*" if missing else ""
+        color, depth = color or folder.path / "color.png", depth or folder.path / "depth.png"
+        sparse = {role: folder.one(role, DEPTH_SUFFIXES) for role in ("sparse", "sparse_confidence")}
+        return [frame(folder, folder.name, color, depth, problem, self.name, **sparse)]
+
+
+def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, layout: str, **more: Any) -> RgbdItem:
+    """The item of one frame, with what meta.json says of the folder."""
+    meta = folder.meta()
+    number = name.rpartition("/")[2]
+    end = f"_{number}" if folder.one(f"depth_true_{number}", DEPTH_SUFFIXES) else ""
+    masks = folder.starting("mask_", IMAGE_SUFFIXES)
+    scale = folder.positive(meta, "depth_scale")
+    values: dict[str, Any] = {
+        "depth_true": folder.one(f"depth_true{end}", DEPTH_SUFFIXES),
+        "masks": {n.removesuffix(end): file for n, file in masks.items() if n.endswith(end)},
+        "intrinsics": intrinsics(folder, meta),
+        "fb": folder.positive(meta, "fb"),
+        "protocol": folder.text(meta, "protocol", "depth"),
+        **({} if scale is None else {"depth_scale": scale}),
+        **more,
+    }
+    return RgbdItem(name=name, folder=folder.path, layout=layout, problem=problem, color=color, depth=depth, **values)
+
+
+def intrinsics(folder: Folder, meta: dict[str, Any]) -> tuple[float, float, float, float] | None:
+    """fx, fy, cx, cy of meta.json, at its root or below ``intrinsics``."""
+    inner = meta.get("intrinsics", meta)
+    if not isinstance(inner, dict):
+        raise InputError(f"{folder.path / 'meta.json'}: intrinsics: want fx, fy, cx, cy (got {str(inner)[:60]!r})")
+    found = [folder.positive(inner, key) for key in ("fx", "fy", "cx", "cy")]
+    if all(value is None for value in found):
+        return None
+    fx, fy, cx, cy = found
+    if fx is None or fy is None or cx is None or cy is None:
+        raise InputError(f"{folder.path / 'meta.json'}: intrinsics: want all of fx, fy, cx, cy")
+    return fx, fy, cx, cy

@@ -1,0 +1,64 @@
+"""Numbered frames of color and depth."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from depthcli.core.errors import InputError
+from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.layouts import Folder, Layout
+from depthcli.data.layouts.rgbd import DEPTH_SUFFIXES, frame
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.rgbd import RgbdItem
+
+_NUMBER = re.compile(r"(\d+)$")
+
+
+class RgbdSequence(Layout):
+    """A folder a sequence; color and depth of one number belong together."""
+
+    kind = RgbdItem
+    wants = "`color_00000.*` and `depth_00000.*`, or `color/` and `depth/` with numbered files; `meta.json` as `rgbd`"
+
+    def items(self, folder: Folder) -> list[Item]:
+        if folder.has("color", "depth"):
+            colors = numbered(Folder(folder.path / "color", "", ""), "", IMAGE_SUFFIXES)
+            depths = numbered(Folder(folder.path / "depth", "", ""), "", DEPTH_SUFFIXES)
+        else:
+            colors = numbered(folder, "color_", IMAGE_SUFFIXES)
+            depths = {n: f for n, f in numbered(folder, "depth_", DEPTH_SUFFIXES).items() if "true" not in f.stem}
+        if not colors or not depths:
+            return []
+        found: list[Item] = []
+        for number in sorted({**colors, **depths}):
+            color, depth = colors.get(number), depths.get(number)
+            there = color or depth
+            assert there is not None
+            digits = _digits(there)
+            problem = ""
+            if color is None or depth is None:
+                problem = f"{there}: a frame without its {'color' if color is None else 'depth'}"
+            found.append(
+                frame(folder, folder.prefix + digits, color or there, depth or there, problem, self.name,
+                      sequence=folder.name, number=number)
+            )  # fmt: skip
+        return found
+
+
+def numbered(folder: Folder, start: str, suffixes: tuple[str, ...]) -> dict[int, Path]:
+    """Number at the end of the stem -> file, of the files whose names begin with ``start``."""
+    found: dict[int, Path] = {}
+    for rest, file in folder.starting(start, suffixes).items():
+        if _NUMBER.search(rest) and not rest.startswith("true"):
+            number = int(_digits(file))
+            if number in found:
+                raise InputError(f"{folder.path}: both {found[number].name} and {file.name} are frame {number}")
+            found[number] = file
+    return found
+
+
+def _digits(file: Path) -> str:
+    match = _NUMBER.search(file.stem)
+    assert match is not None
+    return match[1]

@@ -1,0 +1,49 @@
+"""Frames of SUN RGB-D."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from depthcli.core.errors import InputError
+from depthcli.data.formats.files import read_bytes
+from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.layouts import Folder, Layout
+from depthcli.data.layouts.rgbd import frame
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.rgbd import RgbdItem
+
+
+class SunRgbd(Layout):
+    """Millimeters whose 16 bits are rotated left by 3."""
+
+    kind = RgbdItem
+    wants = "`image/`, `depth/` and `intrinsics.txt`; with `--layout sun-rgbd` also `color.*`, `depth.*`"
+
+    def items(self, folder: Folder) -> list[Item]:
+        if folder.has("image", "depth", "intrinsics.txt"):
+            color, depth = (_only(folder.path / where) for where in ("image", "depth"))
+            fx, _, cx, _, fy, cy = _matrix(folder.path / "intrinsics.txt")
+            return [frame(folder, folder.name, color, depth, "", self.name, rotated=True, intrinsics=(fx, fy, cx, cy))]
+        color_file, depth_file = folder.one("color", IMAGE_SUFFIXES), folder.one("depth", IMAGE_SUFFIXES)
+        if folder.asked != self.name or color_file is None or depth_file is None:
+            return []
+        return [frame(folder, folder.name, color_file, depth_file, "", self.name, rotated=True)]
+
+
+def _only(path: Path) -> Path:
+    folder = Folder(path, "", "")
+    files = sorted(name for name in folder.names if Path(name).suffix.lower() in IMAGE_SUFFIXES)
+    if len(files) != 1:
+        raise InputError(f"{path}: want one image, there are {len(files)}")
+    return path / files[0]
+
+
+def _matrix(path: Path) -> list[float]:
+    """fx, skew, cx, 0, fy, cy: the first two rows of a 3 x 3 matrix."""
+    try:
+        numbers = [float(word) for word in read_bytes(path).decode("ascii").split()]
+    except ValueError as error:
+        raise InputError(f"{path}: want the nine numbers of a camera matrix ({error})") from None
+    if len(numbers) < 9 or min(numbers[0], numbers[4]) <= 0:
+        raise InputError(f"{path}: want the nine numbers of a camera matrix")
+    return numbers[:6]

@@ -1,0 +1,76 @@
+"""Sequences of the TUM RGB-D benchmark."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from depthcli.core.errors import InputError
+from depthcli.data.formats.files import read_bytes
+from depthcli.data.layouts import Folder, Layout
+from depthcli.data.layouts.rgbd import frame
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.rgbd import RgbdItem
+
+_SCALE = 5000.0
+_MOST_APART = 0.02  # seconds, as the benchmark's associate.py
+
+
+class Tum(Layout):
+    """Color and depth with a time each, paired by ``associations.txt`` or by the nearest time."""
+
+    kind = RgbdItem
+    wants = "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter"
+
+    def items(self, folder: Folder) -> list[Item]:
+        if not folder.has("rgb", "depth") or not (folder.has("associations.txt") or folder.has("rgb.txt", "depth.txt")):
+            return []
+        if folder.has("associations.txt"):
+            pairs = [(float(a), b, float(c), d) for a, b, c, d in _lines(folder.path / "associations.txt", 4)]
+            if pairs and pairs[0][1].startswith("depth"):  # associate.py depth.txt rgb.txt
+                pairs = [(c, d, a, b) for a, b, c, d in pairs]
+        else:
+            pairs = _nearest(folder)
+        found: list[Item] = []
+        for number, (time, color, depth_time, depth) in enumerate(pairs):
+            apart = abs(time - depth_time)
+            problem = ""
+            if apart > _MOST_APART:
+                problem = (
+                    f"{folder.path / color}: the nearest depth is {apart:.3f} s off, at most {_MOST_APART} s may be"
+                )
+            found.append(
+                frame(folder, f"{folder.prefix}{time:.6f}", folder.path / color, folder.path / depth, problem,
+                      self.name, depth_scale=_SCALE, sequence=folder.name, number=number)
+            )  # fmt: skip
+        if not found:
+            raise InputError(f"{folder.path}: no line pairs a color image with a depth image")
+        return found
+
+
+def _nearest(folder: Folder) -> list[tuple[float, str, float, str]]:
+    """Every color image with the depth image nearest in time."""
+    depths = sorted((float(time), file) for time, file in _lines(folder.path / "depth.txt", 2))
+    if not depths:
+        raise InputError(f"{folder.path / 'depth.txt'}: names no file")
+    colors = sorted((float(time), file) for time, file in _lines(folder.path / "rgb.txt", 2))
+    found = []
+    for time, color in colors:
+        _, depth_time, depth = min((abs(t - time), t, file) for t, file in depths)
+        found.append((time, color, depth_time, depth))
+    return found
+
+
+def _lines(path: Path, fields: int) -> list[list[str]]:
+    found = []
+    for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            times = [float(word) for word in words[0:fields:2]]
+        except ValueError:
+            times = []
+        if len(words) < fields or len(times) * 2 != fields or any(".." in Path(w).parts for w in words[1:fields:2]):
+            raise InputError(f"{path}:{number}: want {'time file ' * (fields // 2)}(got {line[:60]!r})")
+        found.append(words[:fields])
+    return found

@@ -1,0 +1,83 @@
+"""One folder a view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from depthcli.core.errors import InputError
+from depthcli.data.formats.disparity import MAP_SUFFIXES
+from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.layouts import Folder, Layout
+from depthcli.data.scenes import Item
+from depthcli.data.scenes.stereo import StereoItem
+
+_VIEWS = (
+    ("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"), ("image_left", "image_right"),
+    ("left_images", "right_images"), ("cam0", "cam1"), ("cam0/data", "cam1/data"),
+)  # fmt: skip
+
+
+class Views(Layout):
+    """The two images of a pair have one name, in two folders."""
+
+    kind = StereoItem
+    wants = (
+        "`left/NAME.*`, `right/NAME.*` (also `image_left`, `cam0`, `cam0/data`); where known `disp_left/NAME.*`, and "
+        "`calib.txt`, `meta.json` of all pairs"
+    )
+
+    def items(self, folder: Folder) -> list[Item]:
+        for left, right in _VIEWS:
+            if folder.has(left.partition("/")[0], right.partition("/")[0]):
+                sides = [view_images(folder.path / side, IMAGE_SUFFIXES) for side in (left, right)]
+                if set(sides[0]) & set(sides[1]):
+                    truth = view_images(folder.path / "disp_left", MAP_SUFFIXES) if folder.has("disp_left") else {}
+                    return pair_items(folder, self.name, sides[0], sides[1], truth)
+        return []
+
+
+def pair_items(
+    folder: Folder, layout: str, left: dict[str, Path], right: dict[str, Path], truth: dict[str, Path] | None = None
+) -> list[Item]:
+    """An item for every name of either view; the folder's meta.json and calib.txt are those of all."""
+    meta = folder.meta()
+    low, top = folder.integer(meta, "min_disparity") or 0, folder.integer(meta, "max_disparity")
+    if top is not None and top <= low:
+        raise InputError(f"{folder.path / 'meta.json'}: max_disparity: want a number above {low} (got {top})")
+    found: list[Item] = []
+    for name in sorted({**left, **right}):
+        one, other = left.get(name), right.get(name)
+        problem = ""
+        if one is None or other is None:
+            problem = f"{one or other}: only one image of the pair, no {'right' if one else 'left'} one"
+        found.append(
+            StereoItem(
+                name=folder.prefix + name,
+                folder=folder.path,
+                layout=layout,
+                protocol=folder.text(meta, "protocol", "middlebury_v2"),
+                problem=problem,
+                left=one or folder.path / f"{name}.png",
+                right=other,
+                disparity_left=(truth or {}).get(name),
+                disparity_scale=folder.positive(meta, "disp_scale"),
+                max_disparity=top,
+                min_disparity=low,
+                calibration=folder.one("calib", (".txt",)),
+            )
+        )
+    return found
+
+
+def view_images(place: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    """Stem -> file; InputError where two have one stem."""
+    if not place.is_dir():
+        return {}
+    found: dict[str, Path] = {}
+    for name in sorted(Folder(place, "", "").names):
+        path = place / name
+        if path.suffix.lower() in suffixes:
+            if path.stem in found:
+                raise InputError(f"{place}: both {found[path.stem].name} and {name}; keep one")
+            found[path.stem] = path
+    return found

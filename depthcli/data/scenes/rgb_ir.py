@@ -1,0 +1,76 @@
+"""Frames of a color camera, an infrared camera and a depth sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from depthcli.core.errors import InputError
+from depthcli.data.scenes.rgbd import RgbdItem
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.core.frames import RgbIrFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class RgbIrItem(RgbdItem):
+    """A frame with an infrared image; ``calibration`` holds both cameras, or says that the pair is rectified.
+
+    Attributes
+    ----------
+    infrared : image file, 8 or 16 bit
+    infrared_plain : the same view with the projector covered, which is used instead, or None
+    max_disparity : largest disparity to search, or None
+    """
+
+    infrared: Path
+    infrared_plain: Path | None = None
+    max_disparity: int | None = None
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """With the infrared image that is used."""
+        return {**super().input_files, "infrared": self.infrared_plain or self.infrared}
+
+    def load_pair(self) -> RgbIrFrame:
+        """The frame with its infrared image and calibration.
+
+        Raises
+        ------
+        InputError
+            As for :meth:`load`; no calibration, or one that does not fit the images.
+        """
+        from depthcli.core.frames import RgbIrFrame
+        from depthcli.data.formats.images import read_image
+        from depthcli.data.formats.rig import read_rig
+
+        frame = self.load()
+        if self.calibration is None:
+            raise InputError(f"{self.folder}: no calibration of the color and the infrared camera (calib.json)")
+        infrared = _eight_bit(read_image(self.infrared_plain or self.infrared))
+        height, width = infrared.shape
+        rig = read_rig(self.calibration, (frame.shape[1], frame.shape[0]), (width, height))
+        if not isinstance(rig, float):
+            return RgbIrFrame(frame.color, infrared, frame.depth, rig)
+        if infrared.shape != frame.shape:
+            raise InputError(
+                f"{self.infrared}: {width} x {height}, but {self.color.name} is {frame.shape[1]} x {frame.shape[0]}; "
+                "a rectified pair has one size"
+            )
+        return RgbIrFrame(frame.color, infrared, frame.depth, None, rig)
+
+
+def _eight_bit(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """One channel of 8 bits; 16-bit images, few of which use their range, up to their 99.9th percentile."""
+    import numpy as np
+
+    if image.ndim == 3:
+        image = image[..., 0]
+    if image.dtype == np.uint8:
+        return np.ascontiguousarray(image, np.uint8)
+    top = max(float(np.quantile(image, 0.999)), 1.0)
+    return np.asarray(np.clip(np.rint(image * (255.0 / top)), 0, 255), np.uint8)

@@ -1,0 +1,243 @@
+"""Frames of color and depth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from depthcli.core.errors import InputError
+from depthcli.core.option import Option
+from depthcli.data.scenes import Item, name_of, together
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.core.cameras.geometry import KinectCalibration
+    from depthcli.core.frames import Intrinsics, RgbdFrame, SparseFrame
+
+KINECT_BASELINE = 0.075
+"""Projector to camera of the first Kinect and of the sensors built like it, meters."""
+
+_METERS = (".pfm", ".npy")
+_USUAL_NAMES = ("color", "rgb", "image", "depth")
+
+
+@dataclass(frozen=True)
+class RgbdTruth:
+    """True depth of one frame.
+
+    Attributes
+    ----------
+    depth : (H, W) float32, meters, NaN = unknown
+    masks : name -> (H, W) bool, True = evaluate
+    fb : focal length x baseline, pixel meters, or None where errors in pixels mean nothing
+    """
+
+    depth: NDArray[np.float32]
+    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    fb: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RgbdItem(Item):
+    """The files of one frame.
+
+    Attributes
+    ----------
+    color, depth : image files
+    depth_scale : codes a meter of integer depth files
+    rotated : the codes' bits are rotated left by 3 (SUN RGB-D)
+    raw : ``depth`` holds raw codes of a first-generation Kinect, in the depth camera's frame
+    calibration : Kinect calibration for raw codes, or None for a typical one
+    depth_true : true depth, in the same codes, or None
+    masks : name -> file; a pixel counts where the value is 255
+    intrinsics : fx, fy, cx, cy of the color camera, or None
+    fb : focal length x baseline, pixel meters; None where the layout does not say it
+    hidden : mask of pixels that the sensor is made not to see (255), where its depth is the true one; or None
+    sparse, sparse_confidence : a second depth map in the same codes, known at some pixels, and how sure it is; or None
+    sequence, number : the sequence that the frame belongs to, or empty, and its place there
+    """
+
+    options: ClassVar[tuple[Option, ...]] = (
+        Option("color", Path, "Color image, instead of --input.", "FILE"),
+        Option("depth", Path, "Depth map registered to it, instead of --input.", "FILE"),
+        Option("depth_scale", float, "Codes a meter of the depth files.", "CODES", sets="depth_scale"),
+    )
+
+    color: Path
+    depth: Path
+    depth_scale: float = 1000.0
+    rotated: bool = False
+    raw: bool = False
+    calibration: Path | None = None
+    depth_true: Path | None = None
+    masks: dict[str, Path] = field(default_factory=dict)
+    intrinsics: tuple[float, float, float, float] | None = None
+    fb: float | None = None
+    hidden: Path | None = None
+    sparse: Path | None = None
+    sparse_confidence: Path | None = None
+    sequence: str = ""
+    number: int = 0
+
+    @classmethod
+    def single(cls, values: Mapping[str, Any]) -> Self | None:
+        """The frame of ``--color`` and ``--depth``."""
+        if not together(values, "color", "depth"):
+            return None
+        color, depth = values["color"], values["depth"]
+        return cls(name=name_of(color, _USUAL_NAMES), folder=color.parent, color=color, depth=depth)
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """``color``, ``depth`` and what is known of the cameras."""
+        files = {"color": self.color, "depth": self.depth}
+        if self.hidden is not None:
+            files["hidden"] = self.hidden
+        return files if self.calibration is None else {**files, "calibration": self.calibration}
+
+    @property
+    def has_truth(self) -> bool:
+        """The true depth is known."""
+        return self.depth_true is not None
+
+    def load(self) -> RgbdFrame:
+        """Color and depth of one size, depth in meters and registered to the color.
+
+        Raises
+        ------
+        InputError
+            Files that cannot be used, of different sizes, or without a known depth.
+        """
+        import numpy as np
+
+        from depthcli.core.frames import RgbdFrame, color8
+        from depthcli.data.formats.images import read_image
+
+        self.check()
+        color = color8(read_image(self.color))
+        intrinsics = self._intrinsics()
+        if self.raw:
+            color, depth, intrinsics = self._registered(color)
+        else:
+            depth = self._seen(self._depth(self.depth))
+        if depth.shape != color.shape[:2]:
+            raise InputError(
+                f"{self.depth}: {depth.shape[1]} x {depth.shape[0]}, but {self.color.name} is {color.shape[1]} x "
+                f"{color.shape[0]}; the depth must be registered to the color image"
+            )
+        if not np.isfinite(depth).any():
+            raise InputError(f"{self.depth}: no pixel has a depth")
+        fb = self.fb or (intrinsics.fx if intrinsics else 580.0) * KINECT_BASELINE
+        return RgbdFrame(color, depth, fb, intrinsics)
+
+    def load_sparse(self) -> SparseFrame:
+        """The frame with its second, sparse depth.
+
+        Raises
+        ------
+        InputError
+            As for :meth:`load`; no sparse depth, one of another size, or without a single pixel.
+        """
+        import numpy as np
+
+        from depthcli.core.frames import SparseFrame
+        from depthcli.data.formats.disparity import read_plane
+
+        frame = self.load()
+        if self.sparse is None:
+            raise InputError(f"{self.folder}: {self.name} has no sparse depth (sparse.*)")
+        sparse, confidence = self._depth(self.sparse), None
+        if self.sparse_confidence is not None:
+            plane = read_plane(self.sparse_confidence)
+            top = np.iinfo(plane.dtype).max if plane.dtype.kind in "iu" else 1
+            confidence = (plane / top).astype(np.float32)
+        for file, values in ((self.sparse, sparse), (self.sparse_confidence, confidence)):
+            if values is not None and values.shape != frame.shape:
+                raise InputError(
+                    f"{file}: {values.shape[1]} x {values.shape[0]}, but {self.color.name} is {frame.shape[1]} x "
+                    f"{frame.shape[0]}"
+                )
+        if not np.isfinite(sparse).any():
+            raise InputError(f"{self.sparse}: no pixel has a depth")
+        return SparseFrame(
+            frame.color, frame.depth, frame.fb, frame.intrinsics, sparse=sparse, sparse_confidence=confidence
+        )
+
+    def truth(self) -> RgbdTruth:
+        """True depth and masks; InputError where there is none or sizes differ."""
+        from depthcli.data.formats.images import read_grey
+
+        self.check()
+        if self.depth_true is None:
+            raise InputError(f"{self.folder}: {self.name} has no true depth")
+        depth = self._depth(self.depth_true)
+        masks = {}
+        for name, file in self.masks.items():
+            mask = read_grey(file)
+            if mask.shape != depth.shape:
+                raise InputError(
+                    f"{file}: {mask.shape[1]} x {mask.shape[0]}, but {self.depth_true.name} is "
+                    f"{depth.shape[1]} x {depth.shape[0]}"
+                )
+            masks[name] = mask == 255
+        return RgbdTruth(depth, masks, self.fb)
+
+    def _depth(self, path: Path) -> NDArray[np.float32]:
+        from depthcli.data.formats.depth import MILLIMETERS, read_depth
+
+        # The usual scale is not passed on: of 8-bit codes, which would hold no usable depth, it must be said.
+        scale = None if path.suffix in _METERS or self.depth_scale == MILLIMETERS else self.depth_scale
+        return read_depth(path, scale, 3 if self.rotated else 0)
+
+    def _seen(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Without what the sensor is made not to see."""
+        import numpy as np
+
+        from depthcli.data.formats.images import read_grey
+
+        if self.hidden is None:
+            return depth
+        mask = read_grey(self.hidden)
+        if mask.shape != depth.shape:
+            raise InputError(f"{self.hidden}: {mask.shape[1]} x {mask.shape[0]}, but {self.depth.name} is "
+                             f"{depth.shape[1]} x {depth.shape[0]}")  # fmt: skip
+        return np.where(mask == 255, np.float32(np.nan), depth)
+
+    def _intrinsics(self) -> Intrinsics | None:
+        from depthcli.core.frames import Intrinsics
+
+        return None if self.intrinsics is None else Intrinsics(*self.intrinsics)
+
+    def _registered(self, color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float32], Intrinsics]:
+        """Color at the depth camera's resolution, and the depth as the color camera sees it."""
+        import cv2
+
+        from depthcli.core.cameras.geometry import kinect_v1
+        from depthcli.core.frames import Intrinsics
+        from depthcli.data.formats.kinect import read_kinect_calibration, read_kinect_raw
+
+        raw = read_kinect_raw(self.depth)
+        calibration = kinect_v1() if self.calibration is None else read_kinect_calibration(self.calibration)
+        if calibration.beta is not None and calibration.beta.shape != raw.shape:
+            raise InputError(f"{self.calibration}: its distortion map is not of the depth image's size")
+        factor = self._factor(calibration, color)
+        if factor != 1:
+            # Where the color image is finer than the depth, most of its pixels would meet no point.
+            color = cv2.resize(color, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+        camera = calibration.color.scaled(factor)
+        scaled = type(calibration)(
+            calibration.depth, camera, calibration.rotation, calibration.translation, calibration.offset,
+            calibration.factor, calibration.beta, calibration.alpha,
+        )  # fmt: skip
+        depth = scaled.register(scaled.depth_of_raw(raw), (color.shape[0], color.shape[1]))
+        m = camera.matrix
+        return color, depth, Intrinsics(float(m[0, 0]), float(m[1, 1]), float(m[0, 2]), float(m[1, 2]))
+
+    @staticmethod
+    def _factor(calibration: KinectCalibration, color: NDArray[np.uint8]) -> float:
+        ratio = calibration.color.matrix[0, 0] / calibration.depth.matrix[0, 0]
+        return 1.0 if ratio < 1.5 else 1.0 / round(ratio)

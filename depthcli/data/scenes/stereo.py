@@ -1,0 +1,216 @@
+"""Rectified stereo pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from depthcli.core.errors import InputError
+from depthcli.core.option import Option
+from depthcli.data.scenes import Item, name_of, together
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.core.frames import StereoPair
+    from depthcli.data.formats.images import Image
+    from depthcli.data.pairs import NamedPair
+
+# Full-size widths of the Middlebury 2005 and 2006 sets lie between 1240 and 1396: the width tells the size.
+_SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
+_USUAL_NAMES = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")
+
+
+@dataclass(frozen=True)
+class StereoTruth:
+    """Ground truth of one pair, as stored; what follows from it is up to the protocol.
+
+    Attributes
+    ----------
+    disparity : (H, W) float32, pixels, NaN = unknown
+    right, noc : the same for the right view, and for the visible pixels alone (KITTI); or None
+    objects : (H, W) bool, foreground objects (KITTI 2015), or None
+    masks : name -> (H, W) bool, True = evaluate
+    scale : codes per pixel that the files were read with; None = what their kind says
+    """
+
+    disparity: NDArray[np.float32]
+    right: NDArray[np.float32] | None = None
+    noc: NDArray[np.float32] | None = None
+    objects: NDArray[np.bool_] | None = None
+    masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    scale: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StereoItem(Item):
+    """The files of one pair.
+
+    Attributes
+    ----------
+    left, right : image files; ``right`` is None where there is only one view
+    disparity_left, disparity_right, disparity_noc : ground truth files or None
+    disparity_scale : codes per pixel of the ground truth; None = what the file's kind says
+    scale_by_width : the scale follows from the map's width, as in the Middlebury 2005 and 2006 sets
+    masks : name -> file; a pixel counts where the value is 255
+    objects : KITTI 2015 object map (> 0: foreground) or None
+    max_disparity : largest disparity to search, inclusive, or None
+    min_disparity : smallest disparity to search
+    round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
+    calibration : file that says how disparities become depth, or None
+    cameras : numbers of the pair's cameras in a calibration of several (KITTI)
+    """
+
+    options: ClassVar[tuple[Option, ...]] = (
+        Option("left", Path, "Left image, instead of --input; or a pattern, a folder, a video.", "FILE"),
+        Option("right", Path, "Right image, likewise.", "FILE"),
+        Option("max_disparity", str, "Largest disparity searched; auto: by key points.", "PIXELS|auto",
+               sets="max_disparity"),
+        Option("min_disparity", str, "Smallest disparity searched, also negative; default 0.", "PIXELS|auto",
+               sets="min_disparity"),
+        Option("calibration", Path, "Calibration of cameras whose pairs are not rectified yet.", "FILE",
+               sets="calibration"),
+    )  # fmt: skip
+
+    left: Path
+    right: Path | None = None
+    disparity_left: Path | None = None
+    disparity_right: Path | None = None
+    disparity_noc: Path | None = None
+    disparity_scale: float | None = None
+    scale_by_width: bool = False
+    masks: dict[str, Path] = field(default_factory=dict)
+    objects: Path | None = None
+    max_disparity: int | None = None
+    min_disparity: int = 0
+    round_disparity: bool = False
+    calibration: Path | None = None
+    cameras: tuple[int, int] = (2, 3)
+
+    @classmethod
+    def single(cls, values: Mapping[str, Any]) -> Self | None:
+        """The pair of ``--left`` and ``--right``."""
+        if not together(values, "left", "right"):
+            return None
+        left, right = values["left"], values["right"]
+        return cls(name=name_of(left, _USUAL_NAMES), folder=left.parent, left=left, right=right)
+
+    @classmethod
+    def named(cls, values: Mapping[str, Any]) -> list[Self]:
+        """The pair of ``--left`` and ``--right``, those of two patterns or folders, the frames of two videos."""
+        from depthcli.data.formats.images import IMAGE_SUFFIXES
+        from depthcli.data.pairs import VIDEO_SUFFIXES, is_many, match_patterns
+
+        one = cls.single(values)
+        if one is None or one.right is None:
+            return []
+        if is_many(one.left) or is_many(one.right):
+            return [cls._of_pair(pair) for pair in match_patterns(one.left, one.right, IMAGE_SUFFIXES)]
+        if one.left.suffix.lower() in VIDEO_SUFFIXES:
+            from depthcli.data.scenes.video import video_items
+
+            return list(video_items(one.left, one.right))  # type: ignore[arg-type]  # they are StereoItems
+        return [one]
+
+    @classmethod
+    def of_table(cls, path: Path) -> list[Self]:
+        """The pairs of a CSV file."""
+        from depthcli.data.pairs import read_table
+
+        return [cls._of_pair(pair, path.parent) for pair in read_table(path)]
+
+    @classmethod
+    def _of_pair(cls, pair: NamedPair, folder: Path | None = None) -> Self:
+        left, right = pair.left, pair.right
+        there = left or right
+        assert there is not None
+        problem = ""
+        if left is None or right is None:
+            problem = f"{there}: no {'right' if left else 'left'} image belongs to it"
+        ends: dict[str, int | None] = {"max_disparity": None, "min_disparity": None}
+        for key in ends:
+            if text := pair.more.get(key):
+                try:
+                    ends[key] = int(text)
+                except ValueError:
+                    problem = f"{there}: {key}: want a whole number (got {text[:40]!r})"
+        calibration = pair.more.get("calibration")
+        return cls(
+            name=pair.name,
+            folder=there.parent,
+            left=left or there,
+            right=right,
+            problem=problem,
+            max_disparity=ends["max_disparity"],
+            min_disparity=ends["min_disparity"] or 0,
+            calibration=(folder or Path()) / calibration if calibration else None,
+        )
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """``left`` and, where there is one, ``right``."""
+        return {"left": self.left} if self.right is None else {"left": self.left, "right": self.right}
+
+    @property
+    def has_truth(self) -> bool:
+        """The left view's disparity is known."""
+        return self.disparity_left is not None
+
+    def load_views(self) -> tuple[Image, Image]:
+        """Both images as they are, which need not agree."""
+        from depthcli.data.formats.images import read_image
+
+        self.check()
+        if self.right is None:
+            raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
+        return read_image(self.left), read_image(self.right)
+
+    def load(self) -> StereoPair:
+        """Left and right image of one size and dtype, both grey where one is; InputError otherwise."""
+        from depthcli.data.formats.images import read_pair
+
+        self.check()
+        if self.right is None:
+            raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
+        return read_pair(self.left, self.right)
+
+    def truth(self) -> StereoTruth:
+        """Ground truth and masks of the left view, as stored.
+
+        Raises
+        ------
+        InputError
+            No ground truth, an unreadable file, or files of different sizes.
+        """
+        from depthcli.data.formats.disparity import read_disparity
+        from depthcli.data.formats.images import read_grey
+
+        self.check()
+        if self.disparity_left is None:
+            raise InputError(f"{self.left.parent}: scene {self.name} has no ground truth")
+        scale = self.disparity_scale
+        if self.scale_by_width and scale is None:
+            width = read_grey(self.disparity_left).shape[1]
+            scale = next(factor for least, factor in _SCALE_BY_WIDTH if width > least)
+        disparity = read_disparity(self.disparity_left, scale)
+        right = None if self.disparity_right is None else read_disparity(self.disparity_right, scale)
+        noc = objects = None
+        if self.disparity_noc is not None:
+            noc = self._same(read_disparity(self.disparity_noc, scale), disparity, self.disparity_noc)
+        if self.objects is not None:
+            objects = self._same(read_grey(self.objects), disparity, self.objects) > 0
+        masks = {name: self._same(read_grey(path), disparity, path) == 255 for name, path in self.masks.items()}
+        return StereoTruth(disparity, right, noc, objects, masks, scale)
+
+    def _same(self, array: NDArray[Any], truth: NDArray[np.float32], path: Path) -> NDArray[Any]:
+        if array.shape != truth.shape:
+            assert self.disparity_left is not None
+            raise InputError(f"{path}: {_size(array)}, but {self.disparity_left.name} is {_size(truth)}")
+        return array
+
+
+def _size(array: NDArray[Any]) -> str:
+    return f"{array.shape[1]} x {array.shape[0]}"

@@ -1,0 +1,300 @@
+"""Registered pairs of volumes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.option import Option
+from depthcli.data.scenes import Item, name_of
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.core.volumes import RegisteredPair
+    from depthcli.data.formats.volumes import Grid, Volume
+
+_USUAL_NAMES = ("fixed", "fixed.nii")
+
+
+@dataclass(frozen=True)
+class LoadedPair:
+    """A registered pair in memory.
+
+    Attributes
+    ----------
+    grid : the fixed volume's
+    blocks : how many of its voxels (z, y, x) a voxel of ``pair`` is the mean of
+    """
+
+    pair: RegisteredPair
+    grid: Grid
+    blocks: tuple[int, int, int] = (1, 1, 1)
+
+    def on_grid(self, start: Sequence[float], step: Sequence[float]) -> tuple[list[float], list[float]]:
+        """``start`` and ``step`` of maps in voxels of ``pair`` as those in voxels of the fixed volume."""
+        begin = [(n - 1) / 2 + n * a for n, a in zip(self.blocks, start, strict=True)]
+        return begin, [n * a for n, a in zip(self.blocks, step, strict=True)]
+
+
+@dataclass(frozen=True)
+class RegistrationTruth:
+    """True errors of a registration.
+
+    Attributes
+    ----------
+    grid : the fixed volume's
+    points : (N, 3) landmarks of the fixed volume, x, y, z in mm; empty where the truth is dense
+    error : (N,) mm at the landmarks, or (Z, Y, X) mm, NaN = unknown
+    """
+
+    grid: Grid
+    points: NDArray[np.float64]
+    error: NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class VolumePairItem(Item):
+    """The files of one pair.
+
+    Attributes
+    ----------
+    fixed : fixed volume
+    moving_warped : the moving volume after registration, on the fixed grid; or None
+    moving : the moving volume, for which ``transform`` or ``displacement`` (or both) map fixed points; or None
+    transform, displacement : see ``io/fields.py``
+    mask : where the fixed volume is of interest (not 0), or None
+    landmarks_fixed, landmarks_moving : corresponding points, or None
+    error_true : dense true error, mm, or None
+    """
+
+    options: ClassVar[tuple[Option, ...]] = (
+        Option("fixed", Path, "Fixed volume, instead of --input.", "FILE"),
+        Option("warped", Path, "Moving volume after registration, on the fixed grid.", "FILE"),
+        Option("moving", Path, "Moving volume, with --displacement or --transform.", "FILE"),
+        Option("displacement", Path, "Displacement field of the registration.", "FILE"),
+        Option("transform", Path, "Transform of the registration.", "FILE"),
+        Option("mask", Path, "Mask of the fixed volume.", "FILE"),
+        Option("field", str, "Convention of the field: auto, itk, ants, niftyreg, voxels.", "NAME", sets="field"),
+    )
+
+    fixed: Path
+    moving_warped: Path | None = None
+    moving: Path | None = None
+    transform: Path | None = None
+    displacement: Path | None = None
+    mask: Path | None = None
+    landmarks_fixed: Path | None = None
+    landmarks_moving: Path | None = None
+    error_true: Path | None = None
+
+    @classmethod
+    def single(cls, values: Mapping[str, Any]) -> Self | None:
+        """The pair of ``--fixed`` and ``--warped``, or of ``--moving`` with its transform."""
+        names = ("warped", "moving", "displacement", "transform", "mask")
+        files: dict[str, Path] = {name: values[name] for name in names if values.get(name) is not None}
+        fixed = values.get("fixed")
+        if fixed is None:
+            if files:
+                raise ConfigError(f"--{next(iter(files))} wants --fixed beside it")
+            return None
+        if "warped" not in files and not ("moving" in files and ("displacement" in files or "transform" in files)):
+            raise ConfigError("--fixed wants --warped, or --moving with --displacement or --transform, beside it")
+        return cls(
+            name=name_of(fixed, _USUAL_NAMES), folder=fixed.parent, fixed=fixed, moving_warped=files.get("warped"),
+            moving=files.get("moving"), transform=files.get("transform"), displacement=files.get("displacement"),
+            mask=files.get("mask"),
+        )  # fmt: skip
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """Volumes, transform and landmarks: the table of points has their true errors."""
+        roles = ("fixed", "moving_warped", "moving", "transform", "displacement", "mask", "landmarks_fixed",
+                 "landmarks_moving")  # fmt: skip
+        return {role: file for role in roles if (file := getattr(self, role)) is not None}
+
+    @property
+    def has_truth(self) -> bool:
+        """Dense errors, or landmarks and the transform that they are carried over by."""
+        landmarks = self.landmarks_fixed is not None and self.landmarks_moving is not None
+        return self.error_true is not None or (landmarks and (self.transform or self.displacement) is not None)
+
+    def load(self, convention: str = "auto", most: int | None = None) -> LoadedPair:
+        """Both volumes on the fixed grid, and the mask.
+
+        Parameters
+        ----------
+        convention : of the displacement file
+        most : where there are more voxels than this, means of blocks of them, so that two whole volumes are never in
+            memory; blocks are no larger than the cubes that so many voxels of the volume would be
+
+        Raises
+        ------
+        InputError
+            Files that cannot be used, grids that differ, values that are no numbers inside the mask.
+        """
+        from depthcli.core.volumes import RegisteredPair
+        from depthcli.data.formats.volumes import block_means, read_volume
+
+        self.check()
+        fixed = read_volume(self.fixed)
+        grid = fixed.grid
+        blocks = _blocks(grid, most)
+        inside = None
+        if self.mask is not None:
+            mask = read_volume(self.mask)
+            self._same_grid(self.mask, mask.grid, grid)
+            inside = mask.values > 0
+            if not inside.any():
+                raise InputError(f"{self.mask}: no voxel is set")
+            del mask
+        first = block_means(self._usable(fixed.values, inside, self.fixed), blocks)
+        if self.moving_warped is not None:
+            del fixed
+            warped = read_volume(self.moving_warped)
+            self._same_grid(self.moving_warped, warped.grid, grid)
+            moved, source = warped.values, self.moving_warped
+        elif self.moving is not None:
+            moved, source = self._warp(fixed, convention), self.moving
+            del fixed
+        else:
+            raise InputError(f"{self.folder}: neither moving_warped.* nor moving.* with its transform")
+        second = block_means(self._usable(moved, inside, source), blocks)
+        if inside is not None and max(blocks) > 1:
+            inside = block_means(inside, blocks) >= 0.5
+        return LoadedPair(RegisteredPair(first, second, _spacing(grid, blocks), inside), grid, blocks)
+
+    def size(self, most: int | None = None) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
+        """Grid of the fixed volume, and shape and spacing (z, y, x) of what :meth:`load` makes of it, by its header."""
+        from depthcli.data.formats.volumes import read_grid
+
+        self.check()
+        grid = read_grid(self.fixed)
+        blocks = _blocks(grid, most)
+        z, y, x = (-(-n // b) for n, b in zip(grid.shape, blocks, strict=True))
+        return grid, (z, y, x), _spacing(grid, blocks)
+
+    def truth(self, convention: str = "auto") -> RegistrationTruth:
+        """True errors: dense where there is such a file, or at the landmarks |T(p) - q|.
+
+        Raises
+        ------
+        InputError
+            There is none, the lists differ in length, or a landmark lies outside the fixed volume.
+        """
+        import numpy as np
+
+        from depthcli.data.formats.fields import read_moving_transform
+        from depthcli.data.formats.landmarks import read_landmarks
+        from depthcli.data.formats.volumes import read_volume
+
+        self.check()
+        if not self.has_truth:
+            raise InputError(
+                f"{self.folder}: {self.name} has no true errors (error_true.*, or landmarks of both with the transform)"
+            )
+        fixed = read_volume(self.fixed)
+        if self.error_true is not None:
+            dense = read_volume(self.error_true)
+            self._same_grid(self.error_true, dense.grid, fixed.grid)
+            error = dense.values
+            if self.mask is not None:
+                mask = read_volume(self.mask)
+                self._same_grid(self.mask, mask.grid, fixed.grid)
+                error = np.where(mask.values > 0, error, np.float32(np.nan))
+            return RegistrationTruth(fixed.grid, np.zeros((0, 3)), error)
+        points = self.landmarks(fixed.grid)
+        assert points is not None and self.landmarks_moving is not None
+        moving = None if self.moving is None else read_volume(self.moving)
+        raw = self.moving is not None and self.moving.suffix.lower() == ".img"
+        matches = read_landmarks(self.landmarks_moving, fixed.grid if moving is None else moving.grid, raw)
+        if len(points) != len(matches):
+            raise InputError(f"{self.landmarks_moving}: {len(matches)} landmarks, but {len(points)} of the fixed one")
+        transform = read_moving_transform(self.transform, self.displacement, convention, fixed, moving)
+        moved = np.array([transform.TransformPoint(point) for point in points.tolist()])
+        return RegistrationTruth(fixed.grid, points, np.linalg.norm(moved - matches, axis=1).astype(np.float32))
+
+    def landmarks(self, grid: Grid) -> NDArray[np.float64] | None:
+        """(N, 3) landmarks of the fixed volume, mm; None where there are none."""
+        import numpy as np
+
+        from depthcli.data.formats.landmarks import read_landmarks
+
+        if self.landmarks_fixed is None:
+            return None
+        points = read_landmarks(self.landmarks_fixed, grid, self.fixed.suffix.lower() == ".img")
+        places = grid.to_index(points)
+        outside = ~np.all((places >= -0.5) & (places <= np.array(grid.shape) - 0.5), axis=1)
+        if outside.any():
+            raise InputError(
+                f"{self.landmarks_fixed}: {int(outside.sum())} of {len(points)} landmarks lie outside the fixed "
+                f"volume, the first is point {int(np.flatnonzero(outside)[0]) + 1}"
+            )
+        return points
+
+    def _warp(self, fixed: Volume, convention: str) -> NDArray[np.float32]:
+        from depthcli.data.formats.fields import place, read_moving_transform
+        from depthcli.data.formats.volumes import read_volume, simple_itk
+
+        sitk = simple_itk()
+        assert self.moving is not None
+        moving = read_volume(self.moving)
+        transform = read_moving_transform(self.transform, self.displacement, convention, fixed, moving)
+        image = sitk.GetImageFromArray(moving.values)
+        place(image, moving.grid)
+        grid = fixed.grid
+        low = float(moving.values.min())
+        warped = sitk.Resample(
+            image, grid.size, transform, sitk.sitkLinear, grid.origin, grid.spacing, grid.direction, low
+        )
+        values: NDArray[np.float32] = sitk.GetArrayFromImage(warped)
+        return values
+
+    @staticmethod
+    def _usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, file: Path) -> NDArray[np.float32]:
+        """The same values with numbers everywhere; InputError where some are missing inside, or all are alike."""
+        import numpy as np
+
+        # Sums of slices are finite where all of their values are, and take no memory.
+        if not np.isfinite(values.sum(axis=(1, 2), dtype=np.float64)).all():
+            bad = ~np.isfinite(values)
+            count = int(np.count_nonzero(bad if inside is None else bad & inside))
+            if count:
+                raise InputError(f"{file}: {count} voxels are no numbers; leave them out with a mask")
+            values = np.where(bad, values[~bad].min(), values)
+        if np.ptp(values) == 0:
+            raise InputError(f"{file}: all voxels are {values.flat[0]:g}; nothing to compare")
+        return values
+
+    @staticmethod
+    def _same_grid(file: Path, grid: Grid, fixed: Grid) -> None:
+        if grid.same_as(fixed):
+            return
+        have, want = (" x ".join(map(str, each.size)) for each in (grid, fixed))
+        if have == want:
+            have, want = (f"spacing {each.spacing} from {each.origin}" for each in (grid, fixed))
+        raise InputError(f"{file}: another grid than the fixed volume's ({have}, want {want})")
+
+
+def _spacing(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:
+    z, y, x = (s * n for s, n in zip(grid.spacing[::-1], blocks, strict=True))
+    return z, y, x
+
+
+def _blocks(grid: Grid, most: int | None) -> tuple[int, int, int]:
+    """Voxels (z, y, x) that are taken together so that about ``most`` cubes, or few more, are left."""
+    count = grid.size[0] * grid.size[1] * grid.size[2]
+    if most is None or count <= most:
+        return (1, 1, 1)
+    axes = [a for a in range(3) if grid.shape[a] > 1]
+    spacing = grid.spacing[::-1]
+    extent = 1.0
+    for a in axes:
+        extent *= grid.shape[a] * spacing[a]
+    side = float((extent / most) ** (1 / len(axes)))
+    z, y, x = (max(1, int(side / spacing[a] + 1e-6)) if a in axes else 1 for a in range(3))
+    return z, y, x

@@ -1,0 +1,1 @@
+"""Methods: what is computed from arrays, one package a problem."""

@@ -1,0 +1,151 @@
+"""Costs of several measures on one scale, and their weighted mean."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core import memory
+from depthcli.kernels.exponential import exp_minus
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.stereo.outside import fill_outside
+from depthcli.methods.stereo.volume import CostVolume
+
+UNIT = 255
+"""Stored value of the cost 1."""
+
+
+def squash(volume: CostVolume, scale: float | None, outside: float | None = None) -> CostVolume:
+    """Costs of any measure brought to [0, 1]: ``1 - exp(-C / scale)`` (the form of Mei et al. 2011).
+
+    Parameters
+    ----------
+    volume : (H, W, D); costs below zero are shifted up to zero
+    scale : cost that becomes 1 - 1/e, in units of the measure; None: the median cost, so that every
+        measure has half of its costs above 1 - 1/e
+    outside : cost in [0, 1] of cells outside the right image; None: the mean of the others
+
+    Returns
+    -------
+    CostVolume
+        uint8, ``scale`` 255.
+    """
+    costs = volume.costs
+    out: NDArray[np.uint8] = memory.empty(costs.shape, np.uint8)
+    if costs.dtype == np.float32:
+        offset = min(0.0, float(costs.min()))
+        sample = _sample(costs) - np.float32(offset)
+        middle = float(np.median(sample)) if scale is None else scale * volume.scale
+        rate = 1.0 / middle if middle > 0 else 1.0
+        _squash(costs, np.float32(offset), np.float32(rate), out)
+        mean = 1.0 - float(np.mean(np.exp(-sample.astype(np.float64) * rate)))
+    else:
+        counts = np.zeros(256 if costs.dtype == np.uint8 else 65536, np.int64)
+        _histogram(costs, counts)
+        total = np.cumsum(counts)
+        middle = float(np.searchsorted(total, (total[-1] + 1) // 2)) if scale is None else scale * volume.scale
+        squashed = 1.0 - np.exp(-np.arange(counts.size) / (middle if middle > 0 else 1.0))
+        _look_up(costs, np.round(squashed * UNIT).astype(np.uint8), out)
+        mean = float(squashed @ counts) / float(total[-1])
+    fill_outside(out, np.uint8(round(UNIT * (mean if outside is None else outside))))
+    return CostVolume(out, float(UNIT))
+
+
+def _sample(costs: NDArray[np.float32]) -> NDArray[np.float32]:
+    # The cells inside the right image, of every fourth row: enough for a median.
+    width, depth = costs.shape[1:]
+    inside = np.arange(depth)[None, :] <= np.arange(width)[:, None]
+    return costs[::4][:, inside]
+
+
+def blend(volumes: list[CostVolume], weights: NDArray[np.float32]) -> CostVolume:
+    """Weighted mean of volumes of one scale.
+
+    Parameters
+    ----------
+    volumes : M uint8 (H, W, D) volumes
+    weights : (M, H, W) float32, summing to 1 over M
+
+    Returns
+    -------
+    CostVolume
+        uint8, of the same scale. Weights are rounded to 1/256, the largest one takes what is left over.
+    """
+    out: NDArray[np.uint8] = memory.empty(volumes[0].costs.shape, np.uint8)
+    _blend(tuple(volume.costs for volume in volumes), weights, out)
+    return CostVolume(out, volumes[0].scale)
+
+
+def add_weighted(total: NDArray[np.float32], volume: CostVolume, weights: NDArray[np.float32]) -> None:
+    """Add ``weights`` (H, W) times the volume's costs, in units of the measure, to float32 ``total``."""
+    _add_weighted(volume.costs, weights * np.float32(1.0 / volume.scale), total)
+
+
+@jit
+def _histogram(costs: Any, counts: Any) -> None:
+    height, width, depth = costs.shape
+    for y in range(0, height, 4):
+        for x in range(width):
+            for d in range(min(depth, x + 1)):
+                counts[costs[y, x, d]] += 1
+
+
+@parallel_jit
+def _look_up(costs: Any, table: Any, out: Any) -> None:
+    height, width, depth = costs.shape
+    for y in prange(height):
+        source = costs[y].reshape(width * depth)
+        cells = out[y].reshape(width * depth)
+        for i in range(cells.size):
+            cells[i] = table[source[i]]
+
+
+@parallel_jit
+def _squash(costs: Any, offset: Any, rate: Any, out: Any) -> None:
+    height, width, depth = costs.shape
+    unit, one, half = np.float32(255.0), np.float32(1.0), np.float32(0.5)
+    for y in prange(height):
+        source = costs[y].reshape(width * depth)
+        cells = out[y].reshape(width * depth)
+        for i in range(cells.size):
+            cells[i] = np.uint8(np.int32(unit * (one - exp_minus((source[i] - offset) * rate)) + half))
+
+
+@parallel_jit
+def _blend(volumes: Any, weights: Any, out: Any) -> None:
+    height, width, depth = out.shape
+    for y in prange(height):
+        total = np.empty(depth, np.uint16)
+        fixed = np.empty(len(volumes), np.int32)
+        for x in range(width):
+            largest = 0
+            rest = np.int32(256)
+            for m in range(len(volumes)):
+                fixed[m] = np.int32(weights[m, y, x] * np.float32(256.0) + np.float32(0.5))
+                rest -= fixed[m]
+                if fixed[m] > fixed[largest]:
+                    largest = m
+            fixed[largest] += rest
+            total[:] = 128
+            for m in range(len(volumes)):
+                w = np.uint16(fixed[m])
+                source = volumes[m][y, x]
+                for i in range(total.size):
+                    total[i] = np.uint16(total[i] + np.uint16(np.uint16(source[i]) * w))
+            cells = out[y, x]
+            for i in range(cells.size):
+                cells[i] = np.uint8(total[i] >> np.uint16(8))
+
+
+@parallel_jit
+def _add_weighted(costs: Any, weights: Any, total: Any) -> None:
+    height, width, _ = costs.shape
+    for y in prange(height):
+        for x in range(width):
+            w = weights[y, x]
+            source = costs[y, x]
+            cells = total[y, x]
+            for i in range(cells.size):
+                cells[i] += w * np.float32(source[i])

@@ -1,0 +1,224 @@
+"""What a network is told of every proposal: costs along it, its company, what both views say, its own shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.filters.local_moments import local_moments
+from depthcli.core import memory
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.fusion.choice import Proposals
+from depthcli.methods.fusion.surfaces import contradictions, cost_between, disagreements, matching_costs, misfit
+from depthcli.methods.stereo.slopes import slopes
+
+OWN = (
+    "cost_far", "cost_near", "dissent_near", "dissent_far", "decorrelation", "color", "color_near",
+    "contradicted", "contradicted_far", "hidden", "raw", "right_difference", "from_left", "overtaken",
+    "rough", "rough_near", "slope_x", "slope_y", "above_5", "above_12", "filled",
+)  # fmt: skip
+"""Planes of every proposal, in their order."""
+RELATIVE = ("cost_far", "cost_near", "decorrelation", "color_near")
+"""Of these the least of all proposals is taken away once more."""
+SHARED = ("least_raw", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
+"""Planes of the pixel."""
+
+_FARTHEST = np.float32(4.0)
+_COLOR, _NOISE = np.float32(40.0), np.float32(4.0)
+_STEP = np.float32(2.0)  # pixels that a misfit counts at most
+_WINDOW = 7  # side of what is correlated, pixels
+_REACH = 9  # half side of the window that slopes are fitted in, pixels
+RELATIVE_PLANES = np.array([OWN.index(name) for name in RELATIVE])
+
+
+def input_names(kinds: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the inputs, in their order, for proposals of these kinds."""
+    apart = [f"from_{k}_{kind}" for k, kind in enumerate(kinds)]
+    relative = [f"{name}_relative" for name in RELATIVE]
+    return (*OWN, *relative, *apart, *SHARED)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Inputs of a pair's proposals, as planes; :func:`rows` puts them side by side.
+
+    Attributes
+    ----------
+    values : (N, P) float32, the proposals
+    own : (len(OWN), N, P) float32
+    shared : (len(SHARED), P) float32
+    """
+
+    values: NDArray[np.float32]
+    own: NDArray[np.float32]
+    shared: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, proposals: Proposals) -> Inputs:
+        """Measure everything; pixels are numbered row by row."""
+        maps, pair, volume = proposals.values, proposals.pair, proposals.volume
+        count, height, width = maps.shape
+        image = pair.color8[0]
+        far, near = proposals.far, proposals.near
+        own = memory.empty((len(OWN), count, height, width), np.float32)
+        plane = {name: own[k] for k, name in enumerate(OWN)}
+        alike = np.ones(count, np.float32)
+        plane["cost_far"][:] = matching_costs(maps, volume, 0.7, far)
+        plane["cost_near"][:] = matching_costs(maps, volume, 1.5, near)
+        plane["dissent_near"][:] = disagreements(maps, alike, near)
+        plane["dissent_far"][:] = disagreements(maps, alike, far)
+        plane["contradicted"][:] = contradictions(maps, proposals.right, 0.0, near)
+        plane["contradicted_far"][:] = contradictions(maps, proposals.right, 0.0, far)
+        plane["hidden"][:] = contradictions(maps, proposals.right, 1.0, near) - plane["contradicted"]
+        grey = [channel.astype(np.float32) for channel in pair.grey8]
+        shared = np.zeros((len(SHARED), height, width), np.float32)
+        common = {name: shared[k] for k, name in enumerate(SHARED)}
+        unit = np.float32(1 / volume.scale)
+        common["least_raw"][:] = volume.costs.min(axis=2) * unit
+        for side in (5, 13):
+            common[f"deviation_{side}"][:] = np.minimum(np.sqrt(local_moments(grey[0], side)[1]), _COLOR)
+        common["gradient"][:] = np.minimum(np.abs(cv2.Sobel(grey[0], cv2.CV_32F, 1, 0)) / 8, 30)
+        plane["filled"][:] = proposals.filled
+        common["filled_share"][:] = (proposals.filled > 0).mean(axis=0)
+        common["light_trust"][:] = 1 if pair.light_trust is None else pair.light_trust / np.float32(255)
+        warped = np.empty((height, width), np.float32)
+        moments = local_moments(grey[0], _WINDOW)
+        for k, values in enumerate(maps):
+            _look(
+                values, volume.costs, unit, proposals.right, image, pair.color8[1], grey[1], common["least_raw"],
+                plane["raw"][k], plane["right_difference"][k], plane["from_left"][k], plane["overtaken"][k],
+                plane["color"][k], warped,
+            )  # fmt: skip
+            plane["color_near"][k] = cv2.blur(plane["color"][k], (5, 5))
+            plane["decorrelation"][k] = 1 - _correlation(grey[0], moments, warped)
+            slope = slopes(values, image, _REACH)
+            plane["slope_x"][k], plane["slope_y"][k] = slope
+            _roughness(values, slope, plane["rough"][k])
+            plane["rough_near"][k] = cv2.blur(plane["rough"][k], (9, 9))
+            for radius, name in ((5, "above_5"), (12, "above_12")):
+                side = 2 * radius + 1
+                plane[name][k] = np.clip(values - cv2.blur(values, (side, side)), -6, 6)
+        pixels = height * width
+        return cls(
+            maps.reshape(count, pixels),
+            own.reshape(len(OWN), count, pixels),
+            shared.reshape(len(SHARED), pixels),
+        )
+
+    def rows(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
+        """(len(pixels), N, inputs) float32 of some pixels."""
+        count = len(self.values)
+        size = len(OWN) + len(RELATIVE) + count + len(SHARED)
+        out = np.empty((pixels.size, count, size), np.float32)
+        _rows(self.values, self.own, self.shared, RELATIVE_PLANES, pixels, out)
+        return out
+
+
+@jit
+def gather(values: Any, own: Any, shared: Any, relative: Any, n: int, first: int, out: Any) -> None:
+    """Write the inputs of proposal n, in the order of :func:`input_names`, of the pixels from ``first`` on.
+
+    ``out`` is (F, pixels); pixels beyond the last one keep what it holds.
+    """
+    count, pixels = values.shape
+    last = min(pixels, first + out.shape[1])
+    at = 0
+    for k in range(own.shape[0]):
+        cells, here = out[at], own[k, n, first:last]
+        for i in range(here.size):
+            cells[i] = here[i]
+        at += 1
+    for k in relative:
+        cells, here = out[at], own[k, n, first:last]
+        for i in range(here.size):
+            cells[i] = here[i]
+        for m in range(count):
+            other = own[k, m, first:last]
+            for i in range(other.size):
+                cells[i] = min(cells[i], other[i])
+        for i in range(here.size):
+            cells[i] = here[i] - cells[i]
+        at += 1
+    here = values[n, first:last]
+    for m in range(count):
+        cells, other = out[at], values[m, first:last]
+        for i in range(here.size):
+            cells[i] = min(abs(here[i] - other[i]), _FARTHEST)
+        at += 1
+    for k in range(shared.shape[0]):
+        cells, plane = out[at], shared[k, first:last]
+        for i in range(plane.size):
+            cells[i] = plane[i]
+        at += 1
+
+
+@parallel_jit
+def _rows(values: Any, own: Any, shared: Any, relative: Any, pixels: Any, out: Any) -> None:
+    for i in prange(pixels.size):
+        for n in range(values.shape[0]):
+            gather(values, own, shared, relative, n, pixels[i], out[i, n].reshape((out.shape[2], 1)))
+
+
+def _correlation(grey: Any, moments: Any, warped: Any) -> Any:
+    mean, variance = local_moments(warped, _WINDOW)
+    product = cv2.blur(grey * warped, (_WINDOW, _WINDOW)) - mean * moments[0]
+    return product / np.sqrt((variance + _NOISE) * (moments[1] + _NOISE))
+
+
+@parallel_jit
+def _look(
+    values: Any, costs: Any, unit: Any, right: Any, image: Any, other: Any, other_grey: Any, least_raw: Any, raw: Any,
+    difference: Any, from_left: Any, overtaken: Any, color: Any, warped: Any,
+) -> None:  # fmt: skip
+    height, width = values.shape
+    last, half = np.float32(width - 1), np.float32(0.5)
+    for y in prange(height):
+        nearest = np.full(width, np.float32(-1))  # on every pixel of the right view
+        for x in range(width):
+            u = int(np.floor(np.float32(x) - values[y, x] + half))
+            if u >= 0:
+                nearest[u] = max(nearest[u], values[y, x])
+        for x in range(width):
+            value = values[y, x]
+            raw[y, x] = cost_between(costs[y, x], value) * unit - least_raw[y, x]
+            from_left[y, x] = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
+            u = int(np.floor(np.float32(x) - value + half))
+            if u < 0:
+                difference[y, x] = np.float32(-6)
+                overtaken[y, x] = np.float32(0)
+            else:
+                difference[y, x] = min(max(value - np.float32(right[y, u]), np.float32(-5)), np.float32(5))
+                overtaken[y, x] = min(nearest[u] - value, np.float32(6))
+            at = min(max(np.float32(x) - value, np.float32(0)), last)
+            low = int(at)
+            high = min(low + 1, width - 1)
+            rest = at - np.float32(low)
+            warped[y, x] = other_grey[y, low] + rest * (other_grey[y, high] - other_grey[y, low])
+            largest = np.float32(0)
+            for c in range(3):
+                a, b = np.float32(other[y, low, c]), np.float32(other[y, high, c])
+                largest = max(largest, abs(np.float32(image[y, x, c]) - (a + rest * (b - a))))
+            color[y, x] = min(largest, _COLOR)
+
+
+@parallel_jit
+def _roughness(values: Any, slope: Any, rough: Any) -> None:
+    """Sum over the four neighbors of the misfits, at most 2 pixels each."""
+    height, width = values.shape
+    for y in prange(height):
+        for x in range(width):
+            total = np.float32(0)
+            here, slope_x, slope_y = values[y, x], slope[0, y, x], slope[1, y, x]
+            if x > 0:
+                total += misfit(values[y, x - 1], here, slope[0, y, x - 1], slope_x, _STEP)
+            if x + 1 < width:
+                total += misfit(here, values[y, x + 1], slope_x, slope[0, y, x + 1], _STEP)
+            if y > 0:
+                total += misfit(values[y - 1, x], here, slope[1, y - 1, x], slope_y, _STEP)
+            if y + 1 < height:
+                total += misfit(here, values[y + 1, x], slope_y, slope[1, y + 1, x], _STEP)
+            rough[y, x] = total

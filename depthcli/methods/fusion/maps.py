@@ -1,0 +1,194 @@
+"""Fusion one level up: finished maps of several methods, each taken where it is right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from depthcli.algorithms.segmentation import Segmentation
+from depthcli.core.errors import ConfigError
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.result import Clock
+from depthcli.methods.fusion.choice import Choice, Proposals
+from depthcli.methods.fusion.choice.energy import Energy
+from depthcli.methods.fusion.surfaces import agreement
+from depthcli.methods.stereo.finish import refined
+from depthcli.methods.stereo.optimization import Optimization
+from depthcli.methods.stereo.pipeline import Pipeline
+from depthcli.methods.stereo.refinement import RefinementStep
+from depthcli.methods.stereo.refinement.background_fill import fill_background
+from depthcli.methods.stereo.segments.planes import Members, PlaneFit, evaluate
+from depthcli.methods.stereo.volume import CostVolume, Evidence
+
+_FEWEST, _LEAST_SHARE = 20, 0.05  # pixels, and part of a segment, that a plane is fitted to
+
+
+class Proposal(BaseModel):
+    """One more map: a pipeline of the stereo command, or the fused costs optimized in another way."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    weight: float = Field(1.0, ge=0, le=100, description="what it counts where maps agree; that of the own map is 1")
+
+
+class Matcher(Proposal):
+    """A map of a pipeline of the stereo command."""
+
+    matcher: Pipeline = Field(description="the pipeline and its parameters, as in a config of stereo")
+
+
+class Reoptimized(Proposal):
+    """A map of the fused costs, optimized in another way."""
+
+    optimization: Optimization = Field(description="optimization of the fused costs")
+
+
+class Segmented(Proposal):
+    """A map of planes, fitted in every segment to the median of the other maps where most of them agree."""
+
+    segmentation: Segmentation = Field(description="how the left image is cut into segments")
+
+
+class MapFusion(BaseModel):
+    """The own map and those of other methods, and which of them is taken where.
+
+    Offered are the median of the maps, the own map, those of ``matchers``, of ``optimizations`` and of
+    ``segmentations``, in this order.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    matchers: tuple[Matcher, ...] = Field((), max_length=16, description="other methods")
+    optimizations: tuple[Reoptimized, ...] = Field((), max_length=16, description="further maps of the fused costs")
+    segmentations: tuple[Segmented, ...] = Field((), max_length=16, description="maps of planes")
+    planes: PlaneFit = Field(
+        default_factory=lambda: PlaneFit(tolerance=1.0, trials=100, flatness=0.9), description="how planes are fitted"
+    )
+    choice: Choice = Field(default_factory=Energy, description="which map is taken where")
+    refinement: tuple[RefinementStep, ...] = Field((), description="steps on the mix, in order")
+
+    @model_validator(mode="after")
+    def _choosable(self) -> MapFusion:
+        try:
+            self.choice.check(self.kinds)
+        except (ValueError, ConfigError) as error:
+            wrong = PydanticCustomError("choice", "{why}", {"why": str(error)})
+            raise ValidationError.from_exception_data(
+                "MapFusion", [{"type": wrong, "loc": ("choice",), "input": self.choice.method_name()}]
+            ) from None
+        return self
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What makes the proposals, in their order."""
+        return (
+            "median",
+            "own",
+            *(one.matcher.method_name() for one in self.matchers),
+            *(one.optimization.method_name() for one in self.optimizations),
+            *(one.segmentation.method_name() for one in self.segmentations),
+        )
+
+    def matched(self, pair: StereoPair, max_disparity: int) -> list[DisparityMap]:
+        """The maps of ``matchers``: computed before the fused costs, they need no memory beside them."""
+        return [matcher.matcher(pair, max_disparity).disparity for matcher in self.matchers]
+
+    def proposals(
+        self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap]
+    ) -> Proposals:
+        """``maps`` (the own one, those of ``matched``, those of ``optimizations``) without gaps, and what follows
+        from them: their median, and planes fitted to it.
+
+        Parameters
+        ----------
+        volume : the fused costs
+        right : (H, W) disparities of the right view
+        """
+        image, top = pair.color8[0], volume.disparities - 1
+        own = [np.nan_to_num(fill_background(one).values).clip(0, top) for one in maps]
+        stack = np.stack(own)
+        # Of an even number the lower one in the middle: a mean would be a value that nobody proposed.
+        middle = np.partition(stack, (len(stack) - 1) // 2, axis=0)[(len(stack) - 1) // 2]
+        agreeing = np.count_nonzero(np.abs(stack - middle) <= 1, axis=0)
+        sloped = [self._of_planes(one, middle, agreeing, image, top) for one in self.segmentations]
+        listed = [*self.matchers, *self.optimizations]
+        weights = [0.0, 1.0, *(one.weight for one in listed), *(one.weight for one in self.segmentations)]
+        filled = np.zeros((len(weights), *pair.shape), np.uint8)
+        for k, one in enumerate(maps):
+            filled[k + 1] = np.count_nonzero([one.status & Status.FILLED, one.status & Status.OCCLUDED], axis=0)
+        return Proposals(
+            self.kinds, np.stack([middle, *own, *sloped]), filled, np.array(weights, np.float32), pair, volume, right
+        )
+
+    def __call__(
+        self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap], clock: Clock
+    ) -> Mixed:
+        """Mix ``maps``, as :meth:`proposals` takes them."""
+        proposals = self.proposals(pair, volume, right, maps)
+        clock.stop("proposals")
+        chosen = self.choice(proposals)
+        clock.stop("choice")
+        disparity = DisparityMap(chosen.values, _status(chosen.values, right))
+        disparity = refined(disparity, self.refinement, Evidence(pair, volume, right))
+        agreeing = agreement(disparity.values, proposals.values, proposals.weights)
+        clock.stop("refinement")
+        return Mixed(disparity, agreeing, chosen.probability)
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Estimate of the peak working memory of the matchers, and of the mixing beside a volume, in bytes."""
+        return max((matcher.matcher.peak_bytes(shape, max_disparity) for matcher in self.matchers), default=0)
+
+    def bytes_beside(self, shape: tuple[int, int]) -> int:
+        """Estimate of what mixing needs beside the fused costs, in bytes."""
+        count = len(self.kinds)
+        return shape[0] * shape[1] * (9 * count + self.choice.bytes_a_pixel(count))
+
+    def _of_planes(
+        self,
+        proposal: Segmented,
+        values: NDArray[np.float32],
+        agreeing: NDArray[np.int64],
+        image: NDArray[np.uint8],
+        top: int,
+    ) -> NDArray[np.float32]:
+        labels = proposal.segmentation(image)
+        count = int(labels.max()) + 1
+        chosen = _most_agreed(agreeing, labels, count)
+        planes = self.planes(values, Members.of(labels, chosen.ravel(), count), np.arange(count))
+        return evaluate(planes.coefficients, labels, top)
+
+
+@dataclass(frozen=True)
+class Mixed:
+    """The map; (H, W) float32 in [0, 1]: the weighted share of the proposals that agree with it, and its probability
+    to be right where the choice knows it.
+    """
+
+    disparity: DisparityMap
+    agreement: NDArray[np.float32]
+    probability: NDArray[np.float32] | None
+
+
+def _most_agreed(agreeing: NDArray[np.int64], labels: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
+    """In every segment the pixels that the most maps agree on, as long as these are not too few."""
+    few = np.maximum(_FEWEST, _LEAST_SHARE * np.bincount(labels.ravel(), minlength=count))
+    least = np.zeros(count, np.int64)
+    for number in range(1, int(agreeing.max()) + 1):
+        least[np.bincount(labels[agreeing >= number], minlength=count) >= few] = number
+    return agreeing >= least[labels]
+
+
+def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint8]:
+    """Measured where the right view agrees within a pixel; else filled, and hidden from it or mismatched."""
+    columns = np.arange(values.shape[1])[None] - np.rint(values).astype(np.int64)
+    there = np.take_along_axis(right, np.clip(columns, 0, None), axis=1).astype(np.float32)
+    hidden = (columns < 0) | (there > values + 1)
+    reason = np.where(hidden, Status.OCCLUDED, Status.MISMATCH) | Status.FILLED
+    agrees = (columns >= 0) & (np.abs(there - values) <= 1)
+    return np.where(agrees, Status.MEASURED, reason).astype(np.uint8)

@@ -1,0 +1,356 @@
+"""The data flow of fusion, in order, on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap
+from depthcli.core.method import Odd
+from depthcli.core.result import Clock
+from depthcli.kernels.winners import left_right_difference, winners
+from depthcli.methods.confidence import MeasureName, confidence_maps, measure_name
+from depthcli.methods.fusion.blend import UNIT, add_weighted, blend, squash
+from depthcli.methods.fusion.maps import MapFusion
+from depthcli.methods.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
+from depthcli.methods.fusion.weights import comparable, measure_weights
+from depthcli.methods.stereo.adjustment import Adjust, adjusted
+from depthcli.methods.stereo.aggregation import Aggregation
+from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.cost import PartCost, light_weights
+from depthcli.methods.stereo.finish import finish
+from depthcli.methods.stereo.optimization import Optimization
+from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
+from depthcli.methods.stereo.refinement import RefinementStep
+from depthcli.methods.stereo.segments.steps import SegmentSteps
+from depthcli.methods.stereo.volume import CostVolume, StereoResult
+
+_CONSENSUS, _AGREEMENT, _PROBABILITY = "consensus", "agreement", "probability"
+_OWN = (_CONSENSUS, _AGREEMENT, _PROBABILITY)
+_NEEDED = {
+    _AGREEMENT: "'agreement' is that of several maps; want 'maps'",
+    _PROBABILITY: "'probability' is known where a network chooses among maps; want 'maps' with 'choice: network'",
+}
+_LARGEST = 4080  # of voted costs: the fixed point of aggregated costs, which scanline optimizers can sum
+
+
+class Measure(BaseModel):
+    """One measure that takes part: computed here, or a volume made elsewhere."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    flattened: ClassVar[str] = "cost"  # a measure may be written as its cost alone
+
+    cost: PartCost | None = Field(None, description="a cost measure of the stereo command")
+    volume: str | None = Field(
+        None,
+        description="instead of cost: .npy file of (H, W, D) costs, lower is better, relative to the left image's "
+        "folder; {scene} stands for the scene's name",
+    )
+    scale: float | None = Field(
+        None,
+        gt=0,
+        le=1e9,
+        description="cost that counts as 1 - 1/e, in units of the measure; default: the pair's median cost",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_alone(cls, value: Any) -> Any:
+        if isinstance(value, str) or (isinstance(value, dict) and "method" in value):
+            return {"cost": value}
+        return value
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Measure:
+        if (self.cost is None) == (self.volume is None):
+            raise ValueError("want either cost or volume")
+        return self
+
+
+class Consensus(BaseModel):
+    """Who votes for whom, and what votes are worth."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    support: Literal["color", "window"] = Field(
+        "color", description="color: votes fade with distance and color change; window: all of a square count alike"
+    )
+    window: Odd = Field(
+        65, ge=1, le=255, description="side of the window, odd, pixels; votes across color fade to 1/e at half of it"
+    )
+    softness: float = Field(15.0, gt=0, le=1e4, description="color change at which a vote fades to 1/e, grey levels")
+    tolerance: int = Field(
+        1, ge=0, le=16384, description="how far beside its own disparity a vote still counts, pixels"
+    )
+    vote_cost: float = Field(
+        0.4,
+        ge=0,
+        le=1e3,
+        description="cost of a disparity that no measure votes for, in units of one measure; 0: weights only",
+    )
+    rounds: int = Field(
+        0, ge=0, le=8, description="further rounds: the optimized map votes, instead of the measures, for its costs"
+    )
+    map_vote_cost: float = Field(
+        0.2, gt=0, le=1e3, description="vote_cost of the further rounds, in units of one measure"
+    )
+
+
+class Fusion(BaseModel):
+    """Stereo by several measures, each of them trusted where the pixels around agree with it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    adjust: Adjust = ()
+    measures: tuple[Measure, ...] = Field(min_length=1, max_length=16, description="measures to fuse")
+    weights: Literal["consensus", "confidence", "equal", "select", "vote"] = Field(
+        "consensus",
+        description="consensus: by the votes for a measure's disparity; confidence: by its confidence alone; equal; "
+        "select: only the most confident measure; vote: no costs, only votes",
+    )
+    exponent: float = Field(
+        2.0, gt=0, le=8, description="weights are proportional to votes or confidence to this power"
+    )
+    vote_confidence: MeasureName | None = Field(
+        "lrc", description="measure that says how much a vote counts; null: all count alike"
+    )
+    vote_aggregation: Aggregation | None = Field(
+        default_factory=lambda: ConstantWindow(window=11),
+        description="aggregation that gives each measure's own disparity, the one it votes for; null: none",
+    )
+    vote_optimization: Optimization = Field(
+        default_factory=WinnerTakesAll, description="optimization that gives each measure's own disparity"
+    )
+    consensus: Consensus = Field(default_factory=Consensus, description="the vote")
+    blend: Literal["before", "after"] = Field("before", description="weigh the measures before or after aggregation")
+    aggregation: Aggregation | None = Field(
+        default_factory=lambda: ConstantWindow(window=11), description="aggregation of the fused costs; null: none"
+    )
+    optimization: Optimization = Field(default_factory=WinnerTakesAll, description="optimization of the fused costs")
+    outside: float | None = Field(
+        None, ge=0, le=1, description="cost of a match outside the right image; default: the mean of the others"
+    )
+    segments: SegmentSteps | None = Field(
+        None,
+        description="stereo's segment pipeline without its cost: it then works on the fused costs, in the place of "
+        "optimization, refinement and confidence; null: not used",
+    )
+    refinement: tuple[RefinementStep, ...] = Field((), description="steps on the disparity map, in order")
+    maps: MapFusion | None = Field(
+        None, description="maps of other methods that the finished map is mixed with; null: none"
+    )
+    confidence: tuple[Annotated[str, AfterValidator(lambda n: measure_name(n, *_OWN))], ...] = Field(
+        (),
+        description="confidence maps to write: measures of the final costs, 'consensus', the share of votes, or, with "
+        "maps, 'agreement', the share of maps, and, if a network chooses among them, its 'probability' to be right",
+    )
+
+    @model_validator(mode="after")
+    def _nothing_in_vain(self) -> Fusion:
+        told = () if self.maps is None else (_AGREEMENT, *self.maps.choice.tells)
+        untold = [name for name in self.confidence if name in _NEEDED and name not in told]
+        if untold:
+            wrong = PydanticCustomError("in_vain", _NEEDED[untold[0]])
+            raise ValidationError.from_exception_data(
+                "Fusion", [{"type": wrong, "loc": ("confidence",), "input": list(self.confidence)}]
+            )
+        if self.segments is None:
+            return self
+        # Further rounds of the vote are those of the optimized map.
+        ignored = ("refinement", "maps", "confidence", *(("optimization",) if self.consensus.rounds == 0 else ()))
+        fields = type(self).model_fields
+        errors: list[InitErrorDetails] = [
+            {"type": PydanticCustomError("in_vain", "has no effect beside 'segments', which has its own; leave it out"),
+             "loc": (name,), "input": None}
+            for name in ignored
+            if getattr(self, name) != fields[name].get_default(call_default_factory=True)
+        ]  # fmt: skip
+        if errors:
+            raise ValidationError.from_exception_data("Fusion", errors)
+        return self
+
+    def __call__(
+        self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]] | None = None
+    ) -> StereoResult:
+        """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive.
+
+        Parameters
+        ----------
+        volumes : file name -> (H, W, D) costs for the measures that name a volume; further disparities are cut off
+
+        Raises
+        ------
+        InputError
+            A volume is missing, has another shape, or holds other than finite numbers.
+        """
+        clock = Clock()
+        pair = adjusted(pair, max_disparity, self.adjust, clock)
+        others = []
+        if self.maps is not None:
+            others = self.maps.matched(pair, max_disparity)
+            clock.stop("other_maps")
+        fused = self.fuse(pair, max_disparity, volumes or {}, clock)
+        if self.segments is not None:
+            result = self.segments.from_volume(pair, fused.volume, max_disparity, clock)
+        else:
+            known = [name for name in self.confidence if name not in _OWN]
+            result, found, right = finish(pair, fused.volume, self.optimization, self.refinement, known, clock)
+            if _CONSENSUS in self.confidence:
+                result.confidence[_CONSENSUS] = fused.ballot.shares(found.astype(np.int32)[None])[0]
+                clock.stop("confidence")
+            if self.maps is not None:
+                self._mix(pair, fused.volume, right, others, result, clock)
+        result.figures |= fused.figures
+        return result
+
+    def _mix(
+        self,
+        pair: StereoPair,
+        volume: CostVolume,
+        right: NDArray[np.uint16],
+        others: list[DisparityMap],
+        result: StereoResult,
+        clock: Clock,
+    ) -> None:
+        """Replace the map of ``result`` by the mix of it with ``others``."""
+        assert self.maps is not None
+        again = [
+            finish(pair, volume, one.optimization, self.refinement, (), clock)[0].disparity
+            for one in self.maps.optimizations
+        ]
+        mixed = self.maps(pair, volume, right, [result.disparity, *others, *again], clock)
+        result.disparity = mixed.disparity
+        if _AGREEMENT in self.confidence:
+            result.confidence[_AGREEMENT] = mixed.agreement
+        if _PROBABILITY in self.confidence and mixed.probability is not None:
+            result.confidence[_PROBABILITY] = mixed.probability
+
+    def fuse(
+        self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: Clock | None = None
+    ) -> Fused:
+        """The fused cost volume: costs -> votes of the measures -> weights -> blend -> aggregation -> votes."""
+        clock = clock or Clock()
+        depth = max_disparity + 1
+        parts = [
+            squash(_costs(measure, pair, depth, volumes), measure.scale, self.outside) for measure in self.measures
+        ]
+        clock.stop("cost")
+        chosen, trust = self._voters(self._vote_costs(parts, pair))
+        clock.stop("voters")
+        light = light_weights([measure.cost for measure in self.measures], pair)
+        if light is not None:
+            trust *= light
+        ballot = Ballot(chosen, trust, depth, self.consensus.tolerance, self._support(pair))
+        weights = measure_weights(self.weights, ballot, self.exponent)
+        if light is not None:
+            weights = weights * light
+            weights /= weights.sum(axis=0, keepdims=True)
+        clock.stop("weights")
+        base = None if self.weights == "vote" else self._blend(parts, weights, pair)
+        clock.stop("aggregation")
+        strength = self.consensus.vote_cost
+        volume = ballot.costs(base, 1.0 if base is None else strength, _LARGEST) if strength or base is None else base
+        for _ in range(self.consensus.rounds):
+            found, consistent = self._voters([self.optimization(volume, pair)])
+            ballot = Ballot(found, consistent, depth, self.consensus.tolerance, ballot.support)
+            volume = ballot.costs(base, self.consensus.map_vote_cost, _LARGEST)
+        clock.stop("votes")
+        means = weights.mean(axis=(1, 2))
+        figures = {f"weight_{k}": float(mean) for k, mean in enumerate(means)}
+        return Fused(volume, weights, ballot, figures)
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Estimate of the peak working memory for images of ``shape``, in bytes."""
+        pixels = shape[0] * shape[1]
+        # A byte a measure; raw, aggregated, voted and optimized costs of two bytes; a vote block of 16 floats.
+        a_cell = len(self.measures) + (6 if self.blend == "before" else 10)
+        need = pixels * (max_disparity + 1) * a_cell + pixels * (2 * 16 * 4 + 24 * len(self.measures)) + (32 << 20)
+        if self.maps is None:
+            return need
+        return max(need + self.maps.bytes_beside(shape), self.maps.peak_bytes(shape, max_disparity))
+
+    def _support(self, pair: StereoPair) -> Support:
+        if self.consensus.support == "window":
+            return WindowSupport(pair.shape, self.consensus.window)
+        return ColorSupport(pair.color8[0], max(1, self.consensus.window // 2), self.consensus.softness)
+
+    def _vote_costs(self, parts: list[CostVolume], pair: StereoPair) -> Iterator[CostVolume]:
+        for part in parts:
+            yield self.vote_optimization(
+                part if self.vote_aggregation is None else self.vote_aggregation(part, pair), pair
+            )
+
+    def _voters(self, volumes: Iterable[CostVolume]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """(M, H, W) disparity of every volume, and how much it counts."""
+        chosen, trust = [], []
+        for volume in volumes:
+            left, right = winners(volume.costs)
+            chosen.append(left.astype(np.int32))
+            if self.vote_confidence is None:
+                trust.append(np.ones(left.shape, np.float32))
+            elif self.vote_confidence == "lrc":
+                trust.append(-left_right_difference(left, right))
+            else:
+                trust.append(confidence_maps(volume.costs, [self.vote_confidence])[self.vote_confidence])
+            del volume  # before the next one is made
+        weights = np.stack(trust)
+        return np.stack(chosen), weights if self.vote_confidence is None else comparable(weights, self.vote_confidence)
+
+    def _blend(self, parts: list[CostVolume], weights: NDArray[np.float32], pair: StereoPair) -> CostVolume:
+        if self.blend == "before":
+            fused = blend(parts, weights)
+            parts.clear()  # what follows needs room for volumes of its own
+            if self.aggregation is not None:
+                return self.aggregation(fused, pair)
+            return CostVolume(fused.costs.astype(np.uint16) * np.uint16(16), fused.scale * 16)
+        total = np.zeros(parts[0].costs.shape, np.float32)
+        for part, weight in zip(parts, weights, strict=True):
+            add_weighted(total, part if self.aggregation is None else self.aggregation(part, pair), weight)
+        return CostVolume((total * np.float32(16 * UNIT) + np.float32(0.5)).astype(np.uint16), 16.0 * UNIT)
+
+
+@dataclass(frozen=True)
+class Fused:
+    """What fusion hands to optimization.
+
+    Attributes
+    ----------
+    volume : uint16 (H, W, D), at most 4080
+    weights : (M, H, W) float32, sum 1 over the measures
+    ballot : the last vote
+    figures : mean weight of every measure
+    """
+
+    volume: CostVolume
+    weights: NDArray[np.float32]
+    ballot: Ballot
+    figures: dict[str, float]
+
+
+def _costs(measure: Measure, pair: StereoPair, depth: int, volumes: Mapping[str, NDArray[Any]]) -> CostVolume:
+    if measure.cost is not None:
+        return measure.cost(pair, depth)
+    assert measure.volume is not None
+    if measure.volume not in volumes:
+        raise InputError(f"{measure.volume}: no such volume")
+    costs = volumes[measure.volume]
+    if costs.ndim != 3 or costs.shape[:2] != pair.shape or costs.shape[2] < depth:
+        height, width = pair.shape
+        raise InputError(f"{measure.volume}: want shape ({height}, {width}, {depth} or more), got {costs.shape}")
+    if costs.dtype not in (np.uint8, np.uint16):
+        if costs.dtype.kind not in "fiub":
+            raise InputError(f"{measure.volume}: want numbers, got {costs.dtype}")
+        with np.errstate(over="ignore"):
+            costs = costs.astype(np.float32)
+        if not np.isfinite(costs[:, :, :depth]).all():
+            raise InputError(f"{measure.volume}: holds NaN or infinite costs")
+    return CostVolume(np.ascontiguousarray(costs[:, :, :depth]))

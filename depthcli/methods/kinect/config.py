@@ -1,0 +1,22 @@
+"""Root of the ``refine-kinect`` command's config."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from pydantic import Field
+
+from depthcli.core.root_config import RootConfig
+from depthcli.methods.kinect.pipeline import Pipeline
+
+
+class RefineKinectConfig(RootConfig):
+    """A pipeline and its parameters, side by side."""
+
+    flattened: ClassVar[str] = "pipeline"
+
+    pipeline: Pipeline = Field(description="the data flow from frame to refined depth")
+    depth_scale: float | None = Field(
+        None, gt=0, le=1e6, description="codes a meter of the depth files; null: what the layout says"
+    )
+    ply: bool = Field(False, description="write a colored point cloud of every frame, too")

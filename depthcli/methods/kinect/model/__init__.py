@@ -1,0 +1,32 @@
+"""Models of the depth within a segment. One file a model."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.method import Method, method_of
+from depthcli.methods.kinect.surfaces import Surfaces
+
+
+class SurfaceModel(Method):
+    """Fits a surface to the known values of every segment."""
+
+    @abstractmethod
+    def __call__(
+        self, values: NDArray[np.float32], labels: NDArray[np.int32], floor: float, start: Surfaces | None = None
+    ) -> Surfaces:
+        """Fit ``values`` (H, W), NaN = unknown, segment by segment of ``labels`` (H, W) int32, 0 .. n - 1; -1: none.
+
+        Parameters
+        ----------
+        floor : least scale of residuals: what the sensor resolves
+        start : surfaces of the same n segments in the frame before, to begin at; a segment of which too little is
+            known now keeps its surface
+        """
+
+
+Model = Annotated[SurfaceModel, *method_of("depthcli.methods.kinect.model")]

@@ -1,0 +1,26 @@
+"""Plain intensities: for one modality and one scanner."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.methods.registration.feature import VolumeFeature
+from depthcli.methods.registration.feature._levels import levels
+
+
+class Intensity(VolumeFeature):
+    """The values themselves, on 256 levels between common percentiles."""
+
+    channels: ClassVar[int] = 1
+
+    outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
+
+    def __call__(
+        self, fixed: NDArray[np.float32], warped: NDArray[np.float32]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        one, other = levels(fixed, warped, self.outliers)
+        return one[None], other[None]

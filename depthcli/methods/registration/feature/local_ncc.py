@@ -1,0 +1,37 @@
+"""Intensities without local mean and contrast, as normalized cross-correlation sees them."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.methods.registration._volume import gaussian
+from depthcli.methods.registration.feature import VolumeFeature
+from depthcli.methods.registration.feature._levels import levels
+
+
+class LocalNcc(VolumeFeature):
+    """(I - mean) / deviation in a Gaussian window: their absolute difference falls as local correlation rises."""
+
+    channels: ClassVar[int] = 1
+
+    sigma: float = Field(2.0, gt=0.5, le=8, description="Gaussian window of mean and deviation, voxels")
+    floor: float = Field(0.05, gt=0, le=1, description="least deviation, share of the volume's own")
+    outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
+
+    def __call__(
+        self, fixed: NDArray[np.float32], warped: NDArray[np.float32]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        one, other = levels(self._normalized(fixed), self._normalized(warped), self.outliers)
+        return one[None], other[None]
+
+    def _normalized(self, volume: NDArray[np.float32]) -> NDArray[np.float32]:
+        centered = volume - np.float32(volume.mean(dtype=np.float64))
+        mean = gaussian(centered, self.sigma)
+        variance = gaussian(centered * centered, self.sigma) - mean * mean
+        least = (self.floor * float(centered.std(dtype=np.float64))) ** 2 or 1.0
+        normalized = (centered - mean) / np.sqrt(np.maximum(variance, np.float32(least)))
+        return normalized.astype(np.float32, copy=False)

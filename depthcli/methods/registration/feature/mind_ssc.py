@@ -1,0 +1,30 @@
+"""Self-similarity context (Heinrich et al., MICCAI 2013): MIND without its center."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.methods.registration.feature import VolumeFeature
+from depthcli.methods.registration.feature._self_similarity import descriptor, steps
+
+
+class MindSsc(VolumeFeature):
+    """How unlike are the six neighbors' patches one another: 12 channels that a noisy center voxel cannot spoil."""
+
+    channels: ClassVar[int] = 12
+
+    sigma: float = Field(0.8, gt=0.2, le=4, description="Gaussian weight of a patch, voxels")
+    distance: int = Field(1, ge=1, le=4, description="distance of the neighbors, voxels")
+
+    def __call__(
+        self, fixed: NDArray[np.float32], warped: NDArray[np.float32]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        around = steps(fixed.shape, self.distance)
+        # Opposite neighbors are left out: their patches are the least alike, and say the least.
+        both = ((a, b) for k, a in enumerate(around) for b in around[:k])
+        pairs = [(a, b) for a, b in both if any(p + q for p, q in zip(a, b, strict=True))]
+        return descriptor(fixed, pairs, self.sigma), descriptor(warped, pairs, self.sigma)

@@ -1,0 +1,350 @@
+"""From a registered pair to confidence, expected error and shift (thesis chapter 7)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from depthcli.core.result import Clock, Result
+from depthcli.core.volumes import RegisteredPair
+from depthcli.data.formats.forests import Forest
+from depthcli.kernels.jit import threads
+from depthcli.methods.registration._volume import gaussian, resample
+from depthcli.methods.registration.calibration import Maps, evidence, evidence_names, expected, monotone, structured
+from depthcli.methods.registration.feature import Feature
+from depthcli.methods.registration.feature.mind import Mind
+from depthcli.methods.registration.forest import check_forest, predict
+from depthcli.methods.registration.own_errors import learn
+from depthcli.methods.registration.search import COSTLY, MEASURES, SURER_IF_LARGER, Curves, Span, search, search_bytes
+
+WorkingGrid = tuple[tuple[int, int, int], tuple[float, float, float], tuple[float, float, float]]
+"""Shape, and step and place of the first voxel in voxels of the fixed volume."""
+
+IN_MILLIMETERS = ("eshift", "vshift", "shift")
+
+
+@dataclass(kw_only=True)
+class RegistrationResult(Result):
+    """What the search says about a registration.
+
+    Maps lie on the grid of what was measured: (i, j, k) is at ``start + step * (i, j, k)`` voxels of the fixed volume.
+
+    Attributes
+    ----------
+    expected_error : (z, y, x) float32, mm
+    certainty : (z, y, x) float32 in [0, 1]: exp(-expected error / 3 mm)
+    shift : (3, z, y, x) float32, where the match of a voxel lies, (z, y, x) mm along the volume's axes
+    measures : name -> (z, y, x) float32, of the first feature at full resolution
+    step, start : of the working grid, in voxels of the fixed volume, (z, y, x)
+    """
+
+    expected_error: NDArray[np.float32]
+    certainty: NDArray[np.float32]
+    shift: NDArray[np.float32]
+    measures: dict[str, NDArray[np.float32]]
+    step: tuple[float, float, float]
+    start: tuple[float, float, float]
+
+
+class RegistrationConfidence(BaseModel):
+    """Search around every voxel for a better match than the registration's; where there is one, it is wrong."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    features: tuple[Feature, ...] = Field((Mind(),), min_length=1, max_length=4, description="what is compared")
+    iso: float | None = Field(
+        None, gt=0, le=100, description="side of a working voxel, mm; null: as many voxels as the fixed volume has"
+    )
+    max_voxels: int = Field(
+        6_000_000, ge=1000, le=100_000_000, description="where null makes more voxels than this, they are larger"
+    )
+    intensity_range: tuple[float, float] | None = Field(
+        None, description="intensities are clamped to this first; null: CT numbers (below -500) to -1000 .. 400"
+    )
+    search: Span = Field("cube", description="displacements: the whole cube, three planes or three axes")
+    radius: int = Field(5, ge=1, le=12, description="largest displacement searched, working voxels")
+    half_window: int = Field(3, ge=0, le=6, description="half of the window that costs are averaged in, working voxels")
+    stride: int = Field(
+        2, ge=1, le=4, description="measure every n-th working voxel along each axis, interpolate between them"
+    )
+    smoothing: float = Field(
+        2.0,
+        ge=0,
+        le=8,
+        description="deviation of the Gaussian that expected errors are averaged with, each weighted by how narrow its "
+        "likelihood is, working voxels; the window's own is 2",
+    )
+    sharpness: int = Field(10, ge=1, le=40, description="of the likelihoods: 0.5 / k, k in deviations of a curve")
+    levels: int = Field(
+        1, ge=1, le=3, description="resolutions: every further one is half as fine and finds errors twice as large"
+    )
+    measure: str = Field("eshift", description="what orders the voxels; eshift gives one without unit its mm")
+    calibration: Literal["none", "self", "forest"] = Field(
+        "none",
+        description="self: all measures together, fitted to errors that are put into the pair itself; forest: by model",
+    )
+    model: Path | None = Field(None, description="of calibration forest: what scripts/registration_forest.py wrote")
+    seed: int = Field(0, ge=0, description="of the errors that calibration self puts in")
+
+    @field_validator("measure")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name not in MEASURES:
+            raise ValueError(f"no measure called {name!r}; one of: {', '.join(MEASURES)}")
+        return name
+
+    @field_validator("intensity_range")
+    @classmethod
+    def _ordered(cls, bounds: tuple[float, float] | None) -> tuple[float, float] | None:
+        if bounds is not None and bounds[0] >= bounds[1]:
+            raise ValueError("the first bound must be below the second")
+        return bounds
+
+    @model_validator(mode="after")
+    def _together(self) -> RegistrationConfidence:
+        if self.calibration != "none" and self.measure != "eshift":
+            raise ValueError(f"calibration {self.calibration} chooses its measures; leave out measure")
+        if (self.model is None) != (self.calibration != "forest"):
+            raise ValueError("calibration forest and model want each other: `calibration: forest, model: FILE`")
+        return self
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the values of the measures depend on: a forest fits configs that agree in it."""
+        names = {"features", "iso", "intensity_range", "search", "radius", "half_window", "stride", "sharpness"}
+        return self.model_dump(mode="json", include={*names, "levels"})
+
+    def measures_made(self) -> list[str]:
+        """Names of what :meth:`evidence` gives."""
+        return evidence_names(len(self.features), self.levels - 1)
+
+    def evidence(self, pair: RegisteredPair) -> tuple[Maps, tuple[float, float, float], tuple[float, float, float]]:
+        """Everything that a forest may look at: measure -> (z, y, x), and ``step`` and ``start`` of these maps."""
+        fixed, warped, grid = self._working(pair)
+        iso = grid[1][2] * pair.spacing[2]
+        maps, _ = evidence(*self._searches(fixed, warped, iso, Clock()), iso, self.stride)
+        return maps, self._step(grid), grid[2]
+
+    def __call__(self, pair: RegisteredPair, forest: Forest | None = None) -> RegistrationResult:
+        """Search, measure, calibrate.
+
+        Parameters
+        ----------
+        forest : what ``model`` holds, where calibration is ``forest``
+
+        Returns
+        -------
+        Maps on the working grid. ``figures``: ``border``, the share of voxels of interest whose cheapest
+        displacement lies on the border of the coarsest search; ``iso``, mm; ``mean_error``, mm.
+
+        Raises
+        ------
+        ConfigError
+            The forest was trained with other settings.
+        """
+        if forest is not None:
+            check_forest(forest, self.settings, self.measures_made())
+        elif self.calibration == "forest":
+            raise ValueError("calibration forest wants the forest")
+        clock = Clock()
+        fixed, warped, grid = self._working(pair)
+        inside = np.ones(fixed.shape, np.bool_)
+        if pair.mask is not None:
+            inside = resample(pair.mask.astype(np.float32), *grid) >= 0.5
+        iso = grid[1][2] * pair.spacing[2]
+        clock.stop("resample")
+        fine, coarse = self._searches(fixed, warped, iso, clock)
+        chosen = _every(inside, self.stride)
+        chosen = chosen if chosen.any() else np.ones_like(chosen)
+        if self.calibration == "self":
+            error, displacement = self._learned(fixed, warped, chosen, fine, coarse, iso, clock)
+        elif forest is not None:
+            maps, displacement = evidence(fine, coarse, iso, self.stride)
+            error = predict(forest, maps)
+            clock.stop("calibration")
+        else:
+            error, displacement = self._error(fine, coarse, structured(_every(fixed, self.stride), chosen), iso)
+            clock.stop("calibration")
+        last = (coarse or fine)[-1]
+        figures = {
+            "iso": round(float(iso), 6),
+            "border": round(float(last.border[chosen].mean()), 6),
+            "mean_error": round(float(error[chosen].mean(dtype=np.float64)), 6),
+        }
+        return RegistrationResult(
+            expected_error=error, certainty=np.exp(-error / np.float32(3)), shift=displacement, measures=fine[0].maps,
+            step=self._step(grid), start=grid[2], seconds=clock.seconds, figures=figures,
+        )  # fmt: skip
+
+    def _step(self, grid: WorkingGrid) -> tuple[float, float, float]:
+        """Step of measured places, in voxels of the fixed volume."""
+        z, y, x = (s * (self.stride if n > 1 else 1) for s, n in zip(grid[1], grid[0], strict=True))
+        return z, y, x
+
+    def _working(self, pair: RegisteredPair) -> tuple[NDArray[np.float32], NDArray[np.float32], WorkingGrid]:
+        """Both volumes on the working grid."""
+        grid = self.grid(pair.shape, pair.spacing)
+        fixed, warped = (self._on_grid(volume, pair, grid) for volume in (pair.fixed, pair.warped))
+        return fixed, warped, grid
+
+    def _searches(
+        self, fixed: NDArray[np.float32], warped: NDArray[np.float32], iso: float, clock: Clock
+    ) -> tuple[list[Curves], list[Curves]]:
+        """The search with every feature, and with the first one at every coarser resolution."""
+        fine: list[Curves] = []
+        coarse: list[Curves] = []
+        measured = _every(fixed, self.stride).shape
+        for level in range(self.levels):
+            for feature in self.features if level == 0 else self.features[:1]:
+                channels = feature(*(_halved(volume, level) for volume in (fixed, warped)))
+                clock.stop("features")
+                half = self.half_window if level == 0 else min(self.half_window, 2)
+                curves = search(
+                    *channels, iso * 2**level, self.radius, half, self.sharpness, self.search,
+                    every=self.measure in COSTLY, stride=min(self.stride, 2 * half + 1),
+                )  # fmt: skip
+                (fine if level == 0 else coarse).append(_enlarged(curves, measured, level))
+                clock.stop("search")
+        return fine, coarse
+
+    def _learned(
+        self,
+        fixed: NDArray[np.float32],
+        warped: NDArray[np.float32],
+        chosen: NDArray[np.bool_],
+        fine: list[Curves],
+        coarse: list[Curves],
+        iso: float,
+        clock: Clock,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Expected error (mm) and displacement, by a model fitted to errors put into the pair itself.
+
+        The errors that are put in are smoother than those that a registration leaves, and teach the model to trust
+        its surroundings; what all searches together say of the place does less. So they order the places, and the mm
+        are those of the geometric mean of both, pooled over places of one rank.
+        """
+        maps, displacement = evidence(fine, coarse, iso, self.stride)
+        structure = structured(_every(fixed, self.stride), chosen)
+        usual = float(np.quantile(maps["smooth_2"].ravel()[structure], 0.9))
+        reach = self.radius * iso * 2 ** (self.levels - 1)
+        clock.stop("calibration")
+        model = learn(
+            fixed, warped, displacement, chosen, usual, reach, iso, self.stride,
+            lambda one, other: self._searches(one, other, iso, clock), self.seed,
+        )  # fmt: skip
+        learned = model(maps)
+        own = expected(fine + coarse, "eshift", iso, self.smoothing / self.stride)
+        error = monotone(own, np.sqrt(learned * own), np.flatnonzero(chosen))
+        clock.stop("calibration")
+        return error, displacement
+
+    def grid(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> WorkingGrid:
+        """Shape of the working grid, its step and the place of its first voxel, in voxels of the fixed volume.
+
+        Working voxels are cubes; the outer faces of the first ones are those of the volume. An axis of one voxel
+        stays as it is.
+        """
+        axes = [a for a in range(3) if shape[a] > 1] or [2]
+        iso = self.iso
+        if iso is None:
+            iso = math.prod(spacing[a] for a in axes) ** (1 / len(axes))
+            extent = math.prod(shape[a] * spacing[a] for a in axes)
+            iso = max(iso, (extent / self.max_voxels) ** (1 / len(axes)))
+        sizes, steps, starts = [], [], []
+        for a in range(3):
+            step = iso / spacing[a] if a in axes else 1.0
+            sizes.append(max(1, math.ceil(shape[a] / step - 1e-6)) if a in axes else 1)
+            steps.append(step)
+            starts.append((step - 1) / 2)
+        return (sizes[0], sizes[1], sizes[2]), (steps[0], steps[1], steps[2]), (starts[0], starts[1], starts[2])
+
+    def peak_bytes(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> int:
+        """Estimate of the peak working memory, beside the two volumes."""
+        sizes = self.grid(shape, spacing)[0]
+        voxels = math.prod(sizes)
+        measured = math.prod(-(-n // self.stride) if n > 1 else 1 for n in sizes)
+        channels = max(feature.channels for feature in self.features)
+        # Both volumes on the working grid, a feature while it is made or searched with, and all maps.
+        making = 4 * voxels * (channels + 4) + channels * voxels
+        searching = search_bytes(sizes, channels, self.radius, self.half_window, self.stride, threads())
+        kept = (len(self.features) + self.levels - 1) * 17 * 4 * measured
+        if self.calibration != "none":
+            kept += 4 * measured * (len(self.measures_made()) + 12)
+        return 8 * voxels + max(making, searching + 2 * channels * voxels) + kept
+
+    def _on_grid(self, volume: NDArray[np.float32], pair: RegisteredPair, grid: WorkingGrid) -> NDArray[np.float32]:
+        bounds = self.intensity_range
+        if bounds is None and min(pair.fixed.min(), pair.warped.min()) < -500:
+            bounds = (-1000.0, 400.0)
+        if bounds is not None:
+            volume = np.clip(volume, np.float32(bounds[0]), np.float32(bounds[1]))
+        return resample(volume, *grid)
+
+    def _error(
+        self, fine: list[Curves], coarse: list[Curves], structure: NDArray[np.int64], iso: float
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Expected error (mm) and displacement, with the coarse searches where an error leaves the fine one."""
+        in_mm = self.measure if self.measure in IN_MILLIMETERS else "eshift"
+        sigma = self.smoothing / self.stride
+        error = expected(fine, in_mm, iso, sigma)
+        displacement = _mean([curves.displacement for curves in fine])
+        for k, curves in enumerate(coarse):
+            far = curves.maps[in_mm]
+            reach = self.radius * iso * 2**k
+            share = _rising(far / np.float32(reach), 0.6, 1.2) * _rising(error / np.float32(reach), 0.8, 1.1)
+            error = error + share * (far - error)
+            displacement = displacement + share * (curves.displacement - displacement)
+        if self.measure not in IN_MILLIMETERS:
+            sign = np.float32(-1 if self.measure in SURER_IF_LARGER else 1)
+            score = gaussian(_mean([sign * curves.maps[self.measure] for curves in fine]), sigma)
+            return monotone(score, error, structure), displacement
+        return error, displacement
+
+
+def _rising(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.float32]:
+    """0 below ``low``, 1 above ``high``, linear between."""
+    ramp: NDArray[np.float32] = np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)
+    return ramp
+
+
+def _mean(arrays: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    total = arrays[0].copy()
+    for array in arrays[1:]:
+        total += array
+    return total / np.float32(len(arrays))
+
+
+def _every(volume: NDArray[Any], stride: int) -> NDArray[Any]:
+    """Every ``stride``-th voxel along the axes of more than one."""
+    return volume[tuple(slice(None, None, stride if n > 1 else 1) for n in volume.shape)]
+
+
+def _halved(volume: NDArray[np.float32], times: int) -> NDArray[np.float32]:
+    for _ in range(times):
+        smooth = gaussian(volume, 0.8)
+        volume = np.ascontiguousarray(smooth[:: 2 if volume.shape[0] > 1 else 1, ::2, ::2])
+    return volume
+
+
+def _enlarged(curves: Curves, shape: tuple[int, ...], times: int) -> Curves:
+    """Maps of a level on the grid of the finest one."""
+    if times == 0:
+        return curves
+    whole = (shape[0], shape[1], shape[2])
+    step = [1 / 2**times if n > 1 else 1.0 for n in shape]
+
+    def enlarge(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        return resample(values, whole, step, (0.0, 0.0, 0.0))
+
+    return Curves(
+        {name: enlarge(values) for name, values in curves.maps.items()},
+        np.stack([enlarge(values) for values in curves.displacement]),
+        enlarge(curves.variance),
+        enlarge(curves.border.astype(np.float32)) >= 0.5,
+    )

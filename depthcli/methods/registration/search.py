@@ -1,0 +1,192 @@
+"""Full search around every voxel of a registered pair, and what the cost curves say about displacement zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core import memory
+from depthcli.kernels.jit import threads
+from depthcli.methods.registration._search import PLANES, search_tiles
+
+Span = Literal["cube", "planes", "axes"]
+
+MEASURES = {
+    "eshift": "expected length of the displacement under exp(-(c - c_min) / (k s)), s = deviation of the curve, mm",
+    "vshift": "length of the expected displacement, mm",
+    "shift": "length of the cheapest displacement, mm",
+    "mlm0": "likelihood that the match lies at displacement zero, k = 0.5",
+    "aml0": "the same with squared cost differences",
+    "rank0": "share of displacements that are cheaper than zero",
+    "cur0": "Laplacian of the costs at zero",
+    "cost0": "cost at zero: no search",
+    "msm": "minus the smallest cost: stereo's measure, which does not know zero, like the next three",
+    "mlm": "likelihood of the cheapest displacement, k = 0.5",
+    "aml": "the same with squared cost differences",
+    "pkr": "peak ratio: second smallest local minimum among the 26 neighbors / smallest cost",
+}
+SURER_IF_LARGER = frozenset({"mlm0", "aml0", "cur0", "msm", "mlm", "aml", "pkr"})
+"""Measures that grow with confidence; the others grow with the error."""
+
+COSTLY = frozenset({"aml0", "aml", "pkr"})
+"""Measures that are computed only where they are asked for: together they take as long as all others."""
+
+FEW = 85
+"""Largest value of features of many channels: three differences then fit a byte, which the search is faster with."""
+
+_SCRATCH = 48 << 20
+_LANES = 32  # rows are measured in whole vectors: what is left of one rounds otherwise
+_WIDEST = 128
+
+
+@dataclass(frozen=True)
+class Curves:
+    """What the search found.
+
+    Attributes
+    ----------
+    maps : measure -> (z, y, x) float32, at every ``stride``-th voxel
+    displacement : (3, z, y, x) float32, expected displacement (z, y, x), mm
+    variance : (z, y, x) float32, of the displacement about its expectation, mm^2, summed over the axes
+    border : (z, y, x) bool, the cheapest displacement lies on the border of the search
+    """
+
+    maps: dict[str, NDArray[np.float32]]
+    displacement: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    border: NDArray[np.bool_]
+
+
+def displacements(shape: tuple[int, int, int], radius: int, span: Span = "cube") -> NDArray[np.int64]:
+    """(K, 3) displacements (z, y, x) in voxels, by length, zero first; none along axes of one voxel."""
+    sides = [np.arange(-radius, radius + 1) if size > 1 else np.zeros(1, np.int64) for size in shape]
+    grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    moving = np.count_nonzero(grid, axis=1)
+    if span == "planes":
+        grid = grid[moving <= 2]
+    elif span == "axes":
+        grid = grid[moving <= 1]
+    return np.ascontiguousarray(grid[np.argsort((grid**2).sum(axis=1), kind="stable")], np.int64)
+
+
+def search(
+    fixed: NDArray[np.uint8],
+    warped: NDArray[np.uint8],
+    spacing: float,
+    radius: int = 5,
+    half_window: int = 3,
+    sharpness: int = 10,
+    span: Span = "cube",
+    every: bool = False,
+    stride: int = 1,
+    tile: tuple[int, int, int] | None = None,
+) -> Curves:
+    """Compare every voxel with those around its place in the other volume.
+
+    Costs are means of |fixed - warped| over channels and a (2 h + 1)^3 window, on a scale of 0 to 1; outside
+    the volume its border goes on. Among equally cheap displacements the shortest wins.
+
+    Parameters
+    ----------
+    fixed, warped : (C, Z, Y, X) uint8 channels of a feature
+    spacing : mm a voxel
+    radius : largest displacement along an axis, voxels
+    half_window : h, voxels
+    sharpness : 0.5 / k, k of the likelihoods of ``eshift`` and ``vshift`` in deviations of the curve
+    span : which displacements: all, those in the three planes, or on the three axes
+    every : compute the measures of ``COSTLY`` too
+    stride : measure every ``stride``-th voxel along each axis, from the first one on; at most 2 half_window + 1
+    tile : places measured at once; changes time and memory, never the result
+
+    Raises
+    ------
+    ValueError
+        The arrays do not fit each other.
+    """
+    if fixed.ndim != 4 or fixed.shape != warped.shape or fixed.dtype != np.uint8 or warped.dtype != np.uint8:
+        raise ValueError(f"want two uint8 arrays (C, Z, Y, X), got {fixed.shape} {fixed.dtype}, {warped.shape}")
+    channels = fixed.shape[0]
+    shape = (fixed.shape[1], fixed.shape[2], fixed.shape[3])
+    if not 1 <= stride <= 2 * half_window + 1:
+        raise ValueError(f"want a stride from 1 to the window's {2 * half_window + 1} voxels, got {stride}")
+    offsets = displacements(shape, radius, span)
+    steps = np.array([stride if size > 1 else 1 for size in shape], np.int64)
+    measured = tuple(-(-n // int(step)) for n, step in zip(shape, steps, strict=True))
+    half = np.array([half_window if size > 1 else 0 for size in shape], np.int64)
+    reach = np.array([radius if size > 1 else 0 for size in shape], np.int64)
+    top = FEW if max(int(fixed.max(initial=0)), int(warped.max(initial=0))) <= FEW else 255
+    largest = top * channels * int(np.prod(2 * half + 1))
+    shift = max(0, largest.bit_length() - 16)
+    layer = np.zeros(0, np.uint16 if top * channels * (2 * half_window + 1) ** 2 < 1 << 16 else np.uint32)
+    lengths = (np.linalg.norm(offsets, axis=1) * spacing).astype(np.float32)
+    edge = np.abs(offsets).max(axis=1) == radius
+    neighbors = np.flatnonzero((offsets**2).sum(axis=1) == 1)
+    before, after = _around(offsets)
+    size = np.array(tile or _tile(measured, len(offsets)), np.int64)
+    grid = np.stack(np.meshgrid(*(np.arange(0, n, s) for n, s in zip(measured, size, strict=True)), indexing="ij"), -1)
+    tiles = np.ascontiguousarray(grid.reshape(-1, 3), np.int64)
+    workers = min(threads(), len(tiles))
+    width = -(-int(size[2]) // _LANES) * _LANES
+    scratch = memory.empty((workers, int(size[0]), int(size[1]), len(offsets), width), np.uint16)
+    out = np.empty((len(PLANES), *measured), np.float32)
+    search_tiles(
+        _phases(fixed, half, steps), _phases(warped, half + reach, steps), offsets, lengths, edge, neighbors, before,
+        after, half, reach, steps, tiles, size, np.uint32(shift), np.float32((1 << shift) / largest), sharpness,
+        top == FEW, every, layer, scratch, out,
+    )  # fmt: skip
+    planes = dict(zip(PLANES, out, strict=True))
+    displacement = out[2:5] * np.float32(spacing)
+    left_out = {"vshift"} if every else {"vshift", *COSTLY}
+    maps = {name: planes[name] for name in MEASURES if name not in left_out}
+    maps["vshift"] = np.sqrt((displacement**2).sum(axis=0))
+    variance = np.maximum(planes["square"] - maps["vshift"] ** 2, 0)
+    return Curves({name: maps[name] for name in MEASURES if name in maps}, displacement, variance, planes["border"] > 0)
+
+
+def _around(offsets: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(K, 13) indices of the neighbors of each displacement that come before and after it; -1: not searched."""
+    place = {tuple(offset): k for k, offset in enumerate(offsets.tolist())}
+    steps = [step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]
+    before, after = (np.full((len(offsets), len(steps)), -1, np.int64) for _ in range(2))
+    for k, (z, y, x) in enumerate(offsets.tolist()):
+        for j, (c, b, a) in enumerate(steps):
+            after[k, j] = place.get((z + c - 1, y + b - 1, x + a - 1), -1)
+            before[k, j] = place.get((z - c + 1, y - b + 1, x - a + 1), -1)
+    return before, after
+
+
+def search_bytes(
+    shape: tuple[int, int, int], channels: int, radius: int, half_window: int, stride: int, workers: int
+) -> int:
+    """Memory of :func:`search`, beside its inputs."""
+    voxels = int(np.prod([-(-n // stride) for n in shape]))
+    padded = sum(channels * int(np.prod([n + 2 * r for n in shape])) for r in (half_window, half_window + radius))
+    return 3 * padded // 2 + 24 * 4 * voxels + workers * _SCRATCH
+
+
+def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:
+    """A tile whose costs stay within the scratch memory of a thread, with as little halo as that allows."""
+    widths = range(_LANES, _WIDEST + 1, _LANES)
+    width = min(widths, key=lambda w: -(-shape[2] // w) * (w + 8))
+    cells = _SCRATCH // (2 * count)
+    side = max(1, int(np.sqrt(cells / width)))
+    z, y, x = min(shape[0], side, 32), min(shape[1], side, 32), min(shape[2], width)
+    if -(-shape[0] // z) * -(-shape[1] // y) * -(-shape[2] // x) < threads():
+        z = -(-shape[0] // threads())  # a small volume is for all threads, too
+    return z, y, x
+
+
+def _phases(channels: NDArray[np.uint8], width: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """(C, Z, Y, sx, Xs): widened by repeating the border, voxel x at [x % sx, x // sx]."""
+    around = [(0, 0), *((int(w), int(w)) for w in width)]
+    step = int(stride[2])
+    around[3] = (int(width[2]), int(width[2]) + step)
+    padded = np.pad(channels, around, mode="edge")
+    if step == 1:
+        return padded[:, :, :, None]
+    length = padded.shape[3] // step
+    parts = padded[..., : length * step].reshape(*padded.shape[:3], length, step)
+    return np.ascontiguousarray(parts.swapaxes(3, 4))

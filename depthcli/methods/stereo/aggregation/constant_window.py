@@ -1,0 +1,81 @@
+"""Mean over a square window, at a cost that does not depend on its size."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from depthcli.core import memory
+from depthcli.core.frames import StereoPair
+from depthcli.core.method import Odd
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.aggregation import Aggregator
+from depthcli.methods.stereo.fixed_point import FixedPoint, as_fixed_point
+from depthcli.methods.stereo.volume import CostVolume
+
+
+class ConstantWindow(Aggregator):
+    """Mean of the costs in an n x n window, clipped at the image border."""
+
+    aliases = ("CW",)
+
+    window: Odd = Field(11, ge=1, le=1023, description="side of the window, odd, pixels")
+
+    def halo(self) -> int | None:
+        return self.window // 2
+
+    def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
+        if volume.costs.dtype != np.uint8:
+            volume = as_fixed_point(volume)
+        factor = FixedPoint.FRACTION if volume.costs.dtype == np.uint8 else 1
+        means = memory.empty(volume.costs.shape, np.uint16)
+        bands = max(1, min(volume.costs.shape[0] // 32, 64))
+        _box_means(volume.costs, means, self.window // 2, np.float32(factor), bands)
+        return CostVolume(means, volume.scale * factor)
+
+
+@parallel_jit
+def _box_means(costs: Any, means: Any, radius: int, factor: Any, bands: int) -> None:
+    # One band of rows a task: a running sum of rows (columns), then along x a running sum of columns.
+    # Each band starts its column sums anew, so the result does not depend on the number of bands.
+    height, width, depth = costs.shape
+    for band in prange(bands):
+        first = band * height // bands
+        last = (band + 1) * height // bands
+        columns = np.zeros(width * depth, np.uint32)
+        window = np.zeros(depth, np.uint32)
+        for y in range(max(0, first - radius), min(height, first + radius)):
+            source = costs[y].reshape(width * depth)
+            for i in range(columns.size):
+                columns[i] += np.uint32(source[i])
+        for y in range(first, last):
+            if y + radius < height:
+                source = costs[y + radius].reshape(width * depth)
+                for i in range(columns.size):
+                    columns[i] += np.uint32(source[i])
+            if y - radius - 1 >= 0 and y > first:
+                source = costs[y - radius - 1].reshape(width * depth)
+                for i in range(columns.size):
+                    columns[i] -= np.uint32(source[i])
+            rows = min(height, y + radius + 1) - max(0, y - radius)
+            window[:] = 0
+            for x in range(min(radius, width)):
+                entering = columns[x * depth : (x + 1) * depth]
+                for i in range(window.size):
+                    window[i] += entering[i]
+            for x in range(width):
+                if x + radius < width:
+                    entering = columns[(x + radius) * depth : (x + radius + 1) * depth]
+                    for i in range(window.size):
+                        window[i] += entering[i]
+                if x - radius - 1 >= 0:
+                    leaving = columns[(x - radius - 1) * depth : (x - radius) * depth]
+                    for i in range(window.size):
+                        window[i] -= leaving[i]
+                area = rows * (min(width, x + radius + 1) - max(0, x - radius))
+                scale = factor / np.float32(area)
+                out = means[y, x]
+                for i in range(out.size):
+                    out[i] = np.uint16(np.int32(np.float32(np.int32(window[i])) * scale + np.float32(0.5)))

@@ -1,0 +1,76 @@
+"""Census transform and Hamming distance (eq. 3.5)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from depthcli.core import memory
+from depthcli.core.frames import Image, StereoPair
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.cost import CostMeasure, Side
+from depthcli.methods.stereo.cost._fill import empty_volume, hamming_volume
+from depthcli.methods.stereo.outside import fill_outside
+from depthcli.methods.stereo.volume import CostVolume
+
+
+class Census(CostMeasure):
+    """Hamming distance of census bit strings: bit k is set where neighbor k is brighter than the center."""
+
+    window: tuple[Side, Side] = Field((9, 7), description="window width and height, odd, at most 64 neighbors, pixels")
+    outside: float = Field(16.0, ge=0, le=64, description="cost of a match outside the right image, bits")
+
+    @field_validator("window")
+    @classmethod
+    def _small(cls, window: tuple[int, int]) -> tuple[int, int]:
+        if not 2 <= window[0] * window[1] <= 65:
+            raise ValueError("the window must have 1 to 64 neighbors (9 x 7 has 62)")
+        return window
+
+    def halo(self) -> int | None:
+        return max(self.window) // 2
+
+    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
+        costs = empty_volume(pair.shape, disparities)
+        left, right = (census_transform(image, self.window) for image in pair.grey)
+        hamming_volume(left, right, costs)
+        fill_outside(costs, np.uint8(round(self.outside)))
+        return CostVolume(costs, 1.0)
+
+
+def census_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint64]:
+    """Census bit strings.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 or uint16; its border pixels are repeated outwards
+    window : (width, height), odd, at most 64 neighbors
+
+    Returns
+    -------
+    (H, W) uint64
+    """
+    ry, rx = window[1] // 2, window[0] // 2
+    padded = np.pad(image, ((ry, ry), (rx, rx)), mode="edge")
+    bits: NDArray[np.uint64] = memory.empty(image.shape, np.uint64)
+    _census(padded, bits, ry, rx)
+    return bits
+
+
+@parallel_jit
+def _census(padded: Any, bits: Any, ry: int, rx: int) -> None:
+    height, width = bits.shape
+    for y in prange(height):
+        out = bits[y]
+        out[:] = 0
+        center = padded[y + ry, rx : rx + width]
+        for dy in range(2 * ry + 1):
+            for dx in range(2 * rx + 1):
+                if dy == ry and dx == rx:
+                    continue
+                neighbor = padded[y + dy, dx : dx + width]
+                for i in range(out.size):
+                    out[i] = (out[i] << np.uint64(1)) | np.uint64(neighbor[i] > center[i])

@@ -1,0 +1,101 @@
+"""Combination of measures by a sum of exponentials (eq. 3.6; Mei et al. 2011)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from depthcli.core import memory
+from depthcli.core.frames import StereoPair
+from depthcli.kernels.exponential import exp_minus_16
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.stereo.cost import CostMeasure, PartCost, light_weights
+from depthcli.methods.stereo.outside import fill_outside
+from depthcli.methods.stereo.volume import CostVolume
+
+
+class Part(BaseModel):
+    """One measure of the combination."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+
+    cost: PartCost = Field(description="the measure")
+    lambda_: float = Field(alias="lambda", gt=0, le=1e6, description="cost at which the part has risen to 1 - 1/e")
+
+
+class Combined(CostMeasure):
+    """Sum over the parts of ``1 - exp(-C_m / lambda_m)``: every part lies in [0, 1), none can dominate.
+
+    Where the pair says that its light cannot be trusted, parts that compare grey levels count less, the others more.
+    """
+
+    parts: tuple[Part, ...] = Field(min_length=1, max_length=16, description="measures and their lambdas")
+    outside: float = Field(
+        1.0, ge=0, le=16, description="cost of a match outside the right image, in units of one part"
+    )
+
+    def halo(self) -> int | None:
+        halos = [part.cost.halo() for part in self.parts]
+        known = [halo for halo in halos if halo is not None]
+        return max(known) if len(known) == len(halos) else None
+
+    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
+        unit = 255 // len(self.parts)
+        total = memory.empty((*pair.shape, disparities), np.uint8)
+        total[:] = 0
+        weights = light_weights([part.cost for part in self.parts], pair)
+        for k, part in enumerate(self.parts):
+            volume = part.cost(pair, disparities)
+            rate = _rate(volume.scale * part.lambda_)
+            if weights is None:
+                _add_exponential(volume.costs, rate, np.float32(unit), total)
+            else:
+                _add_weighted(volume.costs, rate, np.float32(unit) * weights[k], total)
+        fill_outside(total, np.uint8(min(255, round(self.outside * unit))))
+        return CostVolume(total, float(unit))
+
+
+def part_shares(lambda_: float) -> NDArray[np.float32]:
+    """(256,) float32 in [0, 1]: what each stored cost adds to the sum, ``lambda_`` in stored units."""
+    shares = np.empty(256, np.float32)
+    _share(_rate(lambda_), shares)
+    return shares
+
+
+def _rate(lambda_: float) -> np.float32:
+    return np.float32(1.0 / (16.0 * lambda_))
+
+
+@jit
+def _share(rate: Any, shares: Any) -> None:
+    for i in range(shares.size):
+        shares[i] = np.float32(1.0) - exp_minus_16(np.float32(i) * rate)
+
+
+@parallel_jit
+def _add_exponential(costs: Any, rate: Any, unit: Any, total: Any) -> None:
+    # A table of 256 entries would not vectorize.
+    height, width, depth = costs.shape
+    half, one = np.float32(0.5), np.float32(1.0)
+    for y in prange(height):
+        source = costs[y].reshape(width * depth)
+        out = total[y].reshape(width * depth)
+        for i in range(out.size):
+            part = one - exp_minus_16(np.float32(source[i]) * rate)
+            out[i] = np.uint8(out[i] + np.uint8(np.int32(unit * part + half)))
+
+
+@parallel_jit
+def _add_weighted(costs: Any, rate: Any, units: Any, total: Any) -> None:
+    # As above, with a unit of every pixel.
+    height, width, _ = costs.shape
+    half, one = np.float32(0.5), np.float32(1.0)
+    for y in prange(height):
+        for x in range(width):
+            source, out, unit = costs[y, x], total[y, x], units[y, x]
+            for i in range(out.size):
+                part = one - exp_minus_16(np.float32(source[i]) * rate)
+                out[i] = np.uint8(min(np.int32(out[i]) + np.int32(unit * part + half), np.int32(255)))

@@ -1,0 +1,104 @@
+"""Difference of image gradients (eq. 3.2)."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.core.frames import Image, StereoPair
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.cost import CostMeasure
+from depthcli.methods.stereo.cost._fill import empty_volume, tolerant_volume
+from depthcli.methods.stereo.outside import fill_outside
+from depthcli.methods.stereo.volume import CostVolume
+
+
+class Gradient(CostMeasure):
+    """``|dI/dx - dI'/dx| + |dI/dy - dI'/dy|`` of the grey images, truncated; blind to a change of brightness.
+
+    Derivatives are those of a Gaussian, 5 x 5, normalized so that a ramp of 1 grey level a pixel has
+    the derivative 1.
+    """
+
+    aliases = ("GRAD",)
+
+    sigma: float = Field(1.0, ge=0.3, le=2, description="standard deviation of the derivative filter, pixels")
+    truncation: float = Field(40.0, gt=0, le=63, description="largest cost, grey levels a pixel")
+    sampling: Literal["exact", "tolerant"] = Field(
+        "exact",
+        description="tolerant: blind to where between two pixels the other camera has sampled (Birchfield and Tomasi)",
+    )
+    outside: float = Field(4.0, ge=0, le=63, description="cost of a match outside the right image, grey levels a pixel")
+
+    SCALE: ClassVar[int] = 4
+    compares_levels = True
+
+    def halo(self) -> int | None:
+        return 3 if self.sampling == "tolerant" else 2
+
+    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
+        costs = empty_volume(pair.shape, disparities)
+        left, right = (image_gradient(image, self.sigma) for image in pair.grey)
+        limit = round(self.truncation * self.SCALE)
+        if self.sampling == "tolerant":
+            tolerant_volume(left, right, costs, 2, np.int16(limit))
+        else:
+            _gradient_volume(left, right, costs, np.int16(limit))
+        fill_outside(costs, np.uint8(min(limit, round(self.outside * self.SCALE))))
+        return CostVolume(costs, float(self.SCALE))
+
+
+def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
+    """Derivatives along x and y by a 5 x 5 derivative-of-Gaussian filter.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 or uint16; its border pixels are repeated outwards
+    sigma : pixels
+
+    Returns
+    -------
+    (2, H, W) int16, in sixteenths of a grey level (of 255) a pixel
+    """
+    smooth, slope = derivative_filters(sigma)
+    grey = image.astype(np.float32) * np.float32(16 if image.dtype == np.uint8 else 16 / 257)
+    border = cv2.BORDER_REPLICATE
+    return np.stack(
+        [
+            np.rint(cv2.sepFilter2D(grey, cv2.CV_32F, kernel_x, kernel_y, borderType=border)).astype(np.int16)
+            for kernel_x, kernel_y in ((slope, smooth), (smooth, slope))
+        ]
+    )
+
+
+def derivative_filters(sigma: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The five taps of a Gaussian and of its derivative, which of a ramp of 1 a pixel is 1."""
+    offsets = np.arange(-2, 3)
+    smooth = np.exp(-(offsets**2) / (2 * sigma**2))
+    smooth = smooth / smooth.sum()
+    slope = offsets * smooth
+    return smooth, slope / (offsets * slope).sum()
+
+
+@parallel_jit
+def _gradient_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
+    """(2, H, W) int16 sixteenths into (H, W, D) uint8 quarters, rounded half up."""
+    height, width, depth = costs.shape
+    for y in prange(height):
+        mirror = np.zeros((2, width + depth), np.int16)
+        mirror[:, :width] = right[:, y, ::-1]
+        for x in range(width):
+            start = width - 1 - x
+            a, b = left[0, y, x], left[1, y, x]
+            row_a = mirror[0, start : start + depth]
+            row_b = mirror[1, start : start + depth]
+            out = costs[y, x]
+            for i in range(out.size):
+                total = np.int16(
+                    np.int16(abs(np.int16(a - row_a[i]))) + np.int16(abs(np.int16(b - row_b[i]))) + np.int16(2)
+                )
+                out[i] = np.uint8(min(np.int16(total >> np.int16(2)), limit))

@@ -1,0 +1,72 @@
+"""Difference of rank transforms (eq. 3.3-3.4; Zabih & Woodfill, ECCV 1994)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from depthcli.core.frames import Image, StereoPair
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.cost import CostMeasure, Side
+from depthcli.methods.stereo.cost._fill import difference_volume, empty_volume
+from depthcli.methods.stereo.outside import fill_outside
+from depthcli.methods.stereo.volume import CostVolume
+
+
+class Rank(CostMeasure):
+    """``|RT(y, x) - RT'(y, x - d)|``, where RT counts the window's pixels that are darker than its center."""
+
+    window: tuple[Side, Side] = Field((9, 9), description="window width and height, odd, at most 255 pixels, pixels")
+    outside: float = Field(16.0, ge=0, le=255, description="cost of a match outside the right image, ranks")
+
+    @field_validator("window")
+    @classmethod
+    def _small(cls, window: tuple[int, int]) -> tuple[int, int]:
+        if not 2 <= window[0] * window[1] <= 255:
+            raise ValueError("the window must have 2 to 255 pixels")
+        return window
+
+    def halo(self) -> int | None:
+        return max(self.window) // 2
+
+    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
+        costs = empty_volume(pair.shape, disparities)
+        left, right = (rank_transform(image, self.window) for image in pair.grey)
+        difference_volume(left[None], right[None], costs, np.int16(255))
+        fill_outside(costs, np.uint8(round(self.outside)))
+        return CostVolume(costs, 1.0)
+
+
+def rank_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint8]:
+    """Number of pixels in each pixel's window that are darker than it.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 or uint16; its border pixels are repeated outwards
+    window : (width, height), odd, at most 255 pixels
+
+    Returns
+    -------
+    (H, W) uint8
+    """
+    ry, rx = window[1] // 2, window[0] // 2
+    padded = np.pad(image, ((ry, ry), (rx, rx)), mode="edge")
+    ranks = np.zeros(image.shape, np.uint8)
+    _rank(padded, ranks, ry, rx)
+    return ranks
+
+
+@parallel_jit
+def _rank(padded: Any, ranks: Any, ry: int, rx: int) -> None:
+    height, width = ranks.shape
+    for y in prange(height):
+        out = ranks[y]
+        center = padded[y + ry, rx : rx + width]
+        for dy in range(2 * ry + 1):
+            for dx in range(2 * rx + 1):
+                neighbor = padded[y + dy, dx : dx + width]
+                for i in range(out.size):
+                    out[i] = np.uint8(out[i] + np.uint8(neighbor[i] < center[i]))

@@ -1,0 +1,124 @@
+"""Zero-mean normalized cross-correlation of two windows: blind to a local change of brightness and contrast."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from depthcli.core.frames import StereoPair
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.cost import CostMeasure, Side
+from depthcli.methods.stereo.cost._fill import empty_volume
+from depthcli.methods.stereo.outside import fill_outside
+from depthcli.methods.stereo.volume import CostVolume
+
+_BAND = 16  # rows that one task slides its window over
+
+
+class Zncc(CostMeasure):
+    """``1 - (cov + n^2) / sqrt((var + n^2) (var' + n^2))`` of the grey levels in two windows, at most 1.
+
+    The noise n keeps windows without texture from correlating by chance: they neither match nor mismatch.
+    """
+
+    window: tuple[Side, Side] = Field((9, 9), description="window width and height, odd, at most 1023 pixels, pixels")
+    noise: float = Field(2.0, gt=0, le=255, description="standard deviation of the noise, grey levels")
+    outside: float = Field(0.8, ge=0, le=1, description="cost of a match outside the right image")
+
+    SCALE: ClassVar[int] = 250
+
+    @field_validator("window")
+    @classmethod
+    def _fits(cls, window: tuple[int, int]) -> tuple[int, int]:
+        if not 2 <= window[0] * window[1] <= 1023:
+            raise ValueError("the window must have 2 to 1023 pixels")
+        return window
+
+    def halo(self) -> int | None:
+        return max(self.window) // 2
+
+    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
+        costs = empty_volume(pair.shape, disparities)
+        ry, rx = self.window[1] // 2, self.window[0] // 2
+        padded = [np.pad(image, ((ry, ry), (rx, rx)), mode="edge") for image in pair.grey8]
+        moments = [_moments(image, self.window, self.noise) for image in padded]
+        scale = 1.0 / (self.window[0] * self.window[1])
+        _zncc_volume(padded[0], padded[1], *moments[0], *moments[1], scale, np.float32(self.noise**2), costs)
+        fill_outside(costs, np.uint8(round(self.outside * self.SCALE)))
+        return CostVolume(costs, float(self.SCALE))
+
+
+def _moments(
+    padded: NDArray[np.uint8], window: tuple[int, int], noise: float
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Mean of every window, and 1 / sqrt(variance + noise^2); of an image that is padded by half a window."""
+    ry, rx = window[1] // 2, window[0] // 2
+    inner = slice(ry, padded.shape[0] - ry), slice(rx, padded.shape[1] - rx)
+    area = window[0] * window[1]
+    sums = cv2.boxFilter(padded, cv2.CV_64F, window, normalize=False)[inner]
+    squares = cv2.sqrBoxFilter(padded, cv2.CV_64F, window, normalize=False)[inner]
+    variance = (squares - sums * sums / area) / area
+    return sums / area, (1.0 / np.sqrt(variance + noise**2)).astype(np.float32)
+
+
+@parallel_jit
+def _zncc_volume(
+    left: Any, right: Any, left_mean: Any, left_factor: Any, right_mean: Any, right_factor: Any, scale: Any,
+    floor: Any, costs: Any,
+) -> None:  # fmt: skip
+    """Sums of products: a column's follow from those of the row above, a window's from the window before."""
+    height, width, depth = costs.shape
+    rows, columns = left.shape
+    tall, wide = rows - height + 1, columns - width + 1
+    unit, one, half = np.float32(250.0), np.float32(1.0), np.float32(0.5)
+    for band in prange((height + _BAND - 1) // _BAND):
+        sums = np.zeros((columns, depth), np.int32)
+        mirror = np.zeros(columns + depth, np.int32)
+        total = np.zeros(depth, np.int32)
+        mean = np.zeros(width + depth)
+        factor = np.zeros(width + depth, np.float32)
+        first = band * _BAND
+        for y in range(first, min(height, first + _BAND)):
+            # Rows y .. y + tall - 1 of the padded images; the first row of a band starts from nothing.
+            start = y if y == first else y + tall - 1
+            for row in range(start, y + tall):
+                mirror[:columns] = right[row, ::-1]
+                for x in range(columns):
+                    a = np.int32(left[row, x])
+                    column, other = sums[x], mirror[columns - 1 - x : columns - 1 - x + depth]
+                    for i in range(column.size):
+                        column[i] += a * other[i]
+            mean[:width] = right_mean[y, ::-1]
+            factor[:width] = right_factor[y, ::-1]
+            total[:] = 0
+            for x in range(wide - 1):
+                column = sums[x]
+                for i in range(total.size):
+                    total[i] += column[i]
+            for x in range(width):
+                column = sums[x + wide - 1]
+                for i in range(total.size):
+                    total[i] += column[i]
+                at = width - 1 - x
+                means, factors = mean[at : at + depth], factor[at : at + depth]
+                m, f = left_mean[y, x], left_factor[y, x]
+                out = costs[y, x]
+                for i in range(out.size):
+                    # In double precision: the difference of two large and nearly equal numbers.
+                    covariance = np.float32(np.float64(total[i]) * scale - m * means[i])
+                    correlation = (covariance + floor) * (f * factors[i])
+                    out[i] = np.uint8(np.int32(unit * min(max(one - correlation, np.float32(0.0)), one) + half))
+                column = sums[x]
+                for i in range(total.size):
+                    total[i] -= column[i]
+            if y + 1 < min(height, first + _BAND):
+                mirror[:columns] = right[y, ::-1]
+                for x in range(columns):
+                    a = np.int32(left[y, x])
+                    column, other = sums[x], mirror[columns - 1 - x : columns - 1 - x + depth]
+                    for i in range(column.size):
+                        column[i] -= a * other[i]

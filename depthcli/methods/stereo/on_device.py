@@ -1,0 +1,154 @@
+"""What the stages of a pipeline hand to each other on a device.
+
+A method's twin for devices lies in the folder ``_device`` of its family, in a module of the method's name with a
+function ``run``: cost ``run(method, pair, disparities)``, aggregation and optimization ``run(method, volume, pair)``,
+refinement ``run(method, disparity, evidence)``, as the methods themselves, on the types below.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap
+from depthcli.device import Device, DeviceArray, Kernels
+from depthcli.methods.stereo.volume import CostVolume, Evidence
+
+PIXELS = (32, 8)
+"""Group of kernels that give every pixel a thread."""
+
+_IMAGES = Kernels("depthcli.methods.stereo", "images.cl")
+
+
+@dataclass(frozen=True)
+class DevicePair:
+    """A pair whose images are copied to a device when they are first asked for.
+
+    Attributes
+    ----------
+    host : the pair
+    """
+
+    device: Device
+    host: StereoPair
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.host.shape
+
+    @cached_property
+    def color(self) -> tuple[DeviceArray, DeviceArray]:
+        """Both images, (H, W, 3) uint8."""
+        left, right = self.host.color8
+        return self.device.upload(left), self.device.upload(right)
+
+    @cached_property
+    def grey(self) -> tuple[DeviceArray, DeviceArray]:
+        """Both images, (H, W) luma in their own dtype."""
+        if self.host.left.ndim == 3 and self.host.left.dtype == np.uint8 and self.host.bits in (None, 8):
+            left, right = self.color
+            return self._luma(left), self._luma(right)
+        left_host, right_host = self.host.grey
+        return self.device.upload(left_host), self.device.upload(right_host)
+
+    @cached_property
+    def grey8(self) -> tuple[DeviceArray, DeviceArray]:
+        """Both images, (H, W) uint8."""
+        left, right = self.grey
+        if left.dtype == np.uint8:
+            return left, right
+        left_host, right_host = self.host.grey8
+        return self.device.upload(left_host), self.device.upload(right_host)
+
+    def _luma(self, image: DeviceArray) -> DeviceArray:
+        height, width = self.shape
+        grey = self.device.empty((height, width), np.uint8)
+        self.device.launch(_IMAGES, "luma", (width, height), PIXELS, image, grey, height, width)
+        return grey
+
+
+@dataclass(frozen=True)
+class DeviceVolume:
+    """As :class:`~depthcli.methods.stereo.volume.CostVolume`: (H, W, D) uint8, uint16 or float32."""
+
+    device: Device
+    costs: DeviceArray
+    scale: float = 1.0
+
+    @property
+    def disparities(self) -> int:
+        """D."""
+        return self.costs.shape[2]
+
+    @property
+    def c_type(self) -> str:
+        """The costs' type in C."""
+        return c_type(self.costs.dtype)
+
+    def download(self) -> CostVolume:
+        """The volume on the host."""
+        return CostVolume(self.device.download(self.costs), self.scale)
+
+    @classmethod
+    def upload(cls, device: Device, volume: CostVolume) -> DeviceVolume:
+        """A copy of ``volume`` on the device."""
+        return cls(device, device.upload(volume.costs), volume.scale)
+
+
+@dataclass(frozen=True)
+class DeviceMap:
+    """As :class:`~depthcli.core.maps.DisparityMap`: (H, W) float32 and uint8."""
+
+    device: Device
+    values: DeviceArray
+    status: DeviceArray
+
+    def download(self) -> DisparityMap:
+        """The map on the host."""
+        return DisparityMap(self.device.download(self.values), self.device.download(self.status))
+
+    @classmethod
+    def upload(cls, device: Device, disparity: DisparityMap) -> DeviceMap:
+        """A copy of ``disparity`` on the device."""
+        return cls(device, device.upload(disparity.values), device.upload(disparity.status))
+
+
+@dataclass(frozen=True)
+class DeviceEvidence:
+    """As :class:`~depthcli.methods.stereo.volume.Evidence`."""
+
+    pair: DevicePair
+    volume: DeviceVolume
+    right: DeviceArray
+
+    @cached_property
+    def host(self) -> Evidence:
+        """The evidence on the host, for steps without a twin."""
+        return Evidence(self.pair.host, self.volume.download(), self.pair.device.download(self.right))
+
+
+def c_type(dtype: Any) -> str:
+    """Name in C of a NumPy type that kernels know."""
+    return {"uint8": "uchar", "uint16": "ushort", "int16": "short", "float32": "float"}[np.dtype(dtype).name]
+
+
+def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+    """Threads for every cell of (H, W, D), d fastest, and a group that fits the depth."""
+    height, width, depth = volume.shape
+    lanes = 16
+    while lanes < min(depth, 64):
+        lanes *= 2
+    return (depth, width, height), (lanes, 256 // lanes, 1)
+
+
+def map_like(disparity: DeviceMap) -> DeviceMap:
+    """An uninitialized map of the same size."""
+    device = disparity.device
+    return DeviceMap(
+        device, device.empty(disparity.values.shape, np.float32), device.empty(disparity.values.shape, np.uint8)
+    )

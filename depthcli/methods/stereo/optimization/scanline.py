@@ -1,0 +1,169 @@
+"""Scanline optimization: dynamic programming along 4 or 8 paths (Hirschmueller 2008; Mei et al. 2011)."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.core import memory
+from depthcli.core.frames import StereoPair
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.stereo.fixed_point import FixedPoint, as_fixed_point
+from depthcli.methods.stereo.optimization import Optimizer
+from depthcli.methods.stereo.optimization._path_step import LANES, path_step
+from depthcli.methods.stereo.volume import CostVolume
+
+_TOO_DEAR = 20000
+
+
+class Scanline(Optimizer):
+    """Mean of the cheapest path costs that end at a cell, over paths from 4 or 8 directions.
+
+    ``L(p, d) = C(p, d) + min(L(q, d), L(q, d +- 1) + P1, min L(q) + P2) - min L(q)`` with q the pixel before
+    p on the path. Where the left image has an edge between q and p both penalties are reduced.
+    """
+
+    aliases = (
+        "SGM",
+        "SO",
+    )
+
+    p1: float = Field(0.5, gt=0, le=1e6, description="penalty of a disparity change by 1, in units of the cost")
+    p2: float = Field(2.0, gt=0, le=1e6, description="penalty of a larger change, in units of the cost")
+    paths: Literal[4, 8] = Field(8, description="number of path directions")
+    edge_threshold: int = Field(10, ge=0, le=255, description="color difference that counts as an edge, grey levels")
+    edge_divisor: float = Field(4.0, ge=1, le=1e4, description="penalties are divided by this across an edge")
+
+    def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
+        if volume.costs.dtype == np.float32:
+            volume = as_fixed_point(volume)
+        costs = volume.costs
+        disparities = volume.disparities
+        if disparities < LANES:  # too dear to ever win; cut off again below
+            padding = ((0, 0), (0, 0), (0, LANES - disparities))
+            costs = np.pad(costs.astype(np.uint16), padding, constant_values=_TOO_DEAR)
+        table = self.penalties(volume.scale, volume.costs.dtype == np.uint8)
+        edges = _path_edges(pair.color8[0], self.edge_threshold)
+        sums = [memory.empty(costs.shape, np.uint16) for _ in range(2)]
+        _sweep_both(costs, sums[0], sums[1], edges, table, self.paths == 8)
+        _add(sums[0], sums[1])
+        total = sums[0] if disparities >= LANES else np.ascontiguousarray(sums[0][:, :, :disparities])
+        return CostVolume(total, volume.scale * self.paths)
+
+    def penalties(self, scale: float, raw: bool) -> NDArray[np.uint16]:
+        """(2, 2): P1 and P2 in stored units, then both across an edge; ``raw``: costs are uint8, else fixed point."""
+        # Sums of all paths have to fit into 16 bits; a path cost is at most the cost plus P2.
+        largest = 65535 // self.paths - (255 if raw else FixedPoint.LARGEST)
+        p1, p2 = (round(min(p * scale, largest)) for p in (self.p1, self.p2))
+        return np.array(
+            [[p1, max(p1, p2)], [round(p1 / self.edge_divisor), round(max(p1, p2) / self.edge_divisor)]], np.uint16
+        )
+
+
+def _path_edges(image: NDArray[np.uint8], threshold: int) -> NDArray[np.uint8]:
+    """(4, H, W) uint8: 1 where the pixel to the left, upper left, above, upper right differs in color."""
+    height, width = image.shape[:2]
+    edges = np.zeros((4, height, width), np.uint8)
+    _mark_edges(np.ascontiguousarray(image.transpose(2, 0, 1)), edges, threshold)
+    return edges
+
+
+@parallel_jit
+def _mark_edges(planes: Any, edges: Any, threshold: int) -> None:
+    channels, height, width = planes.shape
+    for y in prange(height):
+        for k in range(4):
+            dy = 0 if k == 0 else 1
+            dx = -1 if k < 2 else k - 2
+            if y - dy < 0:
+                continue
+            x0, x1 = max(0, -dx), min(width, width - dx)
+            out = edges[k, y, x0:x1]
+            for c in range(channels):
+                here = planes[c, y, x0:x1]
+                there = planes[c, y - dy, x0 + dx : x1 + dx]
+                for i in range(out.size):
+                    difference = np.int16(abs(np.int16(np.int16(here[i]) - np.int16(there[i]))))
+                    out[i] = np.uint8(out[i] | np.uint8(difference > threshold))
+
+
+@parallel_jit
+def _add(total: Any, more: Any) -> None:
+    height, width, depth = total.shape
+    for y in prange(height):
+        out = total[y].reshape(width * depth)
+        source = more[y].reshape(width * depth)
+        for i in range(out.size):
+            out[i] = np.uint16(out[i] + source[i])
+
+
+@parallel_jit
+def _sweep_both(costs: Any, down: Any, up: Any, edges: Any, table: Any, diagonal: bool) -> None:
+    for direction in prange(2):
+        if direction == 0:
+            _sweep(costs, down, edges, table, diagonal, False)
+        else:
+            _sweep(costs, up, edges, table, diagonal, True)
+
+
+@jit
+def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upwards: bool) -> None:
+    """Paths from the left, above, upper left and upper right; upwards: their opposites.
+
+    ``state`` holds the path costs, D + 2 cells a pixel: two pixels of the row path, then for each of the
+    three directions from above two rows of W + 2 pixels in turn. Margin pixels start paths anew.
+    """
+    height, width, depth = costs.shape
+    cells = depth + 2
+    row_cells = (width + 2) * cells
+    state = np.full(2 * cells + 6 * row_cells, 0x7FFF, np.uint16)
+    for pixel in range(2 + 6 * (width + 2)):
+        for i in range(pixel * cells + 1, pixel * cells + 1 + depth):
+            state[i] = 0
+    least = np.zeros(2 + 6 * (width + 2), np.uint16)
+    flat_costs = costs.reshape(height * width * depth)
+    flat_sums = sums.reshape(height * width * depth)
+    step = -1 if upwards else 1
+    for row in range(height):
+        y = height - 1 - row if upwards else row
+        from_row = y + 1 if upwards else y  # the row of ``edges`` that looks across to the row before
+        old, new = 2 + (row & 1) * 3 * (width + 2), 2 + (1 - (row & 1)) * 3 * (width + 2)
+        least[:2] = 0
+        for i in range(depth):
+            state[1 + i] = 0
+        for column in range(width):
+            x = width - 1 - column if upwards else column
+            at = (y * width + x) * depth
+            back, front = column & 1, 1 - (column & 1)
+            above_old, above_new = old + width + 2 + x + 1, new + width + 2 + x + 1
+            e = f = 0
+            if column > 0:
+                e = edges[0, y, x + 1] if upwards else edges[0, y, x]
+            if row > 0:
+                f = edges[2, from_row, x]
+            if not diagonal:
+                path_step(
+                    flat_costs, at, state, (back * cells, above_old * cells), (front * cells, above_new * cells),
+                    least, (back, above_old), (front, above_new),
+                    (table[e, 0], table[f, 0]), (table[e, 1], table[f, 1]), flat_sums, at, depth,
+                )  # fmt: skip
+                continue
+            u, v = x - step, x + step
+            left_old, left_new = old + u + 1, new + x + 1
+            right_old, right_new = old + 2 * (width + 2) + v + 1, new + 2 * (width + 2) + x + 1
+            g = h = 0
+            if row > 0 and 0 <= u < width:
+                g = edges[1, from_row, u if upwards else x]
+            if row > 0 and 0 <= v < width:
+                h = edges[3, from_row, v if upwards else x]
+            path_step(
+                flat_costs, at, state,
+                (back * cells, above_old * cells, left_old * cells, right_old * cells),
+                (front * cells, above_new * cells, left_new * cells, right_new * cells),
+                least, (back, above_old, left_old, right_old), (front, above_new, left_new, right_new),
+                (table[e, 0], table[f, 0], table[g, 0], table[h, 0]),
+                (table[e, 1], table[f, 1], table[g, 1], table[h, 1]), flat_sums, at, depth,
+            )  # fmt: skip

@@ -1,0 +1,91 @@
+"""What the two OpenCV matchers share: padding, WLS filter, filling, and the way back to our maps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from depthcli.algorithms.filters.opencv_threads import single_thread
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.result import Clock
+from depthcli.methods.stereo.refinement.background_fill import fill_background
+from depthcli.methods.stereo.volume import StereoResult
+
+_FRACTIONS = 16  # OpenCV's disparities are int16 sixteenths
+
+
+class Wls(BaseModel):
+    """Edge-preserving smoothing and filling, guided by the left image and by a right-to-left match."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    lambda_: float = Field(8000.0, alias="lambda", gt=0, le=1e9, description="strength of the smoothing")
+    sigma_color: float = Field(1.5, gt=0, le=1e4, description="color sensitivity; smaller keeps more edges")
+
+
+def search_range(max_disparity: int) -> int:
+    """OpenCV's number of disparities for 0 .. ``max_disparity``: a multiple of 16."""
+    if max_disparity < 0:
+        raise ValueError(f"max_disparity must be >= 0, got {max_disparity}")
+    return (max_disparity // 16 + 1) * 16
+
+
+def match(
+    matcher: Any,
+    left: NDArray[np.uint8],
+    right: NDArray[np.uint8],
+    max_disparity: int,
+    margin: int,
+    wls: Wls | None,
+    fill: bool,
+) -> StereoResult:
+    """Run ``matcher`` on the padded pair.
+
+    The matchers never answer in the first ``search_range`` columns, so the pair is padded on the left by
+    repeating its border, and the answer is cropped.
+
+    Parameters
+    ----------
+    matcher : cv2.StereoSGBM or cv2.StereoBM
+    left, right : (H, W) or (H, W, 3) uint8
+    margin : padding on every side beside that, pixels
+    """
+    height, width = left.shape[:2]
+    lead = search_range(max_disparity) + margin
+    clock = Clock()
+    padded_left, padded_right = (
+        cv2.copyMakeBorder(image, margin, margin, lead, margin, cv2.BORDER_REPLICATE) for image in (left, right)
+    )
+    raw = matcher.compute(padded_left, padded_right)
+    values, status = _to_map(raw[margin : margin + height, lead : lead + width], max_disparity)
+    clock.stop("matching")
+    if wls is not None:
+        mirrored = cv2.ximgproc.createRightMatcher(matcher).compute(padded_right, padded_left)
+        smoother = cv2.ximgproc.createDisparityWLSFilter(matcher)
+        smoother.setLambda(wls.lambda_)
+        smoother.setSigmaColor(wls.sigma_color)
+        with single_thread():
+            smooth = smoother.filter(raw, padded_left, None, mirrored)
+        values, beyond = _to_map(smooth[margin : margin + height, lead : lead + width], max_disparity)
+        answered = ~np.isnan(values)
+        status = np.where(answered, status | Status.SMOOTHED, status | beyond).astype(np.uint8)
+        status[answered & (status != Status.SMOOTHED)] |= np.uint8(Status.FILLED)
+        clock.stop("wls")
+    disparity = DisparityMap(values, status)
+    if fill:
+        disparity = fill_background(disparity)
+        clock.stop("fill")
+    return StereoResult(disparity, seconds=clock.seconds)
+
+
+def _to_map(raw: NDArray[Any], max_disparity: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Pixels and reasons of (H, W) int16; what lies more than a step beyond the range was not asked for."""
+    status = np.zeros(raw.shape, np.uint8)
+    status[raw >= (max_disparity + 1) * _FRACTIONS] = Status.OUT_OF_RANGE
+    status[raw < 0] = Status.MISMATCH
+    values = np.where(status == 0, raw.astype(np.float32) / _FRACTIONS, np.float32(np.nan))
+    return values.astype(np.float32), status

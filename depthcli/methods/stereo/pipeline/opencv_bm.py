@@ -1,0 +1,52 @@
+"""OpenCV's block matching, as a peer to compare with."""
+
+from __future__ import annotations
+
+import cv2
+from pydantic import Field
+
+from depthcli.core.frames import StereoPair
+from depthcli.core.method import Odd
+from depthcli.methods.stereo.pipeline import StereoPipeline
+from depthcli.methods.stereo.pipeline._opencv import Wls, match, search_range
+from depthcli.methods.stereo.volume import StereoResult
+
+
+class OpencvBm(StereoPipeline):
+    """``cv2.StereoBM`` on grey images, padded so that it answers up to the border, with optional WLS filter and fill.
+
+    Pixels that OpenCV rejects (texture, uniqueness, left-right check, speckles: it does not say which)
+    are ``MISMATCH``.
+    """
+
+    aliases = ("BM",)
+
+    block: Odd = Field(15, ge=5, le=255, description="side of the matched block, pixels, odd")
+    pre_filter_cap: int = Field(31, ge=1, le=63, description="truncation of the pre-filtered gradients, grey levels")
+    texture: int = Field(10, ge=0, le=10**6, description="blocks with less summed gradient are rejected")
+    uniqueness: int = Field(10, ge=0, le=100, description="margin of the best cost over the second best, %")
+    left_right: int = Field(1, ge=-1, le=16384, description="largest left-right difference, pixels; -1: no check")
+    speckle_size: int = Field(100, ge=0, le=10**8, description="regions of fewer pixels are rejected; 0: none")
+    speckle_range: int = Field(2, ge=0, le=16384, description="largest step inside a region, pixels")
+    wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; none: off")
+    fill: bool = Field(True, description="fill what has no value with the background of its row")
+
+    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+        matcher = cv2.StereoBM.create(search_range(max_disparity), self.block)
+        matcher.setPreFilterType(cv2.STEREO_BM_PREFILTER_XSOBEL)
+        matcher.setPreFilterCap(self.pre_filter_cap)
+        matcher.setTextureThreshold(self.texture)
+        matcher.setUniquenessRatio(self.uniqueness)
+        matcher.setDisp12MaxDiff(self.left_right)
+        matcher.setSpeckleWindowSize(self.speckle_size)
+        matcher.setSpeckleRange(self.speckle_range)
+        left, right = pair.grey8
+        # Blocks must fit into the image, and no answer is given where they reach beyond it.
+        return match(matcher, left, right, max_disparity, self.block // 2 + 1, self.wls, self.fill)
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """A few rows of sums, and the maps."""
+        height, width = shape
+        disparities = search_range(max_disparity)
+        pixels = (height + self.block) * (width + disparities + self.block)
+        return 8 * (width + disparities) * disparities + pixels * (60 if self.wls else 30)

@@ -1,0 +1,75 @@
+"""OpenCV's semi-global matching, as a peer to compare with."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+from pydantic import Field
+
+from depthcli.core.frames import StereoPair
+from depthcli.core.method import Odd
+from depthcli.methods.stereo.pipeline import StereoPipeline
+from depthcli.methods.stereo.pipeline._opencv import Wls, match, search_range
+from depthcli.methods.stereo.volume import StereoResult
+
+_MODES = {
+    "sgbm": cv2.STEREO_SGBM_MODE_SGBM,
+    "hh": cv2.STEREO_SGBM_MODE_HH,
+    "hh4": cv2.STEREO_SGBM_MODE_HH4,
+    "3way": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+}
+
+
+class OpencvSgbm(StereoPipeline):
+    """``cv2.StereoSGBM``, padded on the left so that it answers there too, with optional WLS filter and fill.
+
+    Pixels that OpenCV rejects (uniqueness, left-right check, speckles: it does not say which) are
+    ``MISMATCH``.
+    """
+
+    aliases = ("SGBM",)
+
+    mode: Literal["sgbm", "hh", "hh4", "3way"] = Field("sgbm", description="paths: 5, 8, 4, or 3 per pixel")
+    block: Odd = Field(5, ge=1, le=11, description="side of the matched block, pixels, odd")
+    p1: int | None = Field(None, ge=0, le=32000, description="penalty of a step of 1; none: 8 x channels x block^2")
+    p2: int | None = Field(
+        None, ge=1, le=32000, description="penalty of a larger step, above p1; none: 32 x channels x block^2"
+    )
+    pre_filter_cap: int = Field(0, ge=0, le=63, description="truncation of the pre-filtered gradients, grey levels")
+    uniqueness: int = Field(10, ge=0, le=100, description="margin of the best cost over the second best, %")
+    left_right: int = Field(1, ge=-1, le=16384, description="largest left-right difference, pixels; -1: no check")
+    speckle_size: int = Field(100, ge=0, le=10**8, description="regions of fewer pixels are rejected; 0: none")
+    speckle_range: int = Field(2, ge=0, le=16384, description="largest step inside a region, pixels")
+    wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; none: off")
+    fill: bool = Field(True, description="fill what has no value with the background of its row")
+
+    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+        """Match on 8 bits; color pairs are matched in color."""
+        left, right = pair.color8 if pair.left.ndim == 3 else pair.grey8
+        area = self.block**2 * (3 if pair.left.ndim == 3 else 1)
+        p1 = 8 * area if self.p1 is None else self.p1
+        matcher = cv2.StereoSGBM.create(
+            minDisparity=0,
+            numDisparities=search_range(max_disparity),
+            blockSize=self.block,
+            P1=p1,
+            P2=max(p1 + 1, 32 * area) if self.p2 is None else self.p2,
+            disp12MaxDiff=self.left_right,
+            preFilterCap=self.pre_filter_cap,
+            uniquenessRatio=self.uniqueness,
+            speckleWindowSize=self.speckle_size,
+            speckleRange=self.speckle_range,
+            mode=_MODES[self.mode],
+        )
+        # OpenCV refuses images no wider than half a block.
+        margin = 0 if left.shape[1] > self.block else self.block
+        return match(matcher, left, right, max_disparity, margin, self.wls, self.fill)
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Full-image volumes in modes hh and hh4 (int16 costs and sums), else a few rows; and the maps."""
+        height, width = shape
+        disparities = search_range(max_disparity)
+        pixels = height * (width + disparities)
+        volumes = 4 * pixels * disparities if self.mode in ("hh", "hh4") else 16 * (width + disparities) * disparities
+        return volumes + pixels * (60 if self.wls else 30)

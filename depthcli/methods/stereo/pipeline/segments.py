@@ -1,0 +1,35 @@
+"""Segment-based stereo with key points and graph cuts (thesis chapter 2)."""
+
+from __future__ import annotations
+
+from depthcli.core.frames import StereoPair
+from depthcli.core.result import Clock
+from depthcli.methods.stereo.adjustment import adjusted
+from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
+from depthcli.methods.stereo.pipeline import CostPipeline
+from depthcli.methods.stereo.segments.steps import SegmentSteps
+from depthcli.methods.stereo.volume import StereoResult
+
+
+class Segments(SegmentSteps, CostPipeline):
+    """Every segment of the left image is a plane; which plane is decided for all segments at once.
+
+    Beyond the thesis, and why: an optimizer between window and selection and disparities that are trusted more
+    often; segments that are not one plane are cut along a grid (curved things); planes are fitted again
+    to groups of segments that share one (``rounds``); what occluded pixels could not be hiding behind costs
+    (``visibility``). The defaults switch these off; the presets say what they use.
+    """
+
+    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+        clock = Clock()
+        pair = adjusted(pair, max_disparity, self.adjust, clock)
+        volume = self.cost(pair, max_disparity + 1)
+        clock.stop("cost")
+        return self.from_volume(pair, volume, max_disparity, clock)
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Raw costs (1 byte a cell), the window's means and two sums of path costs (2 bytes each)."""
+        pixels = shape[0] * shape[1]
+        bytes_a_cell = 2 + (2 if self.window_radius else 0)
+        bytes_a_cell += 0 if isinstance(self.optimization, WinnerTakesAll) else 4
+        return pixels * (max_disparity + 1) * max(bytes_a_cell, 3) + 300 * pixels + (64 << 20)

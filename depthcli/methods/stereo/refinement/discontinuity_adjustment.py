@@ -1,0 +1,51 @@
+"""Depth discontinuity adjustment (Mei et al. 2011)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.volume import CostVolume, Evidence
+
+
+class DiscontinuityAdjustment(Refinement):
+    """Where disparity jumps, let the two pixels beside a pixel offer theirs; the cheapest of the three stays."""
+
+    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+        values = disparity.values
+        assert isinstance(evidence.volume, CostVolume)
+        for axis in (1, 0):
+            adjusted = values.copy()
+            _adjust(values, evidence.volume.costs, axis, adjusted)
+            values = adjusted
+        changed = disparity.valid & (values != disparity.values)
+        return DisparityMap(values, disparity.status | np.where(changed, np.uint8(Status.SMOOTHED), np.uint8(0)))
+
+
+@parallel_jit
+def _adjust(values: Any, costs: Any, axis: int, adjusted: Any) -> None:
+    height, width, depth = costs.shape
+    dy, dx = (0, 1) if axis == 1 else (1, 0)
+    for y in prange(dy, height - dy):
+        for x in range(dx, width - dx):
+            here = values[y, x]
+            one, two = values[y - dy, x - dx], values[y + dy, x + dx]
+            if np.isnan(here) or np.isnan(one) or np.isnan(two):
+                continue
+            if abs(here - one) <= 1.0 and abs(here - two) <= 1.0:
+                continue
+            best = here
+            k = int(here + np.float32(0.5))
+            lowest = np.float32(np.inf)
+            if k <= x and k < depth:
+                lowest = np.float32(costs[y, x, k])
+            for other in (one, two):
+                k = int(other + np.float32(0.5))
+                if k <= x and k < depth and np.float32(costs[y, x, k]) < lowest:
+                    lowest = np.float32(costs[y, x, k])
+                    best = other
+            adjusted[y, x] = best

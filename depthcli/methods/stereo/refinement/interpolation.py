@@ -1,0 +1,64 @@
+"""Proper interpolation of empty pixels (Mei et al. 2011)."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.volume import Evidence
+
+# The nearest value is looked for in 16 directions: (dy, dx) per step
+_DIRECTIONS: NDArray[np.int64] = np.array(
+    [(0, 1), (1, 2), (1, 1), (2, 1), (1, 0), (2, -1), (1, -1), (1, -2),
+     (0, -1), (-1, -2), (-1, -1), (-2, -1), (-1, 0), (-2, 1), (-1, 1), (-1, 2)]
+)  # fmt: skip
+
+
+class Interpolation(Refinement):
+    """Fill an occluded pixel with the lowest, a mismatched one with the most similarly colored, near value.
+
+    The candidates are the nearest values in 16 directions. A pixel that sees no value in any stays empty.
+    """
+
+    needs_costs: ClassVar[bool] = False
+    fills: ClassVar[bool] = True
+
+    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+        values = disparity.values.copy()
+        occluded = (disparity.status & np.uint8(Status.OCCLUDED)) != 0
+        _interpolate(disparity.values, occluded, evidence.pair.color8[0], _DIRECTIONS, values)
+        filled = np.isnan(disparity.values) & ~np.isnan(values)
+        return DisparityMap(values, disparity.status | np.where(filled, np.uint8(Status.FILLED), np.uint8(0)))
+
+
+@parallel_jit
+def _interpolate(values: Any, occluded: Any, image: Any, directions: Any, filled: Any) -> None:
+    height, width = values.shape
+    for y in prange(height):
+        for x in range(width):
+            if not np.isnan(values[y, x]):
+                continue
+            lowest = np.float32(np.inf)
+            closest = 1 << 30
+            similar = np.float32(np.nan)
+            for k in range(directions.shape[0]):
+                v, u = y + directions[k, 0], x + directions[k, 1]
+                while 0 <= v < height and 0 <= u < width and np.isnan(values[v, u]):
+                    v += directions[k, 0]
+                    u += directions[k, 1]
+                if not (0 <= v < height and 0 <= u < width):
+                    continue
+                lowest = min(lowest, values[v, u])
+                difference = 0
+                for c in range(3):
+                    difference += int(abs(np.int32(image[y, x, c]) - np.int32(image[v, u, c])))
+                if difference < closest:
+                    closest = difference
+                    similar = values[v, u]
+            if lowest < np.inf:
+                filled[y, x] = lowest if occluded[y, x] else similar

@@ -1,0 +1,59 @@
+"""Left-right consistency: a match must be mutual."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from depthcli.core.maps import DisparityMap
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.winners import partner_difference
+from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.volume import Evidence
+
+
+class LeftRightCheck(Refinement):
+    """Remove pixels whose match in the right view does not point back to them.
+
+    The right view's map is read from the same volume, which is many times faster than matching again.
+    A removed pixel is an occlusion if no disparity at all points back (its epipolar line misses the right
+    surface), else a mismatch (Hirschmueller 2008).
+    """
+
+    needs_costs: ClassVar[bool] = False
+
+    aliases = ("LRC",)
+
+    tolerance: float = Field(
+        1.0, ge=0, le=16384, description="largest accepted difference of the two disparities, pixels"
+    )
+
+    def halo(self) -> int | None:
+        return 0
+
+    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+        values, status = disparity.values.copy(), disparity.status.copy()
+        _check(values, status, evidence.right, np.float32(self.tolerance), evidence.volume.disparities)
+        return DisparityMap(values, status)
+
+
+@parallel_jit
+def _check(values: Any, status: Any, right: Any, tolerance: Any, disparities: int) -> None:
+    occluded, mismatch = np.uint8(1), np.uint8(2)
+    height, width = values.shape
+    for y in prange(height):
+        for x in range(width):
+            d = values[y, x]
+            if np.isnan(d):
+                continue
+            if partner_difference(d, x, right[y]) <= tolerance:
+                continue
+            mutual = False
+            for other in range(min(disparities, x + 1)):
+                if right[y, x - other] == other:
+                    mutual = True
+                    break
+            values[y, x] = np.nan
+            status[y, x] |= mismatch if mutual else occluded

@@ -1,0 +1,67 @@
+"""Iterative region voting (Mei et al. 2011): empty pixels take the disparity that their support agrees on."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.kernels.cross_support import cross_arms
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.volume import Evidence
+
+
+class RegionVoting(Refinement):
+    """Give an empty pixel the most frequent disparity of its cross-shaped support, where enough pixels agree."""
+
+    needs_costs: ClassVar[bool] = False
+    fills: ClassVar[bool] = True
+
+    length: int = Field(34, ge=1, le=255, description="longest arm of the support, pixels")
+    threshold: int = Field(20, ge=0, le=255, description="color difference that ends an arm, grey levels")
+    inner_length: int = Field(17, ge=0, le=255, description="arm length from which inner_threshold holds, pixels")
+    inner_threshold: int = Field(6, ge=0, le=255, description="stricter color difference, grey levels")
+    votes: int = Field(20, ge=1, le=10**6, description="a support needs more votes than this")
+    majority: float = Field(0.4, ge=0, le=1, description="the winner needs a larger share of the votes than this")
+    iterations: int = Field(5, ge=1, le=32, description="rounds; each uses what the last one filled")
+
+    def halo(self) -> int | None:
+        return self.length * self.iterations
+
+    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+        arms = cross_arms(evidence.pair.color8[0], self.length, self.threshold, self.inner_length, self.inner_threshold)
+        values = disparity.values
+        for _ in range(self.iterations):
+            voted = values.copy()
+            _vote(values, arms, voted, evidence.volume.disparities, self.votes, self.majority)
+            settled = np.array_equal(np.isnan(voted), np.isnan(values))
+            values = voted
+            if settled:
+                break
+        filled = np.isnan(disparity.values) & ~np.isnan(values)
+        return DisparityMap(values, disparity.status | np.where(filled, np.uint8(Status.FILLED), np.uint8(0)))
+
+
+@parallel_jit
+def _vote(values: Any, arms: Any, voted: Any, bins: int, votes: int, majority: float) -> None:
+    height, width = values.shape
+    for y in prange(height):
+        histogram = np.zeros(bins, np.int32)
+        for x in range(width):
+            if not np.isnan(values[y, x]):
+                continue
+            histogram[:] = 0
+            total = 0
+            for v in range(y - arms[2, y, x], y + arms[3, y, x] + 1):
+                row = values[v]
+                for u in range(x - arms[0, v, x], x + arms[1, v, x] + 1):
+                    if not np.isnan(row[u]):
+                        histogram[min(bins - 1, int(row[u] + np.float32(0.5)))] += 1
+                        total += 1
+            if total > votes:
+                winner = np.argmax(histogram)
+                if histogram[winner] > majority * total:
+                    voted[y, x] = winner

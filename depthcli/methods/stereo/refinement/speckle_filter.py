@@ -1,0 +1,39 @@
+"""Remove small islands of disparity."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.volume import Evidence
+
+_STEPS = 16  # OpenCV filters 16-bit numbers: sixteenths of a pixel, coarser above 2000 disparities
+
+
+class SpeckleFilter(Refinement):
+    """Remove connected regions of similar disparity that are too small to be trusted (``cv2.filterSpeckles``)."""
+
+    needs_costs: ClassVar[bool] = False
+
+    size: int = Field(50, ge=1, le=10**8, description="regions of at most this many pixels are removed")
+    step: float = Field(1.0, ge=0, le=64, description="largest disparity step inside a region, pixels")
+
+    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+        valid = disparity.valid
+        none = -32768
+        steps = steps_of(evidence.volume.disparities)
+        fixed = np.where(valid, np.round(np.nan_to_num(disparity.values) * steps), none).astype(np.int16)
+        cv2.filterSpeckles(fixed, none, self.size, self.step * steps)
+        removed = valid & (fixed == none)
+        values = np.where(removed, np.float32(np.nan), disparity.values)
+        return DisparityMap(values, disparity.status | np.where(removed, np.uint8(Status.MISMATCH), np.uint8(0)))
+
+
+def steps_of(disparities: int) -> int:
+    """Steps of a pixel that are told apart."""
+    return max(1, min(_STEPS, 32767 // disparities))

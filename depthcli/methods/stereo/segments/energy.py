@@ -1,0 +1,227 @@
+"""Data and smoothness terms of the plane assignment (eq. 2.8 - 2.12)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
+
+from depthcli.algorithms.regions import RegionGraph
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.segments import Step
+from depthcli.methods.stereo.segments.planes import Members, Planes
+from depthcli.methods.stereo.segments.scene import Scene
+from depthcli.methods.stereo.volume import CostVolume
+
+
+class Energy(Step):
+    """What a plane costs in a segment, and different planes in neighboring ones."""
+
+    data_term: Annotated[
+        Literal["dedc", "matching_cost"],
+        BeforeValidator(lambda name: name.lower() if isinstance(name, str) else name),
+    ] = Field("dedc", description="distance from the first disparities, or matching cost")
+    data_weight: float = Field(10.0, ge=0, le=1e6, description="lambda (eq. 2.9), weight of the dedc data term")
+    truncation: float | None = Field(
+        None,
+        gt=0,
+        le=16384,
+        description="largest distance from a first disparity that counts, pixels; null: no limit",
+    )
+    cost_weight: float = Field(10.0, ge=0, le=1e6, description="weight of the matching_cost data term")
+    visibility: float = Field(
+        0.0,
+        ge=0,
+        le=1e6,
+        description="cost of a pixel not trusted that a plane puts in front of what the right view sees",
+    )
+    smoothness: float = Field(
+        25.0, ge=0, le=1e6, description="w (eq. 2.12): cost of a pixel of boundary between two planes"
+    )
+    color_scale: float = Field(
+        150.0,
+        gt=0,
+        le=1e6,
+        description="sigma (eq. 2.12): difference of mean colors that makes boundaries cheap, grey levels",
+    )
+
+    def __call__(self, scene: Scene, volume: CostVolume, planes: Planes) -> NDArray[np.float64]:
+        """Cost of every plane in every segment, (n, L) float64."""
+        unary = out_of_range(scene.everything, scene.width, planes, scene.max_disparity)
+        if self.data_term == "dedc":
+            most = np.inf if self.truncation is None else self.truncation
+            unary += discrepancy(scene.first.values, scene.trusted, planes, self.data_weight, most)
+        else:
+            unary += matching_cost(volume, scene.trusted, planes, self.cost_weight)
+        if self.visibility:
+            unary += visibility(scene.first.right, scene.untrusted, planes, self.visibility)
+        return unary
+
+    def boundaries(self, graph: RegionGraph) -> NDArray[np.float64]:
+        """Cost of different planes on the two sides of every edge, (E,) float64."""
+        return smoothness(graph, self.smoothness, self.color_scale)
+
+
+def discrepancy(
+    values: NDArray[np.float32],
+    trusted: Members,
+    planes: Planes,
+    weight: float,
+    truncation: float,
+) -> NDArray[np.float64]:
+    """Disparity estimate discrepancy cost (eq. 2.9) of every plane in every segment.
+
+    ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m trusted pixels, n of which have the
+    plane's disparity (to the nearest pixel). A segment without trusted pixels takes any plane for nothing.
+
+    Parameters
+    ----------
+    values : (H, W) float32 first estimate, pixels
+    trusted : trusted pixels by segment
+    truncation : largest ``|d_plane - d|`` that counts, pixels; inf for the thesis's own sum
+
+    Returns
+    -------
+    (n, L) float64
+    """
+    unary = np.zeros((len(trusted.starts) - 1, len(planes)))
+    _discrepancy(
+        values.ravel(), values.shape[1], trusted.order, trusted.starts,
+        planes.coefficients, weight, min(truncation, 1e6), unary,
+    )  # fmt: skip
+    return unary
+
+
+@parallel_jit
+def _discrepancy(  # type: ignore[no-untyped-def]
+    values, width, order, starts, coefficients, weight, truncation, unary
+):
+    for t in prange(unary.shape[0]):
+        first = starts[t]
+        m = starts[t + 1] - first
+        if m == 0:
+            continue
+        px = np.empty(m, np.float32)
+        py = np.empty(m, np.float32)
+        pd = np.empty(m, np.float32)
+        for i in range(m):
+            pixel = order[first + i]
+            px[i] = pixel % width
+            py[i] = pixel // width
+            pd[i] = values[pixel]
+        most = np.float32(truncation)
+        half = np.float32(0.5)
+        for label in range(coefficients.shape[0]):
+            a = np.float32(coefficients[label, 0])
+            b = np.float32(coefficients[label, 1])
+            c = np.float32(coefficients[label, 2])
+            total = np.float32(0.0)
+            n = np.int32(0)
+            for i in range(m):
+                apart = abs(a * px[i] + b * py[i] + c - pd[i])
+                n += np.int32(apart <= half)
+                total += min(apart, most)
+            unary[t, label] = weight * total * np.exp(-n / m)
+
+
+def matching_cost(volume: CostVolume, trusted: Members, planes: Planes, weight: float) -> NDArray[np.float64]:
+    """Sum of the matching costs of the segment's trusted pixels at every plane's disparity; (n, L) float64.
+
+    Disparities are rounded and limited to the volume's. Costs are in units of the measure, times ``weight``.
+    """
+    unary = np.zeros((len(trusted.starts) - 1, len(planes)))
+    width = volume.costs.shape[1]
+    costs = volume.costs.reshape(-1, volume.disparities)
+    _matching_cost(costs, width, trusted.order, trusted.starts, planes.coefficients, weight / volume.scale, unary)
+    return unary
+
+
+@parallel_jit
+def _matching_cost(costs, width, order, starts, coefficients, weight, unary):  # type: ignore[no-untyped-def]
+    depth = costs.shape[1]
+    for t in prange(unary.shape[0]):
+        for i in range(starts[t], starts[t + 1]):
+            pixel = order[i]
+            x = pixel % width
+            y = pixel // width
+            row = costs[pixel]
+            for label in range(coefficients.shape[0]):
+                a, b, c = coefficients[label, 0], coefficients[label, 1], coefficients[label, 2]
+                d = min(max(int(np.floor(a * x + b * y + c + 0.5)), 0), depth - 1)
+                unary[t, label] += row[d]
+        for label in range(coefficients.shape[0]):
+            unary[t, label] *= weight
+
+
+def visibility(right: NDArray[Any], untrusted: Members, planes: Planes, weight: float) -> NDArray[np.float64]:
+    """Cost of planes that put a pixel in front of what the right view sees there; (n, L) float64.
+
+    A pixel the cross-check refused is occluded by something nearer or simply unmatched. A disparity more than
+    a pixel above the right view's own estimate at the place it points to would make it visible, and
+    the right view would have found it: such pixels cost ``weight``. Pointing out of the image costs nothing.
+    """
+    unary = np.zeros((len(untrusted.starts) - 1, len(planes)))
+    _visibility(right, untrusted.order, untrusted.starts, planes.coefficients, weight, unary)
+    return unary
+
+
+@parallel_jit
+def _visibility(right, order, starts, coefficients, weight, unary):  # type: ignore[no-untyped-def]
+    width = right.shape[1]
+    for t in prange(unary.shape[0]):
+        for i in range(starts[t], starts[t + 1]):
+            x = order[i] % width
+            y = order[i] // width
+            for label in range(coefficients.shape[0]):
+                d = coefficients[label, 0] * x + coefficients[label, 1] * y + coefficients[label, 2]
+                target = int(np.floor(x - d + 0.5))
+                if 0 <= target < width and d > right[y, target] + 1.0:
+                    unary[t, label] += weight
+
+
+def out_of_range(everything: Members, width: int, planes: Planes, max_disparity: float) -> NDArray[np.float64]:
+    """Cost of planes that leave [0, ``max_disparity``] by more than a pixel: prohibitive; (n, L) float64."""
+    unary = np.zeros((len(everything.starts) - 1, len(planes)))
+    _out_of_range(everything.order, everything.starts, width, planes.coefficients, max_disparity, unary)
+    return unary
+
+
+@parallel_jit
+def _out_of_range(order, starts, width, coefficients, max_disparity, unary):  # type: ignore[no-untyped-def]
+    for t in prange(unary.shape[0]):
+        x0, x1 = width, 0
+        for i in range(starts[t], starts[t + 1]):
+            x0 = min(x0, order[i] % width)
+            x1 = max(x1, order[i] % width)
+        y0, y1 = 0, 0
+        if starts[t] < starts[t + 1]:
+            y0, y1 = order[starts[t]] // width, order[starts[t + 1] - 1] // width
+        for label in range(coefficients.shape[0]):
+            a = np.float32(coefficients[label, 0])
+            b = np.float32(coefficients[label, 1])
+            c = np.float32(coefficients[label, 2])
+            # Most planes stay inside at all corners of the segment's box, and then everywhere in it.
+            low = c + min(a * x0, a * x1) + min(b * y0, b * y1)
+            high = c + max(a * x0, a * x1) + max(b * y0, b * y1)
+            if low >= -0.99 and high <= max_disparity + 0.99:
+                continue
+            outside = 0
+            for i in range(starts[t], starts[t + 1]):
+                x = np.float32(order[i] % width)
+                y = np.float32(order[i] // width)
+                d = a * x + b * y + c
+                outside += int(d < -1.0) + int(d > max_disparity + 1.0)
+            unary[t, label] = 1000.0 * outside
+
+
+def smoothness(graph: RegionGraph, weight: float, color_scale: float) -> NDArray[np.float64]:
+    """Cost of different planes in neighboring segments (eq. 2.12): ``w beta exp(-tau^2 / sigma^2)``.
+
+    beta is the length of the common boundary in pixels, tau the distance of the mean colors; (E,) float64.
+    """
+    first, second = graph.edges.T
+    apart = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
+    strength: NDArray[np.float64] = weight * graph.boundary * np.exp(-apart / color_scale**2)
+    return strength

@@ -1,0 +1,222 @@
+"""Stereo between a color and an infrared camera: sparse depth of what the sensor is blind for (section 5.1.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from depthcli.core.cameras.geometry import depth_of_disparity, disparity_of_depth
+from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
+from depthcli.core.maps import DisparityMap
+from depthcli.core.result import Clock
+from depthcli.kernels.winners import left_right_difference, winners
+from depthcli.methods.fusion import Fusion
+from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
+from depthcli.methods.stereo.segments.steps import SegmentSteps
+from depthcli.methods.stereo.volume import CostVolume, Evidence
+from depthcli.methods.transparent.channels import GREY, learned_weights, mixed
+from depthcli.methods.transparent.structure import cost_at, deviation, mean_cost, quieted
+
+_SINGLE = {"r": (1.0, 0.0, 0.0), "g": (0.0, 1.0, 0.0), "b": (0.0, 0.0, 1.0), "grey": GREY}
+
+
+def _structure_measures() -> Fusion:
+    """Measures that survive a change of sensor, never absolute differences; weighted by consensus (section 6.4.9)."""
+    return Fusion.model_validate({
+        "measures": ["gradient", "rank", "census", "zncc"],
+        "exponent": 6,
+        "aggregation": {"method": "constant_window", "window": 7},
+    })  # fmt: skip
+
+
+def _planes() -> SegmentSteps:
+    """As ``stereo segments``, but less smooth, and uncut: what has no structure is told by its outline."""
+    return SegmentSteps.model_validate({
+        "window_radius": 0,
+        "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
+        "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "most": 150},
+        "energy": {
+            "data_term": "dedc", "data_weight": 10, "cost_weight": 10, "truncation": 2, "visibility": 10,
+            "smoothness": 10, "color_scale": 50,
+        },
+        "rounds": 2,
+        "refinement": ["subpixel"],
+    })  # fmt: skip
+
+
+class Selection(BaseModel):
+    """Which pixels of the map are believed.
+
+    What contradicts the sensor, or stands where it is blind, has to be cheaper by some margin: than the sensor's
+    disparity, or than the pixel's mean. What confirms it has to have structure, and the votes around. A pixel that
+    differs from the sensor, but is what the sensor has nearby, says nothing: windows widen the foreground by half
+    their size.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    margin: float = Field(0.15, ge=0, description="how much cheaper than the sensor's, in units of one measure")
+    blind_margin: float = Field(0.1, ge=0, description="how much cheaper than the mean where the sensor is blind")
+    consensus: float = Field(0.3, ge=0, le=1, description="least share of the votes around that confirm the sensor")
+    texture: float = Field(4.0, ge=0, description="least standard deviation of the color in 9 x 9 there, grey levels")
+    speckle: int = Field(50, ge=0, description="smaller regions of like disparity are removed, pixels")
+    widening: int = Field(5, ge=0, le=64, description="how far stereo may have widened a surface, pixels")
+    tolerance: float = Field(1.5, ge=0, description="difference from the sensor that still confirms it, pixels")
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Stereo of a rectified pair.
+
+    Attributes
+    ----------
+    dense : (H, W) float32, disparity of every pixel
+    sparse : (H, W) float32, of those that are believed, NaN elsewhere
+    confidence : (H, W) float32 in [0, 1], share of the votes around, or of the margin where that is more
+    weights : of the red, green and blue channel; of late fusion 1/3 each
+    """
+
+    dense: NDArray[np.float32]
+    sparse: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    weights: tuple[float, float, float]
+
+
+class CrossModal(BaseModel):
+    """Color made like infrared; fused structure measures; planes over color segments; what is beyond doubt is kept."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    channels: Literal["early", "late", "r", "g", "b", "grey"] = Field(
+        "early", description="early: channels weighted as the sensor's depth teaches; late: matched one by one; or one"
+    )
+    median: Literal[0, 3, 5] = Field(0, description="side of the median that takes speckles off the infrared, pixels")
+    max_disparity: int | None = Field(
+        None, ge=1, le=16383, description="largest disparity, pixels; null: a quarter more than the sensor's largest"
+    )
+    fusion: Fusion = Field(
+        default_factory=_structure_measures, description="the costs: a config of fuse, up to its optimization"
+    )
+    structure: float = Field(
+        4.0, gt=0, description="standard deviation in 9 x 9 below which costs fade, of either image, grey levels"
+    )
+    planes: SegmentSteps = Field(
+        default_factory=_planes, description="the matcher: planes over color segments, a config of stereo's segments"
+    )
+    selection: Selection = Field(default_factory=Selection, description="which matches are kept")
+
+    def __call__(self, frame: RgbIrFrame, clock: Clock) -> tuple[SparseFrame, dict[str, float]]:
+        """The frame with sparse depth in the color camera's pixels, and figures for the report.
+
+        Raises
+        ------
+        InputError
+            The rig's cameras lie one above the other, or see nothing in common.
+        """
+        color, infrared, depth = frame.color, frame.infrared, frame.depth
+        fb, mirrored, rectified = frame.fb, False, None
+        if frame.rig is not None:
+            rectified = frame.rig.rectified()
+            color, infrared = rectified.images(color, infrared)
+            depth, fb, mirrored = rectified.depth(depth), rectified.fb, rectified.mirrored
+        clock.stop("rectify")
+        if mirrored:
+            color, infrared, depth = color[:, ::-1], infrared[:, ::-1], depth[:, ::-1]
+        found = self.match(np.ascontiguousarray(color), np.ascontiguousarray(infrared), disparity_of_depth(depth, fb))
+        sparse, dense = (depth_of_disparity(values, fb) for values in (found.sparse, found.dense))
+        confidence = found.confidence
+        if mirrored:
+            sparse, dense, confidence = (values[:, ::-1] for values in (sparse, dense, confidence))
+        if rectified is not None:
+            sparse, confidence = rectified.back(sparse, confidence)
+            dense, _ = rectified.back(dense, dense)
+        figures = {f"weight_{name}": weight for name, weight in zip("rgb", found.weights, strict=True)}
+        figures["matched"] = float(np.mean(np.isfinite(sparse)))
+        clock.stop("stereo")
+        result = SparseFrame(frame.color, frame.depth, fb, sparse=np.ascontiguousarray(sparse, np.float32),
+                             sparse_confidence=np.ascontiguousarray(confidence, np.float32),
+                             dense=np.ascontiguousarray(dense, np.float32))  # fmt: skip
+        return result, figures
+
+    def match(self, color: NDArray[np.uint8], infrared: NDArray[np.uint8], sensor: NDArray[np.float32]) -> Matches:
+        """Match a rectified pair.
+
+        Parameters
+        ----------
+        color : (H, W, 3) uint8, left view
+        infrared : (H, W) uint8, right view
+        sensor : (H, W) float32, the sensor's depth as disparity, pixels, NaN = unknown
+        """
+        if self.median:
+            infrared = np.asarray(cv2.medianBlur(infrared, self.median), np.uint8)
+        weights: tuple[float, float, float] = (1 / 3, 1 / 3, 1 / 3)
+        if self.channels == "late":
+            mixes = [np.ascontiguousarray(color[:, :, k]) for k in range(3)]
+        else:
+            learned = self.channels == "early"
+            weights = learned_weights(color, infrared, sensor) if learned else _SINGLE[self.channels]
+            mixes = [mixed(color, weights)]
+        top = self.max_disparity or self._range(sensor)
+        pairs = [StereoPair(mix, infrared) for mix in mixes]
+        fused = [self.fusion.fuse(pair, top, {}) for pair in pairs]
+        volume = fused[0].volume if len(fused) == 1 else _mean([part.volume for part in fused])
+        volume = quieted(volume, mixes[0], infrared, self.structure)
+        seen = StereoPair(color, np.repeat(infrared[:, :, None], 3, axis=2))
+        dense = self.planes.from_volume(seen, volume, top, Clock()).disparity.values
+        votes = [part.ballot.shares(np.rint(dense).astype(np.int32)[None])[0] for part in fused]
+        confidence = np.asarray(np.mean(votes, axis=0), np.float32)
+        rule = self.selection
+        known, agrees = np.isfinite(sensor), np.abs(dense - sensor) <= rule.tolerance
+        gain = np.where(known, cost_at(volume, sensor), mean_cost(volume)) - cost_at(volume, dense)
+        margin = np.where(known, rule.margin, rule.blind_margin)
+        confirmed = agrees & (confidence >= rule.consensus) & (deviation(mixes[0]) >= rule.texture)
+        keep = (confirmed | (~agrees & (gain > margin))) & ~self._widened(dense, sensor)
+        sure = np.where(agrees, 0, np.clip(gain / np.maximum(margin, 1e-6), 0, 1)).astype(np.float32)
+        status = np.zeros(dense.shape, np.uint8)
+        chosen = DisparityMap(np.where(keep, dense, np.float32(np.nan)), status)
+        if rule.speckle:
+            evidence = Evidence(pairs[0], volume, np.zeros(dense.shape, np.uint16))
+            chosen = SpeckleFilter(size=rule.speckle)(chosen, evidence)
+        return Matches(dense, chosen.values, np.maximum(confidence, sure), weights)
+
+    def peak_bytes(self, shape: tuple[int, int]) -> int:
+        """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
+        top = self.max_disparity or shape[1] // 4
+        # The quieted costs and two sums of paths; of late fusion also the volumes of three channels.
+        a_cell = 8 + (10 if self.channels == "late" else 0)
+        return self.fusion.peak_bytes(shape, top) + a_cell * shape[0] * shape[1] * (top + 1)
+
+    def _range(self, sensor: NDArray[np.float32]) -> int:
+        known = sensor[np.isfinite(sensor)]
+        largest = float(np.quantile(known, 0.999)) if known.size else 64.0
+        return int(np.clip(np.ceil(1.25 * largest) + 2, 16, max(16, sensor.shape[1] // 2)))
+
+    def _widened(self, dense: NDArray[np.float32], sensor: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """(H, W) bool: not the sensor's disparity here, but its disparity somewhere in reach."""
+        reach, tolerance = self.selection.widening, self.selection.tolerance
+        height, width = dense.shape
+        padded = np.pad(sensor, reach, constant_values=np.nan)
+        near = np.zeros(dense.shape, np.bool_)
+        for y in range(2 * reach + 1):
+            for x in range(2 * reach + 1):
+                near |= np.abs(padded[y : y + height, x : x + width] - dense) <= tolerance
+        widened: NDArray[np.bool_] = near & ~(np.abs(sensor - dense) <= tolerance)
+        return widened
+
+
+def _mean(volumes: list[CostVolume]) -> CostVolume:
+    """Mean of volumes of one scale, each weighted at a pixel by how well its two views agree there."""
+    total: NDArray[Any] = np.zeros(volumes[0].costs.shape, np.float32)
+    weights = np.zeros(volumes[0].costs.shape[:2], np.float32)
+    for volume in volumes:
+        left, right = winners(volume.costs)
+        trust = (1 / (1 + np.minimum(left_right_difference(left, right), np.float32(1e3)))).astype(np.float32)
+        total += trust[:, :, None] * volume.costs
+        weights += trust
+    costs = np.rint(total / weights[:, :, None]).astype(np.uint16)
+    return CostVolume(np.ascontiguousarray(costs), volumes[0].scale)

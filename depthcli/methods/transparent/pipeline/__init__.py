@@ -1,0 +1,31 @@
+"""Depth from a sensor and from sparse stereo: the data flow from frame to dense map. One file a pipeline."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated
+
+from depthcli.core.frames import SparseFrame
+from depthcli.core.method import Method, method_of
+from depthcli.methods.kinect.result import RefinedDepth
+
+
+class TransparentPipeline(Method):
+    """A complete method; in a config its name stands under ``pipeline``."""
+
+    @abstractmethod
+    def __call__(self, frame: SparseFrame) -> RefinedDepth:
+        """Dense depth of ``frame``.
+
+        Status ``KEPT`` is the sensor's value, ``CORRECTED`` replaces one that is not believed, ``GAP_FILLED`` was
+        unknown to the sensor; either with ``SAMPLED`` where a sample at the pixel says the same, else it is inferred
+        from around. A pixel that nothing reaches is ``EMPTY``. The picture ``suspect`` is 255 where the sensor is not
+        believed.
+        """
+
+    @abstractmethod
+    def peak_bytes(self, shape: tuple[int, int]) -> int:
+        """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
+
+
+Pipeline = Annotated[TransparentPipeline, *method_of("depthcli.methods.transparent.pipeline", key="pipeline")]

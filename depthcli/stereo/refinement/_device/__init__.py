@@ -1,1 +1,0 @@
-"""Twins of the refinement steps for devices; see :mod:`depthcli.stereo.on_device`."""

@@ -1,0 +1,185 @@
+"""Mean field against all pairs of points; the lattice against a point-by-point twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthcli.algorithms.dense_crf import GaussianKernel, TruncatedLinear, mean_field
+from depthcli.algorithms.permutohedral import Lattice
+from tests.methods.stereo._pairs import assert_pure
+from tests.naive import dense_crf as naive
+
+
+def _features(seed, count, dimensions, spread):
+    return (np.random.default_rng(seed).random((count, dimensions)) * spread).astype(np.float32)
+
+
+def _unary(seed, count, labels, most=3.0):
+    return (np.random.default_rng(seed).random((count, labels)) * most).astype(np.float32)
+
+
+def _linear(labels, truncation):
+    label = np.arange(labels, dtype=np.float32)
+    return np.minimum(np.abs(label[:, None] - label), np.float32(truncation))
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3, 4, 5, 6, 8])
+def test_the_lattice_filters_as_its_twin(dimensions):
+    features = _features(dimensions, 60, dimensions, 3) - np.float32(1.2)
+    values = _unary(1, 60, 3)
+    lattice = Lattice.of(features)
+    np.testing.assert_allclose(lattice.weights.sum(axis=1), 1, atol=1e-5)
+    expected = naive.filter_values(features.astype(float), values)
+    np.testing.assert_allclose(lattice.filter(values), expected, atol=1e-5 * expected.max())
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3, 5])
+@pytest.mark.parametrize("spread", [0.1, 1, 6, 40])
+def test_own_share_is_the_diagonal_of_the_filter(dimensions, spread):
+    lattice = Lattice.of(_features(2, 80, dimensions, spread))
+    matrix = lattice.filter(np.eye(80, dtype=np.float32))
+    density = matrix.sum(axis=1)
+    own = lattice.own_share(density)
+    matters = np.diag(matrix) > 0.06 * density
+    np.testing.assert_allclose(own[matters], np.diag(matrix)[matters], rtol=1e-4)
+    np.testing.assert_allclose(own, np.diag(matrix), atol=0.03 * density.max())
+
+
+@pytest.mark.parametrize("dimensions", [2, 3, 5, 6])
+@pytest.mark.parametrize(("labels", "truncation"), [(1, 1), (2, 1), (5, 9), (12, 4), (17, 1)])
+def test_marginals_are_those_of_all_pairs(dimensions, labels, truncation):
+    """The lattice's kernel is not quite a Gaussian: marginals may be 0.03 off, 0.002 in the mean."""
+    near, wide = _features(1, 300, dimensions, 2), _features(2, 300, 2, 5)
+    unary = _unary(3, 300, labels)
+    kernels = [GaussianKernel(near, 1.0), GaussianKernel(wide, 0.3)]
+    ours = mean_field(unary, kernels, TruncatedLinear(truncation))
+    mu = _linear(labels, truncation)
+    exact = naive.mean_field(unary, [naive.kernel_matrix(near), naive.kernel_matrix(wide)], [1.0, 0.3], mu, 5)
+    assert np.abs(ours - exact).max() < 0.03
+    assert np.abs(ours - exact).mean() < 0.002
+    np.testing.assert_allclose(ours.sum(axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(mean_field(unary, kernels, mu), ours, atol=1e-5)
+
+
+def test_marginals_are_those_of_the_twin_with_the_lattices_own_kernel():
+    features, unary = _features(4, 200, 3, 2), _unary(5, 200, 7)
+    expected = naive.mean_field(unary, [naive.lattice_matrix(features.astype(float))], [2.0], _linear(7, 3), 4)
+    ours = mean_field(unary, [GaussianKernel(features, 2.0)], TruncatedLinear(3), 4)
+    np.testing.assert_allclose(ours, expected, atol=2e-3)
+
+
+def test_an_unsymmetric_matrix_is_used_as_given():
+    features, unary = _features(6, 120, 2, 2), _unary(7, 120, 4)
+    mu = np.random.default_rng(8).random((4, 4))
+    expected = naive.mean_field(unary, [naive.kernel_matrix(features)], [1.0], mu, 3)
+    ours = mean_field(unary, [GaussianKernel(features, 1.0)], mu, 3)
+    assert np.abs(ours - expected).max() < 0.02
+    turned = mean_field(unary, [GaussianKernel(features, 1.0)], mu.T, 3)
+    assert np.abs(ours - turned).max() > 0.05
+
+
+def test_a_lonely_point_hears_nobody():
+    features = np.array([[0, 0], [100, 0], [0, 100]], np.float32)
+    unary = _unary(9, 3, 6)
+    ours = mean_field(unary, [GaussianKernel(features, 50.0)], TruncatedLinear(3))
+    np.testing.assert_allclose(ours, naive.softmax(unary), atol=1e-3)
+
+
+def test_it_starts_from_the_given_marginals():
+    features, unary = _features(10, 150, 2, 2), np.zeros((150, 5), np.float32)
+    start = np.zeros((150, 5), np.float32)
+    start[:, 3] = 1
+    kernels = [GaussianKernel(features, 3.0)]
+    np.testing.assert_array_equal(mean_field(unary, kernels, TruncatedLinear(2), 0, start), start)
+    assert (mean_field(unary, kernels, TruncatedLinear(2), 3, start).argmax(axis=1) == 3).all()
+    np.testing.assert_allclose(mean_field(unary, kernels, TruncatedLinear(2), 0), 0.2, atol=1e-6)
+
+
+def test_a_noisy_picture_is_segmented():
+    """Potts's model, position and color, as in the example of pydensecrf: half of the seeds are wrong."""
+    height, width = 60, 80
+    rng = np.random.default_rng(11)
+    y, x = np.mgrid[:height, :width]
+    truth = np.where((x - 30) ** 2 + (y - 30) ** 2 < 300, 1, np.where(x > 55, 2, 0))
+    color = np.array([(200, 40, 40), (40, 180, 60), (50, 60, 190)])[truth] + rng.normal(0, 12, (height, width, 3))
+    seeds = np.where(rng.random(truth.shape) < 0.5, truth, rng.integers(0, 3, truth.shape))
+    unary = np.where(np.arange(3) == seeds.reshape(-1, 1), 0.6, 1.4).astype(np.float32)
+    position = np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float32)
+    bilateral = np.concatenate([position / 40, color.reshape(-1, 3).astype(np.float32) / 13], axis=1)
+    kernels = [GaussianKernel(bilateral, 10.0), GaussianKernel(position / 3, 3.0)]
+    found = mean_field(unary, kernels, TruncatedLinear(1)).argmax(axis=1).reshape(truth.shape)
+    assert np.mean(seeds != truth) > 0.3
+    assert np.mean(found != truth) < 0.005
+
+
+def test_same_bytes_at_any_thread_count_and_inputs_untouched():
+    count = 40_000  # several bands, the last one not full
+    features, wide = _features(12, count, 3, 30), _features(13, count, 2, 60)
+    unary, start = _unary(14, count, 9), _unary(15, count, 9) + np.float32(0.01)
+    start /= start.sum(axis=1, keepdims=True)
+    kernels = [GaussianKernel(features, 1.0), GaussianKernel(wide, 0.5)]
+    inputs = (features, wide, unary, start)
+    assert_pure(lambda: mean_field(unary, kernels, TruncatedLinear(3), 3, start), *inputs)
+
+
+def test_points_of_different_bands_hear_each_other():
+    """The same points twice, the second time far behind the first in order: each hears its double."""
+    half = _features(16, 17_000, 2, 40)
+    unary = np.zeros((34_000, 3), np.float32)
+    unary[:17_000, 0] = -4
+    ours = mean_field(unary, [GaussianKernel(np.concatenate([half, half]), 8.0)], TruncatedLinear(1), 2)
+    assert (ours[17_000:].argmax(axis=1) == 0).mean() > 0.99
+
+
+@pytest.mark.parametrize("count", [0, 1, 63, 64, 65])
+@pytest.mark.parametrize(("labels", "truncation"), [(1, 2), (2, 2), (16, 2), (33, 5), (64, 8), (83, 30), (130, 200)])
+def test_sizes_around_the_tiles(count, labels, truncation):
+    features, unary = _features(17, count, 2, 2), _unary(18, count, labels)
+    ours = mean_field(unary, [GaussianKernel(features, 1.0)], TruncatedLinear(truncation))
+    assert ours.shape == (count, labels)
+    if count:
+        expected = naive.mean_field(unary, [naive.kernel_matrix(features)], [1.0], _linear(labels, truncation), 5)
+        assert np.abs(ours - expected).max() < 0.03
+
+
+def test_huge_energies_do_no_harm():
+    features, unary = _features(19, 50, 2, 2), np.zeros((50, 4), np.float32)
+    unary[:, 1] = -1e30
+    ours = mean_field(unary, [GaussianKernel(features, 1.0)], TruncatedLinear(2))
+    np.testing.assert_allclose(ours[:, 1], 1, atol=1e-6)
+
+
+def _good():
+    return {
+        "unary": np.zeros((4, 3), np.float32),
+        "kernels": [GaussianKernel(np.zeros((4, 2), np.float32), 1.0)],
+        "compatibility": TruncatedLinear(1),
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"unary": np.zeros((4, 0), np.float32)}, "L > 0"),
+        ({"unary": np.zeros((4, 3))}, "float32"),
+        ({"unary": np.full((4, 3), np.nan, np.float32)}, "finite"),
+        ({"initial": np.zeros((3, 3), np.float32)}, "initial"),
+        ({"initial": np.full((4, 3), np.inf, np.float32)}, "finite"),
+        ({"iterations": -1}, "iterations"),
+        ({"kernels": [GaussianKernel(np.zeros((5, 2), np.float32), 1.0)]}, "features"),
+        ({"kernels": [GaussianKernel(np.zeros((4, 2), np.float32), -1.0)]}, "weight"),
+        ({"kernels": [GaussianKernel(np.zeros((4, 9), np.float32), 1.0)]}, "features a point"),
+        ({"kernels": [GaussianKernel(np.full((4, 2), np.nan, np.float32), 1.0)]}, "finite"),
+        ({"kernels": [GaussianKernel(np.eye(4, 6, dtype=np.float32) * 1e6, 1.0)]}, "too many"),
+        ({"compatibility": np.zeros((2, 3))}, "compatibilities"),
+    ],
+)
+def test_bad_problems_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        mean_field(**{**_good(), **change})
+
+
+def test_a_truncation_below_one_label_is_refused():
+    with pytest.raises(ValueError, match="truncation"):
+        TruncatedLinear(0)

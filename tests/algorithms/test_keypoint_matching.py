@@ -1,0 +1,80 @@
+"""Matching along epipolar lines: against a naive twin, and against the truth of real scenes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.algorithms.keypoints import KeyPoints
+from depthcli.algorithms.keypoints.sift import Sift
+from depthcli.algorithms.keypoints.surf import Surf
+from depthcli.methods.stereo.keypoint_matching import match_rectified
+from tests.naive import segments as naive
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "middlebury_v2"
+
+
+def _points(rng, count, rows=4):
+    descriptors = rng.random((count, 8)).astype(np.float32)
+    descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True) + 1e-9
+    return KeyPoints(
+        rng.uniform(0, 40, count).astype(np.float32),
+        rng.uniform(0, rows, count).astype(np.float32),
+        rng.uniform(1, 1.3, count).astype(np.float32),
+        rng.random(count).astype(np.float32),
+        rng.choice([-1, 1], count).astype(np.int8),
+        descriptors,
+    )
+
+
+@pytest.mark.parametrize("counts", [(0, 0), (0, 5), (5, 0), (1, 1), (40, 50), (90, 60)])
+@pytest.mark.parametrize("ratio", [0.7, 1.0])
+def test_agrees_with_the_naive_matcher(counts, ratio):
+    rng = np.random.default_rng(sum(counts))
+    left, right = _points(rng, counts[0]), _points(rng, counts[1])
+    settings = dict(max_row_difference=0.5, ratio=ratio, max_distance=0.9, max_scale_ratio=1.1)
+    found = match_rectified(left, right, 20, **settings)
+    assert set(zip(found.left.tolist(), found.right.tolist(), strict=True)) == naive.matches(
+        left, right, 20, **settings
+    )
+    assert np.array_equal(found.disparity, left.x[found.left] - right.x[found.right])
+
+
+def test_repetition_is_rejected():
+    """Two candidates that look alike, far from each other: ambiguous; two responses at one spot: not."""
+    one = np.array([[1.0, 0.0]], np.float32)
+
+    def at(*xs):
+        n = len(xs)
+        ones = np.ones(n, np.float32)
+        return KeyPoints(np.array(xs, np.float32), ones, ones, ones, np.ones(n, np.int8), one.repeat(n, axis=0))
+
+    assert len(match_rectified(at(30), at(20), 20)) == 1
+    assert len(match_rectified(at(30), at(20, 14), 20)) == 0
+    assert len(match_rectified(at(30), at(20, 5), 20)) == 1  # the second is out of range
+    assert len(match_rectified(at(30), at(20, 19), 20)) == 1
+
+
+def _correct(scene, detector):
+    folder = DATA / scene
+    if not folder.exists():
+        pytest.skip(f"{scene}: real scenes not found")
+    meta = json.loads((folder / "meta.json").read_text())
+    left, right = (cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE) for name in ("left.png", "right.png"))
+    truth = cv2.imread(str(folder / "disp_left.png"), cv2.IMREAD_UNCHANGED) / meta["disp_scale"]
+    found = match_rectified(detector(left), detector(right), meta["max_disparity"])
+    there = truth[np.rint(found.y).astype(int), np.rint(found.x).astype(int)]
+    known = there > 0
+    return int(np.sum(np.abs(found.disparity - there)[known] <= 1)), int(known.sum())
+
+
+@pytest.mark.parametrize("scene", ["Cones", "Teddy", "Venus"])
+def test_surf_matches_are_right_and_many(scene):
+    right, known = _correct(scene, Surf())
+    assert right >= 0.85 * known
+    # SIFT's unit vectors have their own distances: the matcher's limit for SURF would be too strict.
+    assert right >= _correct(scene, Sift())[0]

@@ -1,0 +1,61 @@
+"""Regions: connected components, merging, the region graph, and mean shift as a whole."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.algorithms.regions import connected_components, merge_small_regions, region_graph
+from depthcli.algorithms.segmentation.mean_shift import MeanShift, mode_colors
+from tests.naive import segments as naive
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (7, 11), (20, 20)])
+@pytest.mark.parametrize("distance", [0.0, 1.0, 1.5, 2.0])
+def test_components_agree_with_flood_fill(shape, distance):
+    color = np.random.default_rng(1).integers(0, 3, (*shape, 3)).astype(np.uint8)
+    assert np.array_equal(connected_components(color, distance), naive.components(color, distance))
+
+
+def test_graph_of_two_halves():
+    labels = np.zeros((4, 6), np.int32)
+    labels[:, 3:] = 1
+    image = np.where(labels[..., None] == 1, 10, 200).astype(np.uint8).repeat(3, axis=2)
+    graph = region_graph(labels, image)
+    assert graph.edges.tolist() == [[0, 1]]
+    assert graph.boundary.tolist() == [4]
+    assert graph.sizes.tolist() == [12, 12]
+    assert graph.means.tolist() == [[200] * 3, [10] * 3]
+
+
+def test_graph_without_edges():
+    graph = region_graph(np.zeros((3, 3), np.int32), np.zeros((3, 3), np.uint8))
+    assert graph.edges.shape == (0, 2)
+    assert graph.boundary.shape == (0,)
+
+
+def test_small_regions_join_the_nearest_color():
+    image = np.full((8, 9, 3), 100, np.uint8)
+    image[:, 5:] = 180
+    image[3, 4] = 170  # between the halves, nearer to the right one
+    labels = connected_components(image, 1.0)
+    assert labels.max() == 2
+    merged = merge_small_regions(labels, image, 5)
+    assert merged.max() == 1
+    assert merged[3, 4] == merged[3, 5]
+
+
+def test_one_region_smaller_than_the_limit_stays():
+    image = np.zeros((2, 2, 3), np.uint8)
+    assert np.array_equal(MeanShift(min_size=50)(image), np.zeros((2, 2), np.int32))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (30, 1), (17, 33), (40, 61)])
+@pytest.mark.parametrize(("spatial_radius", "color_radius"), [(5, 20), (2.5, 60), (0.4, 20), (9, 255), (50, 30)])
+def test_modes_are_those_of_opencv(shape, spatial_radius, color_radius):
+    rng = np.random.default_rng(sum(shape))
+    image = np.clip(rng.normal(120, 40, (*shape, 3)), 0, 255).astype(np.uint8)
+    image[shape[0] // 2 :] //= 3
+    expected = cv2.pyrMeanShiftFiltering(image, spatial_radius, color_radius, maxLevel=0)
+    np.testing.assert_array_equal(mode_colors(image, spatial_radius, color_radius), expected)

@@ -1,0 +1,68 @@
+"""What every segmentation promises: connected regions numbered from 0, large enough, the same every time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthcli.algorithms.segmentation import Segmenter
+from depthcli.core.method import Family
+from tests.naive import segments as naive
+
+NAMES = Family.of("depthcli.algorithms.segmentation").names()
+every = pytest.mark.parametrize("name", NAMES)
+
+
+def method(name: str, **fields) -> Segmenter:
+    found = Family.of("depthcli.algorithms.segmentation").parse({"method": name, **fields})
+    assert isinstance(found, Segmenter)
+    return found
+
+
+def scene(seed: int = 0) -> np.ndarray:
+    """A bright block before a dark ground, with noise."""
+    image = np.full((60, 80, 3), (40, 60, 90), np.uint8)
+    image[15:45, 20:50] = (200, 150, 60)
+    noise = np.random.default_rng(seed).integers(-3, 4, image.shape)
+    return (image + noise).astype(np.uint8)
+
+
+@every
+def test_regions_are_connected_large_and_follow_the_edge(name):
+    image = scene()
+    copy = image.copy()
+    labels = method(name, min_size=20)(image)
+    assert labels.dtype == np.int32 and labels.shape == image.shape[:2]
+    assert np.array_equal(np.unique(labels), np.arange(labels.max() + 1))
+    assert np.bincount(labels.ravel()).min() >= 20
+    assert np.array_equal(naive.components(labels[..., None], 0), labels)  # each label is one piece
+    inside = np.zeros(labels.shape, bool)
+    inside[15:45, 20:50] = True
+    assert not set(labels[inside]) & set(labels[~inside])
+    assert np.array_equal(image, copy)
+    assert np.array_equal(method(name, min_size=20)(image), labels)
+
+
+@every
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 2), (7, 11)])
+def test_tiny_and_textureless_images(name, shape):
+    random = np.random.default_rng(1).integers(0, 256, (*shape, 3)).astype(np.uint8)
+    for image in (random, np.full_like(random, 7)):
+        labels = method(name, min_size=1)(image)
+        assert labels.shape == shape and labels.dtype == np.int32
+        assert np.array_equal(naive.components(labels[..., None], 0), labels)
+    if name != "slic":  # its superpixels have a size, whatever is there
+        assert labels.max() == 0
+
+
+def test_size_of_superpixels_is_what_was_asked_for():
+    image = scene()
+    for size in (50, 200):
+        count = method("slic", size=size, min_size=1)(image).max() + 1
+        assert 0.6 < count * size / (60 * 80) < 1.7
+
+
+def test_scale_makes_larger_regions():
+    image = np.random.default_rng(0).integers(0, 60, (40, 50, 3)).astype(np.uint8)
+    counts = [method("felzenszwalb", scale=scale, min_size=1)(image).max() for scale in (1, 30, 1000)]
+    assert counts[0] > counts[1] > counts[2]

@@ -1,0 +1,85 @@
+"""Statistical region merging against its definition, and what depth does to it."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging, _depth_levels
+from tests.naive import kinect as naive
+
+
+def blocks(height, width, seed=0, noise=12):
+    rng = np.random.default_rng(seed)
+    coarse = rng.integers(0, 256, (height // 5 + 1, width // 5 + 1, 3))
+    image = coarse.repeat(5, axis=0).repeat(5, axis=1)[:height, :width]
+    return np.clip(image + rng.integers(-noise, noise + 1, image.shape), 0, 255).astype(np.uint8)
+
+
+def depths(height, width, seed=0, unknown=0.3):
+    rng = np.random.default_rng(seed + 100)
+    values = rng.integers(1, 6, (height // 7 + 1, width // 7 + 1)).repeat(7, axis=0).repeat(7, axis=1)[:height, :width]
+    values = (values + 0.1 * rng.standard_normal(values.shape)).astype(np.float32)
+    values[rng.random(values.shape) < unknown] = np.nan
+    return values
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 17), (17, 1), (2, 3), (12, 19), (23, 16)])
+@pytest.mark.parametrize("unknown", [0.0, 0.4, 1.0, None])
+@pytest.mark.parametrize("min_size", [1, 6])
+def test_agrees_with_the_definition(height, width, unknown, min_size):
+    image = blocks(height, width)
+    depth = None if unknown is None else depths(height, width, unknown=unknown)
+    method = StatisticalRegionMerging(
+        complexity=2000, coarser=(300, 20), depth_guidance=1000, smoothing=0, min_size=min_size
+    )
+    levels = None if depth is None else _depth_levels(depth)
+    expected = naive.region_merging(image, levels, (2000, 300, 20), 1000, min_size)
+    for found, want in zip(method.layers(image, depth), expected, strict=True):
+        np.testing.assert_array_equal(found, want)
+    np.testing.assert_array_equal(method(image, depth), expected[0])
+
+
+def test_the_definition_makes_regions_of_several_sizes_here():
+    layers = naive.region_merging(blocks(23, 16), None, (2000, 300, 20), 0, 1)
+    counts = [layer.max() + 1 for layer in layers]
+    assert counts[0] > counts[1] > counts[2] >= 1 and counts[0] < 23 * 16
+
+
+def test_depth_keeps_apart_what_color_would_join():
+    image = np.full((40, 60, 3), 90, np.uint8)
+    depth = np.full((40, 60), 2.0, np.float32)
+    depth[:, 30:] = 5
+    depth[:, 26:34] = np.nan
+    labels = StatisticalRegionMerging(depth_guidance=1000)(image, depth)
+    assert labels.max() == 1
+    assert len(np.unique(labels[:, :26])) == len(np.unique(labels[:, 34:])) == 1  # the gap joins either
+    assert StatisticalRegionMerging(depth_guidance=0)(image, depth).max() == 0
+    assert StatisticalRegionMerging()(image).max() == 0
+
+
+def test_depth_of_one_value_or_none_says_nothing():
+    image = blocks(20, 30)
+    plain = StatisticalRegionMerging()(image)
+    for value in (3.0, np.nan):
+        np.testing.assert_array_equal(StatisticalRegionMerging()(image, np.full((20, 30), value, np.float32)), plain)
+
+
+def test_layers_are_nested_and_inputs_untouched():
+    image, depth = blocks(60, 80), depths(60, 80)
+    copies = image.copy(), depth.copy()
+    layers = StatisticalRegionMerging(complexity=2000, coarser=(200, 20), min_size=1).layers(image, depth)
+    for fine, coarse in itertools.pairwise(layers):
+        assert coarse.max() < fine.max()
+        for label in range(fine.max() + 1):
+            assert len(np.unique(coarse[fine == label])) == 1
+    np.testing.assert_array_equal(image, copies[0])
+    np.testing.assert_array_equal(depth, copies[1])
+
+
+def test_layers_must_fall():
+    with pytest.raises(ValidationError, match="must fall"):
+        StatisticalRegionMerging(complexity=100, coarser=(200,))

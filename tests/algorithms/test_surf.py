@@ -1,0 +1,135 @@
+"""Upright SURF: its filters, what it finds, and how its descriptors behave under changes of the picture."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.algorithms.keypoints import surf
+from depthcli.algorithms.keypoints.sift import Sift
+from depthcli.algorithms.keypoints.surf import Surf, filter_sizes
+from tests.naive import segments as naive
+
+
+def _picture(height=120, width=160, seed=0):
+    rng = np.random.default_rng(seed)
+    picture = sum(cv2.GaussianBlur(rng.random((height, width)), (0, 0), s) * s for s in (1.5, 3, 6))
+    picture -= picture.min()
+    return np.asarray(picture / picture.max() * 255, np.uint8)
+
+
+def _blob(y, x, sigma, dark=False, shape=(81, 101)):
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    bump = 120 * np.exp(-((rows - y) ** 2 + (columns - x) ** 2) / (2 * sigma**2))
+    return np.rint(200 - bump if dark else 40 + bump).astype(np.uint8)
+
+
+def test_filter_sizes_are_those_of_the_paper():
+    assert [filter_sizes(o) for o in range(3)] == [[9, 15, 21, 27], [15, 27, 39, 51], [27, 51, 75, 99]]
+
+
+@pytest.mark.parametrize(("size", "step"), [(9, 1), (15, 1), (27, 2)])
+def test_hessian_agrees_with_explicit_masks(size, step):
+    image = np.random.default_rng(2).random((40, 47)).astype(np.float32)
+    integral = cv2.integral(image, sdepth=cv2.CV_64F)
+    shape = -(-40 // step), -(-47 // step)
+    responses, signs = np.zeros(shape, np.float32), np.zeros(shape, np.int8)
+    surf._hessian(integral, step, size, responses, signs)
+    half = size // 2
+    for j, i in np.ndindex(shape):
+        y, x = j * step, i * step
+        if half <= y < 40 - half and half <= x < 47 - half:
+            determinant, sign = naive.hessian(image, y, x, size)
+            assert responses[j, i] == pytest.approx(determinant, abs=1e-6)
+            assert signs[j, i] == sign
+        else:
+            assert responses[j, i] == 0
+
+
+@pytest.mark.parametrize("dark", [True, False])
+@pytest.mark.parametrize(("y", "x"), [(40.0, 50.0), (40.3, 49.6)])
+def test_a_blob_is_found_where_it_is(dark, y, x):
+    points = Surf()(_blob(y, x, 2.5, dark))
+    assert abs(points.x[0] - x) < 0.2 and abs(points.y[0] - y) < 0.2
+    assert points.scale[0] == pytest.approx(2.5, rel=0.35)
+    assert points.sign[0] == (1 if dark else -1)
+
+
+def test_scale_grows_with_the_blob():
+    scales = [Surf(octaves=3)(_blob(80, 90, sigma, shape=(161, 181))).scale[0] for sigma in (2.0, 4.5, 6.5)]
+    assert np.all(np.diff(scales) > 0)
+
+
+def test_descriptors_are_unit_vectors_and_sorted_by_strength():
+    points = Surf()(_picture())
+    assert len(points) > 50
+    assert points.descriptors.shape == (len(points), 64)
+    assert np.allclose(np.linalg.norm(points.descriptors, axis=1), 1, atol=1e-5)
+    assert np.all(np.diff(points.response) <= 0)
+
+
+def _repeated(points, moved, expected_x, expected_y, reach, max_distance):
+    """Part of the points that are found again where expected, with a similar description."""
+    hits = 0
+    for k in range(len(points)):
+        near = np.hypot(moved.x - expected_x[k], moved.y - expected_y[k]) < reach
+        if near.any():
+            hits += np.linalg.norm(moved.descriptors[near] - points.descriptors[k], axis=1).min() < max_distance
+    return hits / len(points)
+
+
+@pytest.mark.parametrize(("down", "across", "least"), [(4, 12, 0.95), (3, 11, 0.75)])
+def test_found_again_after_a_shift(down, across, least):
+    """The second octave looks at every other pixel: an even shift changes nothing, an odd one a little."""
+    picture = _picture(200, 240)
+    points, moved = Surf()(picture[20:180, 20:200]), Surf()(picture[20 + down : 180 + down, 20 + across : 200 + across])
+    inner = (points.x > 45) & (points.x < 140) & (points.y > 40) & (points.y < 120)
+    chosen = type(points)(*(getattr(points, n)[inner] for n in points.__dataclass_fields__))
+    assert _repeated(chosen, moved, chosen.x - across, chosen.y - down, 0.3, 0.05) > least
+
+
+def test_found_again_after_brightness_and_contrast_change():
+    picture = _picture()
+    changed = np.rint(picture * 0.6 + 30).astype(np.uint8)
+    points, moved = Surf(threshold=2e-4)(picture), Surf(threshold=2e-5)(changed)
+    assert _repeated(points, moved, points.x, points.y, 0.5, 0.1) > 0.9
+
+
+@pytest.mark.parametrize(("angle", "scale", "least"), [(5, 1.0, 0.75), (10, 1.0, 0.6), (0, 1.15, 0.6), (0, 0.85, 0.6)])
+def test_found_again_after_small_rotation_and_scaling(angle, scale, least):
+    picture = _picture(240, 240, seed=4)
+    matrix = cv2.getRotationMatrix2D((119.5, 119.5), angle, scale)
+    changed = cv2.warpAffine(picture, matrix, (240, 240), flags=cv2.INTER_CUBIC)
+    points, moved = Surf(threshold=1e-4, octaves=3)(picture), Surf(octaves=3)(changed)
+    inner = np.hypot(points.x - 119.5, points.y - 119.5) < 70
+    chosen = type(points)(*(getattr(points, n)[inner] for n in points.__dataclass_fields__))
+    x, y = matrix @ np.stack([chosen.x, chosen.y, np.ones(len(chosen))])
+    assert len(chosen) > 30
+    assert _repeated(chosen, moved, x, y, 1.5, 0.35) > least
+
+
+def test_upright_means_that_a_quarter_turn_is_not_recognized():
+    picture = _picture(160, 160, seed=5)
+    turned = np.ascontiguousarray(np.rot90(picture))
+    points, moved = Surf()(picture), Surf()(turned)
+    assert _repeated(points, moved, points.y, 159 - points.x, 0.5, 2.0) > 0.9  # the same spots
+    assert _repeated(points, moved, points.y, 159 - points.x, 0.5, 0.2) < 0.1  # other descriptions
+
+
+@pytest.mark.parametrize("detector", [Surf(), Surf(octaves=5), Sift()])
+@pytest.mark.parametrize("shape", [(1, 1), (5, 200), (26, 26), (60, 60)])
+def test_flat_and_tiny_images_have_no_key_points(detector, shape):
+    points = detector(np.full(shape, 77, np.uint8))
+    assert len(points) == 0
+    assert points.descriptors.ndim == 2 and points.x.shape == (0,)
+
+
+@pytest.mark.parametrize("detector", [Surf(), Sift()])
+def test_deterministic_and_input_untouched(detector):
+    picture = _picture()
+    copy = picture.copy()
+    one, two = detector(picture), detector(picture)
+    assert np.array_equal(picture, copy)
+    for name in one.__dataclass_fields__:
+        assert np.array_equal(getattr(one, name), getattr(two, name))

@@ -1,0 +1,114 @@
+"""TRW-S on pixel grids, against all labellings."""
+
+from __future__ import annotations
+
+import itertools
+
+import numba
+import numpy as np
+import pytest
+
+from depthcli.algorithms.trws import trws
+
+STEPS = ((0, 1), (1, -1), (1, 0), (1, 1))
+
+
+def pairs_of(active, weights):
+    """Node, neighbor and weight of every pair of active neighbors."""
+    index = np.full(active.shape, -1)
+    index[active] = np.arange(active.sum())
+    for y, x in np.argwhere(active):
+        for k, (dy, dx) in enumerate(STEPS):
+            v, u = y + dy, x + dx
+            if 0 <= v < active.shape[0] and 0 <= u < active.shape[1] and active[v, u]:
+                yield index[y, x], index[v, u], weights[index[y, x], k]
+
+
+def energy_of(labels, values, unary, pairs, truncation):
+    chosen = values[np.arange(len(labels)), labels]
+    cost = unary[np.arange(len(labels)), labels].sum(dtype=float)
+    return cost + sum(w * min(abs(float(chosen[a]) - float(chosen[b])), truncation) for a, b, w in pairs)
+
+
+def best_energy(values, unary, pairs, truncation):
+    choices = [range(int(np.isfinite(row).sum())) for row in unary]
+    return min(energy_of(np.array(c), values, unary, pairs, truncation) for c in itertools.product(*choices))
+
+
+def random_problem(rng, active, labels=3):
+    n = int(active.sum())
+    values = rng.normal(0, 3, (n, labels)).astype(np.float32)
+    unary = rng.exponential(1, (n, labels)).astype(np.float32)
+    unary[rng.random(n) < 0.3, labels - 1] = np.inf
+    return values, unary, rng.exponential(0.5, (n, 4)).astype(np.float32)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_between_the_bound_and_the_optimum_on_tiny_grids(seed):
+    rng = np.random.default_rng(seed)
+    active = rng.random(tuple(rng.integers(1, 5, 2))) < 0.75
+    active.flat[np.flatnonzero(active)[9:]] = False
+    values, unary, weights = random_problem(rng, active)
+    result = trws(values, unary, active, weights, 4.0, 40)
+    pairs = list(pairs_of(active, weights))
+    if not active.any():
+        assert result.labels.shape == (0,) and result.energy == 0
+        return
+    assert result.energy == pytest.approx(energy_of(result.labels, values, unary, pairs, 4.0), abs=1e-4)
+    best = best_energy(values, unary, pairs, 4.0)
+    assert result.lower_bound - 1e-4 <= best <= result.energy + 1e-4
+    assert result.energy <= best + 0.05 * abs(best)
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (9, 1)])
+@pytest.mark.parametrize("seed", range(5))
+def test_exact_on_chains(shape, seed):
+    rng = np.random.default_rng(seed)
+    active = np.ones(shape, bool)
+    values, unary, weights = random_problem(rng, active)
+    result = trws(values, unary, active, weights, 2.0, 3)
+    best = best_energy(values, unary, list(pairs_of(active, weights)), 2.0)
+    assert result.energy == pytest.approx(best, abs=1e-4)
+    assert result.lower_bound == pytest.approx(best, abs=1e-4)
+
+
+def test_a_column_across_several_bands_is_exact_too():
+    rng = np.random.default_rng(7)
+    active = np.ones((130, 1), bool)
+    values, unary, weights = random_problem(rng, active, 4)
+    result = trws(values, unary, active, weights, 3.0, 12)
+    cost = unary[0].astype(float)
+    for n in range(1, 130):  # Viterbi
+        step = np.minimum(np.abs(values[n][:, None] - values[n - 1][None]), 3.0) * weights[n - 1, 2]
+        cost = unary[n] + (cost[None] + np.where(np.isfinite(cost), step, 0)).min(axis=1)
+    assert result.energy == pytest.approx(cost.min(), rel=1e-4)
+    assert result.lower_bound == pytest.approx(cost.min(), rel=1e-4)
+
+
+def test_the_bound_holds_and_the_answer_is_the_same_at_any_number_of_threads():
+    rng = np.random.default_rng(3)
+    active = rng.random((97, 61)) < 0.8
+    values, unary, weights = random_problem(rng, active, 4)
+    most = numba.get_num_threads()
+    results = []
+    for threads in (1, most):
+        numba.set_num_threads(threads)
+        results.append(trws(values, unary, active, weights, 4.0, 8))
+    numba.set_num_threads(most)
+    np.testing.assert_array_equal(results[0].labels, results[1].labels)
+    assert results[0].lower_bound == results[1].lower_bound <= results[0].energy
+    first = np.where(np.isfinite(unary), unary, np.inf).argmin(axis=1)
+    assert results[0].energy < energy_of(first, values, unary, list(pairs_of(active, weights)), 4.0)
+
+
+def test_bad_problems():
+    active = np.ones((2, 2), bool)
+    values, unary, weights = random_problem(np.random.default_rng(0), active)
+    with pytest.raises(ValueError, match="active pixels"):
+        trws(values[:3], unary[:3], active, weights[:3], 1.0)
+    with pytest.raises(ValueError, match="candidate"):
+        trws(values, np.full_like(unary, np.inf), active, weights, 1.0)
+    with pytest.raises(ValueError, match="weights >= 0"):
+        trws(values, unary, active, -weights - 1, 1.0)
+    with pytest.raises(ValueError, match="iterations"):
+        trws(values, unary, active, weights, 1.0, 0)

@@ -1,0 +1,480 @@
+"""The evaluation job: files in, tables, scores, pictures and reasons out."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.batch.reporter import Reporter
+from depthcli.cli import main
+from depthcli.commands.evaluate import COMMAND, evaluate
+from depthcli.core.errors import InputError
+from depthcli.data.formats.disparity import read_disparity, write_disparity_png, write_pfm
+from depthcli.data.formats.images import read_image, write_png
+from depthcli.data.walk import find_items
+from depthcli.evaluation import protocols
+from depthcli.evaluation.disparity import DisparityProtocol
+from depthcli.evaluation.protocols import Settings
+from depthcli.evaluation.results import Result
+
+DATA = Path(__file__).parents[2].parent / "shared" / "data"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real scenes of ../shared/data are not here")
+
+SHAPE = (24, 32)
+TRUTH = np.linspace(4, 12, SHAPE[1], dtype=np.float32) * np.ones((SHAPE[0], 1), np.float32)
+
+
+@pytest.fixture
+def truth(tmp_path: Path) -> Path:
+    """Two scenes with masks and 8-bit truth (x8), in our own layout."""
+    folder = tmp_path / "set"
+    rng = np.random.default_rng(0)
+    for name in ("a", "b"):
+        image = rng.integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
+        write_png(folder / name / "left.png", image)
+        write_png(folder / name / "right.png", image)
+        write_png(folder / name / "disp_left.png", np.rint(TRUTH * 8).astype(np.uint8))
+        visible = np.ones(SHAPE, bool)
+        visible[:, :8] = False
+        write_png(folder / name / "mask_nonocc.png", visible)
+        write_png(folder / name / "mask_disc.png", np.eye(*SHAPE, dtype=np.uint8) * np.uint8(255))
+        (folder / name / "meta.json").write_text(json.dumps({"disp_scale": 8, "max_disparity": 15}))
+    return folder
+
+
+def exact(truth: Path, name: str = "a") -> np.ndarray:
+    return find_items(truth, patterns=[name])[0].truth().disparity
+
+
+def run_of(folder: Path, maps: dict[str, np.ndarray]) -> Path:
+    for name, values in maps.items():
+        write_pfm(folder / name / "disp_left.pfm", values)
+    return folder
+
+
+def bad(result: Result, mask: str = "all", threshold: float = 1.0) -> float:
+    return result.value("bad", mask, threshold)
+
+
+def rows(output: Path) -> list[dict[str, str]]:
+    with (output / "scores.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    half = good.copy()
+    half[:12] += 2
+    half[0, 20] = np.nan
+    perfect = run_of(tmp_path / "perfect", {"a": good, "b": good})
+    wrong = run_of(tmp_path / "half", {"a": half, "b": half})
+    report = evaluate([perfect, wrong], truth, tmp_path / "out")
+    assert report.failed == []
+    assert report.warnings == []
+    text = report.text()
+    assert "perfect" in text
+    assert "mean of all figures" in text
+    for row in rows(tmp_path / "out"):
+        if row["run"] == "perfect" and row["metric"] == "bad":
+            assert float(row["value"]) == 0
+    (row,) = [
+        r
+        for r in rows(tmp_path / "out")
+        if (r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]) == ("half", "a", "bad", "nonocc", "1.0")
+    ]
+    pixels = 24 * 24
+    assert (row["pixels"], row["wrong"]) == (str(pixels), str(pixels // 2))
+    assert float(row["value"]) == 50
+    assert float(row["density"]) == pytest.approx(100 * (pixels - 1) / pixels)
+    assert row["convention"] == "missing counts as bad"
+    assert row["map"] == "a/disp_left.pfm"
+    document = json.loads((tmp_path / "out" / "scores.json").read_text())
+    figures = {f["run"]: f for f in document["headlines"]}
+    assert (figures["perfect"]["value"], figures["perfect"]["value_common"]) == (0, 0)
+    assert (figures["half"]["mask"], figures["half"]["scenes"], figures["half"]["missing"]) == ("nonocc+all+disc", 2, 0)
+    (comparison,) = document["comparisons"]
+    assert (comparison["run"], comparison["against"]) == ("half", "perfect")
+    assert (comparison["scenes"], comparison["wins"], comparison["losses"]) == (2, 0, 2)
+    assert "Paired comparison" in (tmp_path / "out" / "report.md").read_text()
+    picture = read_image(tmp_path / "out" / "errors" / "half" / "a.png")
+    assert tuple(picture[0, 10]) == (0, 0, 0)
+    assert tuple(picture[20, 10]) == (170, 170, 170)
+
+
+def test_maps_of_other_programs(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    codes = np.rint(good * 8).astype(np.uint8)
+    flat = tmp_path / "flat"
+    write_png(flat / "a.png", codes)  # Middlebury-scaled, 8 bit
+    write_disparity_png(flat / "b.png", good)  # KITTI, 16 bit
+    kit = tmp_path / "kit"
+    write_pfm(kit / "a" / "disp0ours.pfm", good)
+    write_pfm(kit / "a" / "disp0ours_s.pfm", good + 5)
+    np.save((kit / "b.npy"), good)
+    devkit = tmp_path / "devkit"
+    write_disparity_png(devkit / "disp_0" / "a.png", good)
+    write_pfm(devkit / "low_res_two_view" / "b.pfm", good)
+    report = evaluate([flat, kit, devkit], truth, tmp_path / "out")
+    assert report.failed == []
+    for result in report.results:
+        assert bad(result, "nonocc") == 0, result
+    assert report.results[1].source == "a/disp0ours.pfm"
+
+
+def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    run = run_of(tmp_path / "run", {"b": good[:10]})
+    broken = run_of(tmp_path / "broken", {"a": good, "b": good})
+    (broken / "a" / "disp_left.pfm").write_bytes(b"Pf\n3 3\n-1\nxx")
+    told = run_of(tmp_path / "told", {"b": good})
+    (told / "report.json").write_text(json.dumps({"scenes": [{"scene": "a", "status": "failed", "error": "too dark"}]}))
+    report = evaluate([run, broken, told], truth, tmp_path / "out")
+    reasons = {(r.run, r.scene): r.error for r in report.failed}
+    assert set(reasons) == {("run", "a"), ("run", "b"), ("broken", "a"), ("told", "a")}
+    assert "no map of scene a" in reasons["run", "a"]
+    assert "32 x 10" in reasons["run", "b"]
+    assert "damaged PFM" in reasons["broken", "a"]
+    assert "too dark" in reasons["told", "a"]
+    assert "Not evaluated" in report.text()
+    assert sum(row["metric"] == "failed" for row in rows(tmp_path / "out")) == 4
+    assert {r["run"] for r in json.loads((tmp_path / "out" / "scores.json").read_text())["failed"]} == {
+        "run", "broken", "told",
+    }  # fmt: skip
+
+
+def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
+    run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
+    (truth / "a" / "disp_left.png").write_bytes(b"nothing")
+    report = evaluate([run], truth, tmp_path / "out")
+    assert [r.scene for r in report.failed] == ["a"]
+    assert bad(report.results[1]) == 0
+    (truth / "a" / "meta.json").write_text("[]")
+    report = evaluate([run], truth, tmp_path / "out")
+    assert "meta.json" in report.failed[0].error
+    assert bad(report.results[1]) == 0
+    (truth / "b" / "meta.json").write_text("[]")
+    with pytest.raises(InputError, match=r"meta\.json"):
+        evaluate([run], truth, tmp_path / "out")
+
+
+def test_wrong_scale_is_said(tmp_path: Path, truth: Path):
+    run = run_of(tmp_path / "run", {"a": exact(truth) * 16, "b": exact(truth)})
+    report = evaluate([run], truth, tmp_path / "out")
+    assert len(report.warnings) == 1
+    assert "run: a: the values are about 16 times the truth" in report.warnings[0]
+    assert report.warnings[0] in report.text()
+
+
+def test_scale_of_the_maps_can_be_said(tmp_path: Path, truth: Path):
+    np.save(tmp_path / "fixed.npy", np.rint(exact(truth) * 16).astype(np.int16))
+    (tmp_path / "run").mkdir()
+    for name in ("a", "b"):
+        shutil.copy(tmp_path / "fixed.npy", tmp_path / "run" / f"{name}.npy")
+    report = evaluate([tmp_path / "run"], truth, tmp_path / "out", settings=Settings(scale=16))
+    assert [bad(r) for r in report.results] == [0, 0]
+
+
+def test_confidence_gives_curves(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    bad = good.copy()
+    bad[:6] += 3
+    run = run_of(tmp_path / "run", {"a": bad, "b": good})
+    knows = np.where(bad == good, 1, 0).astype(np.float32)
+    write_pfm(run / "a" / "confidence_oracle.pfm", knows)
+    write_pfm(run / "a" / "confidence_blind.pfm", np.zeros(SHAPE, np.float32))
+    write_pfm(run / "b" / "confidence_small.pfm", np.zeros((3, 3), np.float32))
+    np.save(run / "b" / "confidence_levels.npy", np.full(SHAPE, -3, np.int16))
+    report = evaluate([run], truth, tmp_path / "out")
+    curves = {(c.mask, c.confidence, c.of): c.line for c in report.results[0].curves}
+    assert list(curves) == list(itertools.product(("nonocc", "all"), ("blind", "oracle"), ("bad", "error")))
+    assert curves["nonocc", "blind", "bad"].auc == pytest.approx(0.25)
+    assert curves["nonocc", "oracle", "bad"].errors[14] == 0  # 75 % of the pixels are right
+    assert curves["nonocc", "oracle", "bad"].ratio == pytest.approx(1)
+    assert curves["nonocc", "blind", "error"].mean == pytest.approx(0.75)
+    assert curves["nonocc", "oracle", "bad"].pixels == 24 * 24
+    assert curves["all", "oracle", "bad"].pixels == 24 * 32
+    # Negative numbers are confidences, not missing codes.
+    assert {c.confidence for c in report.results[1].curves} == {"levels"}
+    assert "AUC/optimal" in report.text()
+    assert "AUSE" in report.text()
+    plot = (tmp_path / "out" / "curves" / "run" / "a_nonocc_bad.svg").read_text()
+    assert all(f"{name} {curves['nonocc', name, 'bad'].auc:.4f}" in plot for name in ("blind", "oracle"))
+    assert "confidence_small.pfm" in report.warnings[0]
+
+
+def test_runs_of_one_name_are_told_apart(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    for parent in ("x", "y"):
+        run_of(tmp_path / parent / "run", {"a": good, "b": good})
+    report = evaluate([tmp_path / "x" / "run", tmp_path / "y" / "run"], truth, tmp_path / "out")
+    assert report.runs == ("x_run", "y_run")
+    with pytest.raises(InputError, match="given twice"):
+        evaluate([tmp_path / "x" / "run", tmp_path / "x" / "run"], truth, tmp_path / "out")
+
+
+def test_scene_names_match_with_and_without_their_data_set(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    short = run_of(tmp_path / "short", {"a": good, "b": good})
+    long = run_of(tmp_path / "long", {"set/a": good, "set/b": good})
+    over = tmp_path / "over"
+    shutil.copytree(truth, over / "set")
+    for where in (truth, over):
+        report = evaluate([short, long], where, tmp_path / "out")
+        assert report.failed == []
+
+
+def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path, truth: Path):
+    run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
+    seen = []
+    for _ in range(2):
+        evaluate([run], truth, tmp_path / "out")
+        seen.append({p.relative_to(tmp_path): p.read_bytes() for p in (tmp_path / "out").rglob("*") if p.is_file()})
+        shutil.rmtree(tmp_path / "out")
+    files = seen[0]
+    assert files == seen[1]
+    assert {str(p.relative_to("out")) for p in files} == {
+        "report.md", "scores.csv", "scores.json", "errors/run/a.png", "errors/run/b.png",
+    }  # fmt: skip
+
+
+def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
+    with pytest.raises(InputError, match="no run"):
+        evaluate([], truth, tmp_path / "out")
+    with pytest.raises(InputError, match="no such folder"):
+        evaluate([tmp_path / "absent"], truth, tmp_path / "out")
+    for name in ("a", "b"):
+        (truth / name / "disp_left.png").unlink()
+    with pytest.raises(InputError, match="ground truth"):
+        evaluate([tmp_path], truth, tmp_path / "out")
+
+
+@needs_data
+def test_real_scenes_truth_is_zero_and_two_pixels_off_is_hundred(tmp_path: Path):
+    """One folder of every kind; the figures of every mask and threshold below two pixels."""
+    wanted = {"Venus": "middlebury_v2", "middlebury_v3/Piano": "middlebury_v3", "2012_000070_10": "kitti_2012"}
+    for item in find_items(DATA, patterns=list(wanted)):
+        disparity = item.truth().disparity
+        write_pfm(tmp_path / "truth" / item.name / "disp_left.pfm", disparity)
+        write_pfm(tmp_path / "shifted" / item.name / "disp_left.pfm", disparity - np.float32(2.75))
+    for pattern, protocol in wanted.items():
+        runs = [tmp_path / "truth", tmp_path / "shifted"]
+        report = evaluate(runs, DATA, tmp_path / "out", [pattern], protocol=protocol)
+        assert report.failed == []
+        right, shifted = report.results
+        assert right.protocol == protocol
+        assert all(s.value == 0 for s in right.scores if s.measure.unit == "%")
+        rates = [s for s in shifted.scores if s.measure.metric in ("bad", "totbad", "out")]
+        assert any((s.measure.threshold or 9) <= 2 for s in rates)
+        assert all(s.value == 100 for s in rates if (s.measure.threshold or 9) <= 2)
+
+
+@needs_data
+def test_kitti_pairs_end_to_end(tmp_path: Path):
+    """The D1 of DATA.md for maps as another program wrote them: one 16-bit PNG a scene."""
+    run = tmp_path / "network"
+    run.mkdir()
+    for pair in ("pair_01", "pair_04", "pair_07"):
+        shutil.copy(DATA / "kitti_eval_pairs" / pair / "disp_est.png", run / f"{pair}.png")
+    report = evaluate([run], DATA / "kitti_eval_pairs", tmp_path / "out", protocol="kitti-2015")
+    found = [round(r.value("D1", "occ", 3.0, "estimated pixels only"), 2) for r in report.results]
+    assert found == [4.19, 3.54, 8.30]
+    assert "4.19" in report.text()
+    assert read_disparity(run / "pair_01.png").shape == (375, 1242)
+
+
+def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, truth: Path):
+    rng = np.random.default_rng(0)
+    run = tmp_path / "run"
+    values = exact(truth).copy()
+    values[:4] = [[np.finfo(np.float32).max], [-np.finfo(np.float32).max], [1e-45], [-1]]
+    write_pfm(run / "b" / "disp_left.pfm", np.full(SHAPE, np.nan, np.float32))
+    write_pfm(run / "a" / "disp_left.pfm", values)
+    data = (run / "a" / "disp_left.pfm").read_bytes()
+    for protocol in protocols.names():
+        if not issubclass(protocols.load(protocol), DisparityProtocol):
+            continue
+        for _ in range(12):
+            report = evaluate([run], truth, tmp_path / "out", protocol=protocol)
+            assert {r.protocol for r in report.results} == {protocol}
+            json.loads((tmp_path / "out" / "scores.json").read_text(), parse_constant=pytest.fail)
+            broken = bytearray(data[: rng.integers(1, len(data) + 1)] if rng.random() < 0.3 else data)
+            for _ in range(rng.integers(1, 9)):
+                broken[rng.integers(len(broken))] ^= 1 << rng.integers(8)
+            (run / "a" / "disp_left.pfm").write_bytes(broken)
+        (run / "a" / "disp_left.pfm").write_bytes(data)
+
+
+def test_truth_without_a_known_pixel_is_a_reason_and_not_an_empty_column(tmp_path):
+    scene = tmp_path / "truth" / "a"
+    scene.mkdir(parents=True)
+    image = np.zeros((4, 5), np.uint8)
+    for side in ("left", "right"):
+        write_png(scene / f"{side}.png", image)
+    write_pfm(scene / "disp_left.pfm", np.full((4, 5), np.nan, np.float32))
+    (tmp_path / "run").mkdir()
+    write_pfm(tmp_path / "run" / "a.pfm", np.ones((4, 5), np.float32))
+    report = evaluate([tmp_path / "run"], tmp_path / "truth", tmp_path / "out")
+    assert [result.scene for result in report.failed] == ["a"]
+    assert "no known pixel" in report.failed[0].error
+
+
+def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    poor = good.copy()
+    poor[:12] += 3
+    both = run_of(tmp_path / "both", {"a": good, "b": poor})
+    easy = run_of(tmp_path / "easy", {"a": good})
+    report = evaluate([both, easy], truth, tmp_path / "out")
+    means = {(m["run"], m["metric"], m["mask"], m["threshold"]): m for m in report.means()}
+    full, lacking = (means[run, "bad", "all", 1.0] for run in ("both", "easy"))
+    assert (full["value"], full["scenes"], full["missing"], full["common"], full["value_common"]) == (25, 2, 0, 1, 0)
+    assert (lacking["value"], lacking["scenes"], lacking["missing"], lacking["value_common"]) == (50, 2, 1, 0)
+    # No bound, no mean over all: but one over what both have.
+    assert means["both", "avgerr", "all", None]["value"] == pytest.approx(0.75)
+    assert math.isnan(means["easy", "avgerr", "all", None]["value"])
+    assert means["easy", "avgerr", "all", None]["value_common"] == 0
+    text, markdown = report.text(), (tmp_path / "out" / "report.md").read_text()
+    for said in ("2, 1 missing*", "50.00*", "1 common", "*: scenes without a map count as wholly wrong"):
+        assert said in text
+        assert said in markdown
+    headlines = json.loads((tmp_path / "out" / "scores.json").read_text())["headlines"]
+    headline = next(h for h in headlines if h["run"] == "easy")
+    assert (headline["value"], headline["value_common"], headline["missing"]) == (50, 0, 1)
+    written = {(r["run"], r["scene"], r["metric"], r["mask"], r["threshold"]): r for r in rows(tmp_path / "out")}
+    assert written["easy", "b", "bad", "all", "1.0"]["value"] == "100.0"
+    assert "missing, counted as wholly wrong" in written["easy", "b", "bad", "all", "1.0"]["note"]
+    assert written["easy", "*mean", "bad", "all", "1.0"]["value"] == "50.0"
+    assert "1 missing" in written["easy", "*mean", "bad", "all", "1.0"]["note"]
+    assert written["easy", "*common mean", "bad", "all", "1.0"]["value"] == "0.0"
+    assert written["easy", "*mean", "avgerr", "all", ""]["value"] == ""
+    # Ranks and comparisons are over what both have: a tie.
+    (summary, *_) = report.tables()
+    column = summary.header.index("avg rank")
+    assert [row[column] for row in summary.rows] == ["", "1.5", "", "1.5"]
+    ((_, _, comparison),) = report.comparisons()
+    assert (comparison.scenes, comparison.wins, comparison.losses, comparison.ties) == (1, 0, 0, 1)
+
+
+def test_a_complete_set_has_one_mean(tmp_path: Path, truth: Path):
+    run = run_of(tmp_path / "run", {"a": exact(truth) + 3, "b": exact(truth)})
+    text = evaluate([run], truth, None).text()
+    assert "*" not in text
+    assert "common" not in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_protocol_is_said_and_never_guessed(tmp_path: Path, truth: Path):
+    run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
+    (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2012"}))
+    assert [r.protocol for r in evaluate([run], truth, None).results] == ["kitti_2012", "middlebury_v2"]
+    assert [r.protocol for r in evaluate([run], truth, None, protocol="ETH3D").results] == ["eth3d"] * 2
+    with pytest.raises(InputError, match=r"no protocol called 'kitty'; one of: depth, eth3d, kitti_2012"):
+        evaluate([run], truth, None, protocol="kitty")
+    (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitty"}))
+    report = evaluate([run], truth, None)
+    assert "no protocol called 'kitty'" in report.failed[0].error
+    assert bad(report.results[1]) == 0
+
+
+def test_two_protocols_side_by_side(tmp_path: Path, truth: Path):
+    """Different benchmarks have tables of their own, and are never averaged or compared with each other."""
+    (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2015"}))
+    runs = [run_of(tmp_path / name, {"a": exact(truth) + d, "b": exact(truth)}) for name, d in (("x", 0), ("y", 5))]
+    report = evaluate(runs, truth, tmp_path / "out")
+    assert [(s.data_set, s.protocol.name) for s in report.sections] == [("set", "kitti_2015"), ("set", "middlebury_v2")]
+    assert [section.protocol.name for section, _, _ in report.comparisons()] == ["kitti_2015", "middlebury_v2"]
+    overview = next(table for table in report.tables() if table.title == "Headline by data set")
+    assert overview.header == ("run", "set (kitti_2015)", "set (middlebury_v2)")
+    assert [row[1:] for row in overview.rows] == [("0.00", "0.00"), ("100.00", "0.00")]
+
+
+def test_one_map_at_a_glance(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
+    good = exact(truth)
+    write_pfm(tmp_path / "m.pfm", good + 2)
+    # The file of a scene brings the scene's masks and scale.
+    report = evaluate([tmp_path / "m.pfm"], truth / "a" / "disp_left.png", None)
+    assert report.results[0].scores[0].mask == "nonocc"
+    assert bad(report.results[0]) == 100
+    # Any other file stands for itself.
+    shutil.copy(truth / "a" / "disp_left.png", tmp_path / "gt.png")
+    plain = evaluate([tmp_path / "m.pfm"], tmp_path / "gt.png", None, settings=Settings(scale=8, threshold=3))
+    assert (bad(plain.results[0]), bad(plain.results[0], threshold=3)) == (100, 0)
+    assert "8-bit disparities need a scale" in evaluate([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed[0].error
+    with pytest.raises(InputError, match="a single map wants a single scene"):
+        evaluate([tmp_path / "m.pfm"], truth, None)
+    values = dict.fromkeys(("output", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize"))
+    values |= {"runs": [tmp_path / "m.pfm"], "truth": truth / "a" / "disp_left.png", "json": True, "quiet": False}
+    values |= {"html": False, "format": None}
+    assert COMMAND.run(values, Reporter(-1)) == 0
+    assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
+
+
+def test_kit_files_are_told_from_the_truth(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    run = tmp_path / "kit"
+    for name in ("disp0GT", "disp0GT_s", "disp0GTy", "disp0ours_s"):
+        write_pfm(run / "a" / f"{name}.pfm", good + ("GT" in name) * 5)
+    write_pfm(run / "b" / "disp0GT.pfm", good)
+    report = evaluate([run], truth, None)
+    assert report.results[0].source == "a/disp0ours_s.pfm"
+    assert bad(report.results[0]) == 0
+    assert [r.scene for r in report.failed] == ["b"]
+    write_pfm(run / "a" / "disp0theirs_s.pfm", good)
+    assert "keep one method" in evaluate([run], truth, None).failed[0].error
+
+
+def test_a_short_name_of_two_scenes_is_named_as_such(tmp_path: Path, truth: Path):
+    shutil.copytree(truth, tmp_path / "all" / "one")
+    shutil.copytree(truth, tmp_path / "all" / "two")
+    run = run_of(tmp_path / "run", {"a": exact(truth), "two/a": exact(truth)})
+    report = evaluate([run], tmp_path / "all", None, ["a"])
+    assert [(r.scene, bool(r.error)) for r in report.results] == [("one/a", True), ("two/a", False)]
+    assert "several scenes are called a" in report.failed[0].error
+
+
+def test_seconds_of_the_report_are_shown(tmp_path: Path, truth: Path):
+    run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
+    scenes = [{"scene": name, "status": "done", "seconds": {"cost": 1.5, "refinement": 0.5}} for name in ("a", "b")]
+    (run / "report.json").write_text(json.dumps({"scenes": scenes}))
+    (summary, *_) = evaluate([run], truth, None).tables()
+    assert (summary.header[-1], summary.rows[0][-1]) == ("seconds", "2.00")
+
+
+def test_formats_settings_and_whose_wins(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
+    good = exact(truth)
+    one = run_of(tmp_path / "one", {"a": good, "b": good + 2})
+    two = run_of(tmp_path / "two", {"a": good + 2, "b": good + 2})
+    (one / "report.json").write_text(json.dumps({"scenes": [{"scene": "a", "seconds": {"all": 1.5}}]}))
+    command = ["evaluate", str(one), str(two), "--truth", str(truth)]
+    assert main([*command, "--format", "markdown", "--resolution", "q"]) == 0
+    out, err = capsys.readouterr()
+    assert "| one | **0.00** | **100.00** | **50.00** | **1.2** | **1.50** |" in out
+    assert "--resolution makes no difference to middlebury_v2" in err
+    assert main([*command, "--format", "latex"]) == 0
+    assert r"\textbf{50.00}" in capsys.readouterr().out
+    assert main([*command, "--format", "word"]) == 2
+    assert "latex, markdown, csv" in capsys.readouterr().err
+    (comparison,) = evaluate([one, two], truth, None).to_dict()["comparisons"]
+    assert (comparison["run"], comparison["better"], comparison["losses"]) == ("two", "one", 1)
+    report = evaluate([one, two], truth, None)
+    assert [r.size for r in report.results] == [SHAPE[0] * SHAPE[1]] * 4
+
+
+def test_maps_of_floating_point_in_tiff_files(tmp_path: Path, truth: Path):
+    good = exact(truth)
+    good[3, 3], good[3, 4] = np.nan, np.inf
+    assert cv2.imwrite(str(tmp_path / "good.tif"), good)
+    np.save(tmp_path / "good.npy", good)
+    report = evaluate([tmp_path / "good.tif", tmp_path / "good.npy"], truth / "a" / "disp_left.png", None)
+    assert report.failed == []
+    values = [[s.value for s in r.scores] for r in report.results]
+    assert values[0] == values[1]
+    assert math.isclose(bad(report.results[0]), 100 * 2 / good.size)

@@ -1,0 +1,54 @@
+"""Damaged files: pixels or an InputError in one line, and silence on stderr. ``scripts/fuzz`` runs many more."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.core.errors import InputError
+from depthcli.data.formats.disparity import read_plane
+from depthcli.data.formats.headers import image_size
+from depthcli.data.formats.images import read_image
+from tests import damage
+
+FILES = {name: data for name, data in damage.originals().items() if not name.endswith((".pfm", ".npy"))}
+ROUNDS = 60
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name != "plain.pgm"])  # whose last number may lose a digit
+def test_truncated_images_are_never_accepted(tmp_path: Path, capfd, name):
+    data = FILES[name]
+    path = tmp_path / name
+    path.write_bytes(data)
+    whole = read_image(path)
+    assert image_size(path)[:2] == whole.shape[:2]
+    for size in [*range(40), *range(40, len(data), max(1, len(data) // 60)), len(data) - 1]:
+        if size >= len(data) - 1 and name.endswith(".tiff"):
+            continue  # the last byte may be padding
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError):
+            read_image(path)
+    if not name.endswith(".tiff"):  # libtiff writes what it finds, whoever calls it
+        assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", [name for name in damage.originals() if not name.endswith((".tiff", "cube.npy"))])
+def test_damage_is_told_by_us_alone(tmp_path: Path, capfd, name):
+    data = damage.originals()[name]
+    path = tmp_path / name
+    accepted = 0
+    for number in range(ROUNDS):
+        rng = np.random.default_rng(number)
+        way = (damage.truncated, damage.holed, damage.flipped)[number % 3]
+        path.write_bytes(way(data, rng, []))
+        try:
+            read_image(path) if name in FILES else read_plane(path)
+            accepted += 1
+        except InputError as error:
+            assert str(path) in str(error)
+            assert "\n" not in str(error)
+    assert capfd.readouterr().err == ""
+    if name.endswith(".png"):  # every byte of a PNG is under a checksum
+        assert accepted <= 2

@@ -1,0 +1,188 @@
+"""Frames of color and depth in every layout; raw Kinect codes become registered depth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.core.cameras.geometry import Camera, KinectCalibration, depth_of_disparity, disparity_of_depth, kinect_v1
+from depthcli.core.errors import InputError
+from depthcli.data.formats.disparity import write_pfm
+from depthcli.data.formats.images import read_grey, write_png
+from depthcli.data.formats.kinect import read_kinect_calibration, read_kinect_raw
+from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.walk import find_items
+from tests.scenes import DATA
+
+COLOR = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
+DEPTH = np.full((6, 8), 2000, np.uint16)
+DEPTH[0] = 0
+
+
+def find(folder: Path, layout: str | None = None) -> list[RgbdItem]:
+    found = []
+    for item in find_items(folder, (RgbdItem,), layout):
+        assert isinstance(item, RgbdItem)
+        found.append(item)
+    return found
+
+
+def test_our_layout(tmp_path: Path):
+    write_png(tmp_path / "a" / "color.png", COLOR)
+    write_png(tmp_path / "a" / "depth.png", DEPTH)
+    write_png(tmp_path / "a" / "depth_true.png", DEPTH * np.uint16(2))
+    write_png(tmp_path / "a" / "mask_gap.png", DEPTH == 0)
+    meta = {"depth_scale": 2000, "intrinsics": {"fx": 500, "fy": 510, "cx": 4, "cy": 3}, "fb": 40}
+    (tmp_path / "a" / "meta.json").write_text(json.dumps(meta))
+    (item,) = find(tmp_path)
+    assert (item.name, item.layout, item.protocol, item.has_truth) == ("a", "rgbd", "depth", True)
+    frame, truth = item.load(), item.truth()
+    assert np.isnan(frame.depth[0]).all()
+    assert (frame.depth[1:] == 1).all()
+    assert (frame.fb, frame.intrinsics.fy if frame.intrinsics else None) == (40, 510)
+    assert (truth.depth[1:] == 2).all()
+    np.testing.assert_array_equal(truth.masks["gap"], DEPTH == 0)
+    np.testing.assert_array_equal(replace(item, depth_scale=1000).load().depth[1:], 2)
+
+
+def test_meters_and_a_missing_fb(tmp_path: Path):
+    write_png(tmp_path / "color.png", COLOR[..., 0])
+    write_pfm(tmp_path / "depth.pfm", np.where(DEPTH > 0, np.float32(1.5), np.float32(np.nan)))
+    (item,) = find(tmp_path)
+    frame = item.load()
+    assert (frame.depth[1:] == 1.5).all()
+    assert frame.color.shape == (6, 8, 3)
+    assert frame.fb == pytest.approx(43.5)
+
+
+@pytest.mark.parametrize("split", [False, True])
+def test_sequences_are_frames_by_number(tmp_path: Path, split: bool):
+    for number in (0, 1, 3):
+        where = ("color/", "depth/") if split else ("color_", "depth_")
+        if number != 1:
+            write_png(tmp_path / "s" / f"{where[0]}{number:05d}.png", COLOR)
+        write_png(tmp_path / "s" / f"{where[1]}{number:05d}.png", DEPTH)
+    items = find(tmp_path)
+    assert [(i.name, i.sequence, i.number, bool(i.problem)) for i in items] == [
+        ("s/00000", "s", 0, False), ("s/00001", "s", 1, True), ("s/00003", "s", 3, False),
+    ]  # fmt: skip
+    with pytest.raises(InputError, match="a frame without its color"):
+        items[1].load()
+    assert items[2].load().shape == (6, 8)
+
+
+def test_tum_pairs_by_time(tmp_path: Path):
+    for name in ("rgb/1.png", "rgb/2.png"):
+        write_png(tmp_path / "t" / name, COLOR)
+    write_png(tmp_path / "t" / "depth/a.png", DEPTH)
+    (tmp_path / "t" / "rgb.txt").write_text("# color\n1.000 rgb/1.png\n2.000 rgb/2.png\n")
+    (tmp_path / "t" / "depth.txt").write_text("1.010 depth/a.png\n")
+    near, far = find(tmp_path)
+    assert near.load().depth[1, 0] == pytest.approx(0.4)  # 5000 codes a meter
+    with pytest.raises(InputError, match=r"the nearest depth is 0\.990 s off"):
+        far.load()
+    (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png 2.001 depth/a.png\n")
+    assert [i.problem for i in find(tmp_path)] == [""]
+    (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png nonsense\n")
+    (broken,) = find_items(tmp_path, (RgbdItem,))
+    assert "associations.txt:1: want time file time file" in broken.problem
+
+
+def test_sun_rotates_its_bits(tmp_path: Path):
+    write_png(tmp_path / "s" / "image" / "x.png", COLOR)
+    codes = (DEPTH << np.uint16(3)) | (DEPTH >> np.uint16(13))
+    write_png(tmp_path / "s" / "depth" / "y.png", codes)
+    (tmp_path / "s" / "intrinsics.txt").write_text("500 0 4\n0 510 3\n0 0 1\n")
+    (item,) = find(tmp_path)
+    assert item.layout == "sun-rgbd"
+    assert (item.load().depth[1:] == 2).all()
+
+
+@pytest.mark.parametrize(("file", "said"), [("color.png", "no color"), ("depth.png", "no depth")])
+def test_half_a_frame_is_a_row_with_its_reason(tmp_path: Path, file: str, said: str):
+    write_png(tmp_path / "a" / "color.png", COLOR)
+    write_png(tmp_path / "a" / "depth.png", DEPTH)
+    (tmp_path / "a" / file).unlink()
+    (item,) = find(tmp_path)
+    with pytest.raises(InputError, match=said):
+        item.load()
+
+
+def test_frames_that_cannot_be_used(tmp_path: Path):
+    write_png(tmp_path / "a" / "color.png", COLOR)
+    for depth, said in (
+        (DEPTH[:5], "8 x 5, but color.png is 8 x 6; the depth must be registered"),
+        (np.zeros((6, 8), np.uint16), "no pixel has a depth"),
+        (np.full((6, 8), 7, np.uint8), "8-bit"),
+    ):
+        write_png(tmp_path / "a" / "depth.png", depth)
+        with pytest.raises(InputError, match=said):
+            find(tmp_path)[0].load()
+
+
+def test_triangulation_is_its_own_inverse():
+    depth = np.array([[0.5, 2.0, np.nan, -1.0, 0.0]], np.float32)
+    disparity = disparity_of_depth(depth, 43.5, 2.0)
+    np.testing.assert_allclose(disparity, [[85.0, 19.75, np.nan, np.nan, np.nan]])
+    np.testing.assert_allclose(depth_of_disparity(disparity, 43.5, 2.0), [[0.5, 2, np.nan, np.nan, np.nan]])
+
+
+def test_raw_codes_follow_the_thesis_s_formula():
+    """Eq. 1.1, Z = Zr / (1 + Zr / (f b) d): d counts from the code of the reference plane."""
+    camera = Camera(np.eye(3))
+    model = KinectCalibration(camera, camera, np.eye(3), np.zeros(3), offset=1090.0, factor=350.0)
+    raw = np.array([[390, 740, 1089, 1090, 2047]], np.uint16)
+    reference = 350.0 / (1090 - 740)
+    shift = (740 - raw[0, :3].astype(float)) / 350.0
+    np.testing.assert_allclose(model.depth_of_raw(raw)[0, :3], reference / (1 + reference * shift), rtol=1e-6)
+    assert np.isnan(model.depth_of_raw(raw)[0, 3:]).all()
+
+
+def test_registration_moves_by_the_baseline_and_keeps_the_nearest():
+    """A plane at 1 m seen by a camera 10 cm to the right, f = 100: 10 pixels to the left; a nearer strip covers it."""
+    matrix = np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]])
+    model = KinectCalibration(Camera(matrix), Camera(matrix), np.eye(3), np.array([-0.1, 0, 0]))
+    depth = np.full((48, 64), 1.0, np.float32)
+    depth[:, 40:44] = 0.5
+    seen = model.register(depth, (48, 64))
+    assert (seen[:, 20:24] == 0.5).all()
+    assert (seen[:, :20] == 1).all()
+    assert np.isnan(seen[:, 54:]).all()
+    assert np.isnan(seen[:, 30:34]).all()  # what the strip hid from the depth camera
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="the real frames of ../shared/data are not here")
+class TestRealFrames:
+    def test_every_folder_runs_as_it_lies_there(self):
+        folders = ("rgbd_nyu", "rgbd_primesense", "rgbd_sun", "rgbd_tum", "kinect_v1_raw")
+        for folder in folders:
+            for item in find(DATA / folder):
+                frame = item.load()
+                assert 0.5 < np.isfinite(frame.depth).mean() < 0.95, item.name
+
+    def test_raw_depth_lies_on_the_checkerboards(self):
+        """Within 1.2 mm of the residual that the set's own calibration has."""
+        folder = DATA / "kinect_v1_raw" / "herrera"
+        calibration = read_kinect_calibration(folder / "calib.json")
+        plain = replace(calibration, beta=None)
+        facts = json.loads((folder / "calib.json").read_text())["frames"]
+        for number, frame in facts.items():
+            plane = read_grey(folder / f"plane_depth_gt_{number}.png").astype(float)
+            raw = read_kinect_raw(folder / f"disparity_{number}.pgm")
+            on = plane > 0
+
+            def distance(model: KinectCalibration, raw=raw, plane=plane, on=on) -> float:
+                return float(np.nanmedian(np.abs(1000 * model.depth_of_raw(raw)[on] - plane[on])))
+
+            own = abs(frame["kinect_minus_plane_median_mm"]) + 0.6745 * frame["kinect_minus_plane_std_mm"]
+            assert distance(calibration) <= own + 1.2
+            assert distance(calibration) < distance(plain) < distance(calibration) + 5
+
+    def test_swapped_bytes_are_told_and_put_right(self):
+        raw = read_kinect_raw(DATA / "rgbd_nyu" / "raw_dump" / "disparity_raw_byteswapped.pgm")
+        assert raw.max() == 2047
+        assert 0.5 < np.nanmedian(kinect_v1().depth_of_raw(raw)) < 5

@@ -1,0 +1,77 @@
+"""Fusion and confidences on real scenes: the figures must not get worse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthcli.batch.presets import find_config
+from depthcli.core.config_file import load_config
+from depthcli.evaluation.curves import sparsification
+from depthcli.kernels.winners import winners
+from depthcli.methods.confidence import confidence_maps
+from depthcli.methods.fusion import Fusion
+from depthcli.methods.fusion.config import FuseConfig
+from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.cost.census import Census
+from tests.scenes import rates, real_scenes
+
+MEASURES = ["absolute_difference", "gradient", "rank", "census"]
+
+
+def bad(name, **fields):
+    pair, truth, top = real_scenes()[name]
+    values = Fusion.model_validate({"measures": MEASURES, **fields})(pair, top).disparity.values
+    return rates(values, truth)["nonocc"]
+
+
+@pytest.mark.parametrize(
+    ("name", "equal", "weighed", "fused"),
+    [("Teddy", 10.8, 9.6, 8.5), ("Cones", 5.6, 4.8, 4.4), ("Venus", 2.4, 1.75, 1.4)],
+)
+def test_consensus_beats_equal_weights_and_votes_beat_weights(name, equal, weighed, fused):
+    assert bad(name, weights="equal", consensus={"vote_cost": 0}) == pytest.approx(equal, abs=0.15)
+    assert bad(name, consensus={"vote_cost": 0}, blend="after") < weighed + 0.1
+    assert bad(name) < fused + 0.1
+
+
+@pytest.mark.parametrize(("name", "most"), [("Teddy", 0.045), ("Cones", 0.022)])
+def test_the_best_confidence_orders_pixels_well(name, most):
+    pair, truth, top = real_scenes()[name]
+    costs = ConstantWindow(window=11)(Census()(pair, top + 1), pair).costs
+    known = ~np.isnan(truth.disparity)
+    wrong = ~(np.abs(winners(costs)[0] - truth.disparity) <= 1)[known]
+    areas = {n: sparsification(m[known], wrong).auc for n, m in confidence_maps(costs, ["dap", "da", "pkr"]).items()}
+    assert areas["dap"] <= most
+    assert areas["dap"] < areas["pkr"] < np.mean(wrong) / 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("folder", "protocol", "name", "rate", "most"),
+    [
+        ("middlebury_v3", "middlebury_v3", "PianoL", "nonocc", 30.5),
+        ("kitti", "kitti_2015", "2015_first_scene_intGT", "occ", 6.8),
+    ],
+)
+def test_mixed_maps_stand_a_lamp_in_one_view_and_a_sunny_street(folder, protocol, name, rate, most):
+    """Neither taught the network."""
+    pair, truth, top = real_scenes(folder, protocol)[name]
+    result = load_config(FuseConfig, find_config("fuse", "accurate"))(pair, top)
+    assert rates(result.disparity.values, truth, protocol)[rate] <= most
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("folder", "name", "most"),
+    [("middlebury_v2", "Teddy", 2.6), ("middlebury_v2", "Venus", 0.2), ("middlebury_2005", "Dolls", 3.9)],
+)
+def test_mixed_maps_keep_their_accuracy_and_know_it(folder, name, most):
+    """Teddy and Venus taught the network, Dolls did not."""
+    pair, truth, top = real_scenes(folder)[name]
+    result = load_config(FuseConfig, find_config("fuse", "accurate"))(pair, top)
+    assert rates(result.disparity.values, truth)["nonocc"] <= most
+    visible = truth.masks["nonocc"]
+    wrong = ~(np.abs(result.disparity.values - truth.disparity) <= 1)[visible]
+    area = sparsification(result.confidence["probability"][visible], wrong).auc
+    assert area <= 0.25 * np.mean(wrong)

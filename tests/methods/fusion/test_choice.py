@@ -1,0 +1,209 @@
+"""Choice among maps by a network: inputs and kernel against their twins, files, and what it is for."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from depthcli.batch.presets import find_config
+from depthcli.core.config_file import load_config
+from depthcli.core.errors import ConfigError
+from depthcli.core.frames import StereoPair
+from depthcli.core.method import Family
+from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.evaluation.curves import sparsification
+from depthcli.methods.fusion.choice import Chooser, Proposals
+from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE, SHARED, Inputs, input_names
+from depthcli.methods.fusion.choice.network import Weights, read_weights, write_weights
+from depthcli.methods.fusion.config import FuseConfig
+from depthcli.methods.fusion.surfaces import matching_costs
+from depthcli.methods.fusion.votes import ColorSupport
+from depthcli.methods.stereo.slopes import slopes
+from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
+from tests.naive import choice as naive
+
+KINDS = ("median", "own", "local", "felzenszwalb")
+
+
+def proposals(height=9, width=21, depth=12, count=4, seed=0):
+    rng = np.random.default_rng(seed)
+    base = rng.uniform(0, depth - 1, (height, width))
+    values = np.clip(base + rng.normal(0, 1.5, (count, height, width)), 0, depth - 1).astype(np.float32)
+    return Proposals(
+        (KINDS * 4)[:count],
+        values,
+        rng.integers(0, 3, values.shape).astype(np.uint8),
+        np.ones(count, np.float32),
+        blocky_pair(height, width, True, seed),
+        random_volume(height, width, depth),
+        rng.integers(0, depth, (height, width)).astype(np.uint16),
+    )
+
+
+def random_weights(kinds, units=(8, 4), seed=0):
+    rng = np.random.default_rng(seed)
+
+    def some(*shape):
+        return rng.normal(size=shape).astype(np.float32)
+
+    size, count = len(input_names(kinds)), len(kinds)
+    layers = (
+        (some(size, units[0]) / 3, some(count, units[0])),
+        (some(*units) / 3, some(units[1])),
+        (some(units[1], 1), some(1)),
+    )
+    return Weights(kinds, some(size), np.abs(some(size)), layers)
+
+
+def test_inputs_are_those_of_the_twins():
+    given = proposals()
+    count, height, width = given.values.shape
+    inputs = Inputs.of(given)
+    own = dict(zip(OWN, inputs.own.reshape(len(OWN), count, height, width), strict=True))
+    left, right = given.pair.color8
+    expected = naive.pointwise(
+        given.values, given.volume.costs, given.volume.scale, given.right, left.astype(float), right
+    )
+    for name, plane in expected.items():
+        np.testing.assert_allclose(own[name], plane, atol=2e-3, err_msg=name)
+    for k, values in enumerate(given.values):
+        np.testing.assert_allclose(own["rough"][k], naive.roughness(values, slopes(values, left)), atol=1e-4)
+    far = matching_costs(given.values, given.volume, 0.7, ColorSupport(left, 8.0, 15.0))
+    np.testing.assert_array_equal(own["cost_far"], far)
+    np.testing.assert_array_equal(own["filled"], given.filled)
+    shared = dict(zip(SHARED, inputs.shared.reshape(len(SHARED), height, width), strict=True))
+    np.testing.assert_allclose(shared["least_raw"], given.volume.costs.min(axis=2) / given.volume.scale, rtol=1e-5)
+    np.testing.assert_allclose(shared["filled_share"], (given.filled > 0).mean(axis=0))
+    assert (shared["light_trust"] == 1).all()
+    trust = texture((height, width), 5)
+    dim = Inputs.of(replace(given, pair=replace(given.pair, light_trust=trust)))
+    np.testing.assert_allclose(dim.shared[SHARED.index("light_trust")], trust.ravel() / 255, rtol=1e-6)
+
+
+def test_rows_hold_the_planes_in_the_order_of_their_names():
+    given = proposals()
+    inputs = Inputs.of(given)
+    names = input_names(given.kinds)
+    pixels = np.array([0, 5, 188], np.int64)
+    rows = inputs.rows(pixels)
+    assert rows.shape == (3, 4, len(names))
+    column = {name: rows[:, :, k] for k, name in enumerate(names)}
+    for k, name in enumerate(OWN):
+        np.testing.assert_array_equal(column[name], inputs.own[k][:, pixels].T)
+    for name in RELATIVE:
+        plane = inputs.own[OWN.index(name)][:, pixels].T
+        np.testing.assert_allclose(column[f"{name}_relative"], plane - plane.min(axis=1, keepdims=True), atol=1e-6)
+    flat = given.values.reshape(4, -1)[:, pixels].T
+    for k, kind in enumerate(given.kinds):
+        np.testing.assert_array_equal(column[f"from_{k}_{kind}"], np.minimum(np.abs(flat - flat[:, k : k + 1]), 4))
+    for k, name in enumerate(SHARED):
+        np.testing.assert_array_equal(column[name], np.repeat(inputs.shared[k, pixels][:, None], 4, axis=1))
+
+
+@pytest.mark.parametrize(("height", "width", "count"), [(9, 21, 4), (1, 1, 2), (3, 5, 16), (40, 33, 3)])
+def test_the_kernel_answers_as_its_twin(height, width, count):
+    given = proposals(height, width, 12, count)
+    weights = random_weights(given.kinds)
+    inputs = Inputs.of(given)
+    rows = inputs.rows(np.arange(height * width, dtype=np.int64))
+    expected = naive.answers(rows.astype(float), weights.mean, weights.scale, weights.layers)
+    np.testing.assert_allclose(weights(inputs), expected.T, atol=1e-3)
+
+
+def network(weights, tmp_path):
+    file = tmp_path / "net.json"
+    write_weights(file, weights, ["a scene"])
+    found = Family.of("depthcli.methods.fusion.choice").parse({"method": "network", "weights": str(file)})
+    assert isinstance(found, Chooser)
+    return found
+
+
+def test_the_likeliest_proposal_is_taken_with_its_probability(tmp_path):
+    given = proposals()
+    method = network(random_weights(given.kinds), tmp_path)
+    weights = read_weights(method.model_dump()["weights"])
+    chosen = method(given)
+    assert chosen.probability is not None
+    picked = chosen.values[None] == given.values
+    assert picked.any(axis=0).all()
+    odds = weights(Inputs.of(given)).reshape(given.values.shape)
+    at = picked.argmax(axis=0)[None]
+    expected = 1 / (1 + np.exp(-np.take_along_axis(odds, at, axis=0)[0]))
+    single = picked.sum(axis=0) == 1
+    assert single.mean() > 0.9
+    np.testing.assert_allclose(chosen.probability[single], expected[single], atol=1e-5)
+    share = np.exp(odds - odds.max(axis=0))
+    alone = share.argmax(axis=0)
+    assert (alone == at[0]).mean() > 0.5  # the others were outvoted by pixels around them
+    assert_pure(
+        lambda: np.stack([method(given).values, method(given).probability]),
+        given.values,
+    )
+
+
+def test_files_keep_four_digits(tmp_path):
+    weights = random_weights(KINDS)
+    write_weights(tmp_path / "a.json", weights, ["x"])
+    found = read_weights(str(tmp_path / "a.json"))
+    assert found.kinds == KINDS
+    for (w, b), (v, c) in zip(weights.layers, found.layers, strict=True):
+        np.testing.assert_allclose(v, w, rtol=1e-3)
+        np.testing.assert_allclose(c, b, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "other"}, "format 'other'"),
+        ({"inputs": ["cost"]}, "other inputs"),
+        ({"mean": [1.0]}, "layers of shapes"),
+        ({"layers": []}, "not a network of this version"),
+        ({"scale": None}, "not a network of this version"),
+    ],
+)
+def test_a_file_of_something_else_is_refused(change, message, tmp_path):
+    file = tmp_path / "net.json"
+    write_weights(file, random_weights(KINDS), [])
+    file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
+    with pytest.raises(ConfigError, match=message):
+        read_weights(str(file))
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_weights(str(tmp_path / "none.json"))
+    with pytest.raises(ConfigError, match="those of the package are: accurate"):
+        read_weights("other")
+
+
+def test_a_network_takes_only_the_maps_it_was_trained_for():
+    maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
+    with pytest.raises(ValidationError, match="trained for the maps median, own, segments, local"):
+        FuseConfig.model_validate({"measures": ["census"], "maps": maps})
+    with pytest.raises(ValidationError, match="where a network chooses"):
+        FuseConfig.model_validate({"measures": ["census"], "maps": {}, "confidence": ["probability"]})
+
+
+@pytest.mark.slow
+def test_the_preset_beats_its_parts_and_knows_where_it_is_right():
+    fusion = load_config(FuseConfig, find_config("fuse", "accurate"))
+    fusion = fusion.model_copy(update={"confidence": ("probability", "agreement")})
+    assert fusion.maps is not None
+    wrong = {"mix": 0.0, "own": 0.0, **dict.fromkeys(range(len(fusion.maps.matchers)), 0.0)}
+    areas, random = 0.0, 0.0
+    for kind, seed in (("planes", 7), ("curved", 7), ("foreground", 7), ("foreground", 8)):  # none of those that teach
+        scene = make_scene(kind, seed, 240, 180, 30, wall_contrast=0.3)
+        pair, visible = StereoPair(scene.left, scene.right), scene.nonocc
+        result = fusion(pair, 30)
+        bad = ~(np.abs(result.disparity.values - scene.disparity_left) <= 1)[visible]
+        wrong["mix"] += bad.mean()
+        alone = fusion.model_copy(update={"maps": None, "confidence": ()})
+        maps = {"own": alone, **{k: one.matcher for k, one in enumerate(fusion.maps.matchers)}}
+        for name, part in maps.items():
+            values = part(pair, 30).disparity.values
+            wrong[name] += np.mean(~(np.abs(values - scene.disparity_left) <= 1)[visible])
+        areas += sparsification(result.confidence["probability"][visible], bad).auc
+        random += bad.mean()
+    assert wrong["mix"] < 0.9 * min(error for name, error in wrong.items() if name != "mix")
+    assert areas < 0.35 * random

@@ -1,0 +1,266 @@
+from __future__ import annotations
+
+import cv2
+import numba
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
+from depthcli.kernels.winners import left_right_difference, winners
+from depthcli.methods.confidence import confidence_maps
+from depthcli.methods.fusion import Fusion
+from depthcli.methods.fusion.blend import add_weighted, blend, squash
+from depthcli.methods.fusion.votes import Ballot, ColorSupport, WindowSupport
+from depthcli.methods.fusion.weights import comparable, measure_weights
+from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.volume import CostVolume
+from tests.naive import fusion as naive
+
+MEASURES = ["absolute_difference", "gradient", "rank", "census"]
+
+
+def fusion(**fields):
+    return Fusion.model_validate({"measures": MEASURES, **fields})
+
+
+def shifted_pair(shape=(40, 70), d=7, seed=0):
+    rng = np.random.default_rng(seed)
+    wide = rng.integers(0, 256, (shape[0], shape[1] + d, 3)).astype(np.uint8)
+    wide = cv2.GaussianBlur(wide, (0, 0), 1.0)
+    return StereoPair(np.ascontiguousarray(wide[:, : shape[1]]), np.ascontiguousarray(wide[:, d:]))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("shape", [(9, 20, 7), (1, 1, 1), (6, 5, 18), (5, 30, 33)])
+@pytest.mark.parametrize(("scale", "outside"), [(None, None), (40.0, 0.25)])
+def test_squash_agrees_with_its_twin(dtype, shape, scale, outside):
+    costs = (np.random.default_rng(0).random(shape) * 200).astype(dtype)
+    got = squash(CostVolume(costs), scale, outside)
+    want = naive.squash(costs, scale, outside)
+    assert got.costs.dtype == np.uint8
+    assert np.abs(got.costs - want).max() <= 0.51
+
+
+def test_squash_of_constant_and_negative_costs():
+    flat = squash(CostVolume(np.zeros((4, 5, 6), np.uint8)), None)
+    assert not flat.costs.any()
+    costs = np.random.default_rng(0).normal(size=(8, 9, 5)).astype(np.float32)
+    got = squash(CostVolume(costs), None).costs
+    moved = squash(CostVolume(costs - costs.min()), None).costs
+    np.testing.assert_allclose(got.astype(int), moved.astype(int), atol=1)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_blend_agrees_with_its_twin_and_stays_between_its_parts(count):
+    rng = np.random.default_rng(count)
+    volumes = [CostVolume(rng.integers(0, 256, (6, 7, 11)).astype(np.uint8), 255.0) for _ in range(count)]
+    weights = rng.random((count, 6, 7)).astype(np.float32)
+    weights /= weights.sum(axis=0)
+    got = blend(volumes, weights).costs
+    stack = np.stack([v.costs for v in volumes])
+    np.testing.assert_array_equal(got, naive.blend(stack, weights))
+    assert (got >= stack.min(axis=0)).all()
+    assert (got <= stack.max(axis=0)).all()
+    total = np.zeros(got.shape, np.float32)
+    for volume, weight in zip(volumes, weights, strict=True):
+        add_weighted(total, volume, weight)
+    assert np.abs(total * 255 - got).max() < 2
+
+
+@pytest.mark.parametrize("shape", [(12, 17), (1, 9), (9, 1), (8, 16), (20, 40)])
+@pytest.mark.parametrize("depth", [1, 15, 16, 17, 35])
+@pytest.mark.parametrize("tolerance", [0, 1])
+def test_votes_agree_with_their_twins(shape, depth, tolerance):
+    rng = np.random.default_rng(depth)
+    disparities = rng.integers(0, depth, (3, *shape)).astype(np.int32)
+    weights = rng.random((3, *shape)).astype(np.float32)
+    image = cv2.medianBlur(rng.integers(0, 256, (*shape, 3)).astype(np.uint8), 3)
+    votes, fading = (naive.cast_votes(disparities, weights, depth, tolerance, fading) for fading in (False, True))
+    smooth = cv2.medianBlur(image, 3)
+    for support, spread in (
+        (WindowSupport(shape, 5), lambda v: naive.window_shares(v, 5)),
+        (ColorSupport(image, 6.0, 20.0), lambda v: naive.color_shares(v, smooth, 6.0, 20.0)),
+    ):
+        ballot = Ballot(disparities, weights, depth, tolerance, support)
+        shares = ballot.shares(disparities)
+        expected = np.take_along_axis(spread(votes)[None], disparities[..., None], 3)[..., 0]
+        np.testing.assert_allclose(shares, expected, atol=1e-5)
+        want = spread(votes)
+        base = CostVolume(rng.integers(0, 4081, (*shape, depth)).astype(np.uint16), 4080.0)
+        added = ballot.costs(base, 0.5, 4080)
+        expected = (base.costs / 4080 + 0.5 * (1 - want)) / 1.5 * 4080
+        assert added.scale == pytest.approx(4080 / 1.5)
+        assert np.abs(added.costs - expected).max() < 0.6
+        assert np.abs(ballot.costs(None, 1.0, 4080).costs - 4080 * (1 - spread(fading))).max() < 0.6
+
+
+def test_votes_do_not_cross_a_color_edge_but_reach_far_within_a_surface():
+    image = np.zeros((20, 60, 3), np.uint8)
+    image[:, 30:] = 200
+    disparities = np.zeros((1, 20, 60), np.int32)
+    disparities[:, :, 30:] = 9
+    disparities[0, 10, 45] = 4
+    ballot = Ballot(disparities, np.ones((1, 20, 60), np.float32), 16, 0, ColorSupport(image, 20, 15))
+    winner = ballot.costs(None, 1.0, 4080).costs.argmin(axis=2)
+    np.testing.assert_array_equal(winner, np.where(np.arange(60) < 30, 0, 9) * np.ones((20, 1)))
+
+
+def test_comparable_confidences():
+    values = np.random.default_rng(0).integers(0, 9, (2, 5, 6)).astype(np.float32)
+    np.testing.assert_allclose(comparable(values, "pkr"), naive.ranks(values), rtol=1e-6)
+    np.testing.assert_allclose(comparable(-values, "lrc"), 1 / (1 + values), rtol=1e-6)
+
+
+def test_left_right_difference_is_the_confidence_measure():
+    costs = np.random.default_rng(0).integers(0, 99, (9, 30, 12)).astype(np.uint16)
+    left, right = winners(costs)
+    got = -left_right_difference(left, right)
+    np.testing.assert_array_equal(got, naive.left_right_difference(left, right))
+    np.testing.assert_array_equal(got, confidence_maps(costs, ["lrc"])["lrc"])
+
+
+@pytest.mark.parametrize("mode", ["consensus", "confidence", "equal", "select", "vote"])
+def test_weights_sum_to_one(mode):
+    rng = np.random.default_rng(0)
+    disparities = rng.integers(0, 20, (3, 10, 12)).astype(np.int32)
+    weights = rng.random((3, 10, 12)).astype(np.float32)
+    ballot = Ballot(disparities, weights, 20, 1, WindowSupport((10, 12), 5))
+    got = measure_weights(mode, ballot, 2.0)
+    np.testing.assert_allclose(got.sum(axis=0), 1, atol=1e-6)
+    if mode == "consensus":
+        np.testing.assert_allclose(got, naive.consensus_weights(ballot.shares(disparities), 2.0), rtol=1e-4)
+    if mode == "select":
+        np.testing.assert_array_equal(got.argmax(axis=0), weights.argmax(axis=0))
+
+
+@pytest.mark.parametrize("weights", ["consensus", "confidence", "equal", "select", "vote"])
+@pytest.mark.parametrize("support", ["color", "window"])
+@pytest.mark.parametrize("blend_when", ["before", "after"])
+def test_the_true_shift_wins(weights, support, blend_when):
+    pair = shifted_pair()
+    consensus = {"support": support, "window": 9, "rounds": 1}
+    result = fusion(weights=weights, consensus=consensus, blend=blend_when, confidence=["pkr", "consensus"])(pair, 15)
+    assert np.mean(result.disparity.values[:, 14:] == 7) > 0.99
+    share = result.confidence["consensus"]
+    assert share.min() >= 0
+    assert share.max() <= 1
+    assert share[10:30, 25:60].mean() > 0.9
+    assert list(result.confidence) == ["pkr", "consensus"]
+    assert sum(result.figures[f"weight_{k}"] for k in range(4)) == pytest.approx(1, abs=1e-5)
+
+
+def test_equal_weights_without_votes_are_the_plain_mean():
+    pair = shifted_pair()
+    fused = fusion(weights="equal", consensus={"vote_cost": 0}, aggregation=None).fuse(pair, 11, {})
+    parts = [squash(m.cost(pair, 12), None).costs.astype(int) for m in fusion().measures]
+    np.testing.assert_array_equal(fused.volume.costs, 16 * ((64 * sum(parts) + 128) >> 8))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 5), (40, 6)])
+def test_tiny_images_and_ranges_wider_than_the_image(shape):
+    rng = np.random.default_rng(0)
+    left, right = (rng.integers(0, 256, shape).astype(np.uint8) for _ in range(2))
+    values = fusion(confidence=["lrc", "dap", "consensus"])(StereoPair(left, right), 20).disparity.values
+    assert values.shape == shape
+    assert (values <= np.arange(shape[1])).all()
+
+
+def test_any_number_of_threads_gives_the_same_bytes():
+    pair = shifted_pair((45, 61))
+    make = fusion(consensus={"rounds": 1}, confidence=["consensus"])
+    first = make(pair, 20)
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        again = make(pair, 20)
+    finally:
+        numba.set_num_threads(threads)
+    np.testing.assert_array_equal(first.disparity.values, again.disparity.values)
+    np.testing.assert_array_equal(first.confidence["consensus"], again.confidence["consensus"])
+
+
+def test_a_volume_made_elsewhere_counts_as_a_measure():
+    pair = shifted_pair()
+    census = Census()(pair, 16)
+    mixed = fusion(measures=["census", {"volume": "learned.npy"}])
+    ours = fusion(measures=["census", "census"])(pair, 11).disparity.values
+    for volume in (census.costs, census.costs.astype(np.float64)):
+        np.testing.assert_array_equal(mixed(pair, 11, {"learned.npy": volume}).disparity.values, ours)
+
+
+@pytest.mark.parametrize(
+    ("volumes", "message"),
+    [
+        ({}, "learned.npy: no such volume"),
+        ({"learned.npy": np.zeros((40, 70, 3))}, r"want shape \(40, 70, 12 or more\), got \(40, 70, 3\)"),
+        ({"learned.npy": np.full((40, 70, 12), np.nan)}, "NaN or infinite"),
+        ({"learned.npy": np.full((40, 70, 12), "x")}, "want numbers"),
+    ],
+)
+def test_a_volume_that_does_not_fit_is_refused(volumes, message):
+    with pytest.raises(InputError, match=message):
+        fusion(measures=["census", {"volume": "learned.npy"}])(shifted_pair(), 11, volumes)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"measures": []},
+        {"measures": [{"cost": "census", "volume": "x.npy"}]},
+        {"measures": [{}]},
+        {"measures": ["censsus"]},
+        {"weights": "best"},
+        {"vote_confidence": "pkrr"},
+        {"confidence": ["consensuss"]},
+        {"consensus": {"window": 8}},
+        {"refine": []},
+    ],
+)
+def test_impossible_configs_are_refused(fields):
+    with pytest.raises(ValidationError):
+        fusion(**fields)
+
+
+def test_the_segment_pipeline_works_on_fused_costs():
+    pair = shifted_pair()
+    make = fusion(aggregation=None, segments={"window_radius": 2, "planes": {"min_size": 20}})
+    result = make(pair, 15)
+    assert np.nanmean(np.abs(result.disparity.values[:, 14:] - 7) < 0.6) > 0.9
+    assert list(result.seconds)[:4] == ["cost", "voters", "weights", "aggregation"]
+    assert "expansion" in result.seconds and "weight_0" in result.figures and "planes" in result.figures
+    dumped = make.model_dump(mode="json", by_alias=True)
+    assert dumped["segments"]["planes"]["min_size"] == 20 and dumped["segments"]["energy"]["data_term"] == "dedc"
+    assert Fusion.model_validate(dumped) == make
+
+
+@pytest.mark.parametrize(
+    ("fields", "place"),
+    [
+        ({"segments": {"cost": "census"}}, ("segments", "cost")),
+        ({"segments": {"windoww": 3}}, ("segments", "windoww")),
+        ({"segments": {"planes": {"mots": 3}}}, ("segments", "planes", "mots")),
+        ({"segments": {}, "refinement": ["subpixel"]}, ("refinement",)),
+        ({"segments": {}, "confidence": ["lrc"]}, ("confidence",)),
+        ({"segments": {}, "optimization": "scanline"}, ("optimization",)),
+    ],
+)
+def test_what_segments_has_of_its_own_or_not_at_all_is_refused(fields, place):
+    with pytest.raises(ValidationError) as caught:
+        fusion(**fields)
+    assert [error["loc"] for error in caught.value.errors()] == [place]
+
+
+def test_what_segments_leaves_as_it_is_may_be_said():
+    fusion(segments={}, refinement=[], confidence=[], optimization="winner_takes_all")
+    fusion(segments={}, optimization="scanline", consensus={"rounds": 1})
+
+
+def test_measures_of_confidence_in_any_case():
+    assert fusion(vote_confidence="LRC", confidence=["PKR", "Consensus"]).confidence == ("pkr", "consensus")
+
+
+def test_a_config_survives_its_own_dump():
+    first = fusion(measures=["census", {"cost": {"method": "rank", "window": [5, 5]}, "scale": 3}])
+    assert Fusion.model_validate(first.model_dump(mode="json")) == first

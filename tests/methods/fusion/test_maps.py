@@ -1,0 +1,197 @@
+"""Mixing of finished maps: kernels against their twins, moves against all mixes there are, and what it is for."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Status
+from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.methods.fusion import Fusion
+from depthcli.methods.fusion.maps import _most_agreed
+from depthcli.methods.fusion.surfaces import (
+    Smoothness,
+    Surface,
+    agreement,
+    contradictions,
+    disagreements,
+    matching_costs,
+)
+from depthcli.methods.stereo.slopes import slopes
+from depthcli.methods.stereo.volume import CostVolume
+from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
+from tests.naive import maps as naive
+
+
+class Alone:
+    """A support of the pixel alone: the costs themselves."""
+
+    def __init__(self, shape):
+        self.share = np.ones(shape, np.float32)
+
+    def sum(self, block):
+        pass
+
+
+def random_maps(count, height, width, depth, seed=0):
+    rng = np.random.default_rng(seed)
+    base = rng.uniform(0, depth - 1, (height, width))
+    return np.clip(base + rng.normal(0, 1.5, (count, height, width)), 0, depth - 1).astype(np.float32)
+
+
+@pytest.mark.parametrize(("count", "height", "width", "depth"), [(1, 1, 1, 1), (3, 4, 7, 20), (18, 5, 33, 9)])
+def test_costs_of_maps_are_those_of_the_twins(count, height, width, depth):
+    maps, support = random_maps(count, height, width, depth), Alone((height, width))
+    volume = random_volume(height, width, depth)
+    found = matching_costs(maps, CostVolume(volume.costs, 100.0), 1.4, support)
+    np.testing.assert_allclose(found, naive.matching_costs(maps, volume.costs, 0.01, 1.4), atol=1e-4)
+    right = np.random.default_rng(1).integers(0, depth, (height, width)).astype(np.uint16)
+    found = contradictions(maps, right, 0.4, support)
+    np.testing.assert_allclose(found, naive.contradictions(maps, right, 0.4), atol=1e-4)
+    weights = np.arange(count).astype(np.float32)
+    if count > 1:
+        found = disagreements(maps, weights, support)
+        np.testing.assert_allclose(found, naive.disagreements(maps, weights), atol=1e-4)
+    assert not disagreements(maps[:1], weights[:1], support).any() or count == 1
+
+
+def random_surface(height, width, seed, cost_scale=1.0):
+    rng = np.random.default_rng(seed)
+    values = rng.uniform(0, 4, (height, width)).astype(np.float32)
+    gradient = rng.uniform(-0.5, 0.5, (2, height, width)).astype(np.float32)
+    return Surface(values, gradient, rng.uniform(0, cost_scale, (height, width)).astype(np.float32))
+
+
+def test_energy_is_that_of_the_twin():
+    surface = random_surface(7, 9, 3)
+    smoothness = Smoothness.of(texture((7, 9, 3), 2), 2.0, 10.0, 0.1, 1.5)
+    expected = naive.energy(surface.values, surface.slopes, surface.cost, smoothness.weights, 1.5)
+    assert smoothness.energy(surface) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_moves_are_the_best_mix(seed):
+    """Among all 2^9 mixes; with pairs that a cut cannot represent a move still never costs anything."""
+    a, b = random_surface(3, 3, seed), random_surface(3, 3, seed + 100)
+    smoothness = Smoothness.of(texture((3, 3, 3), seed), 1.0, 20.0, 0.2, 2.0)
+    mixes = [np.array(bits, bool).reshape(3, 3) for bits in itertools.product((False, True), repeat=9)]
+    energies = [smoothness.energy(a.mixed(b, mix)) for mix in mixes]
+    chosen = smoothness.move(a, b, 0.0)
+    reached = energies[0] if chosen is None else smoothness.energy(a.mixed(b, chosen))
+    assert reached <= energies[0]
+    weak = Smoothness(smoothness.weights * np.float32(0.02), 2.0)
+    chosen = weak.move(a, b, 0.0)
+    best = min(weak.energy(a.mixed(b, mix)) for mix in mixes)
+    assert chosen is not None
+    assert weak.energy(a.mixed(b, chosen)) <= best + 0.02
+
+
+def test_what_is_near_stays():
+    surface = random_surface(6, 6, 0)
+    near = Surface(surface.values + np.float32(0.1), surface.slopes, surface.cost - np.float32(5))
+    assert Smoothness.of(texture((6, 6, 3), 2), 1.0, 10.0, 0.1, 2.0).move(surface, near, 0.25) is None
+
+
+def test_a_slope_costs_nothing_and_a_step_does():
+    y, x = np.mgrid[:20, :30]
+    image = np.full((20, 30, 3), 90, np.uint8)
+    smoothness = Smoothness.of(image, 4.0, 10.0, 0.1, 2.0)
+    none = np.zeros((20, 30), np.float32)
+    plane = (5 + 0.4 * x - 0.2 * y).astype(np.float32)
+    step = np.where(x < 15, 5, 12).astype(np.float32)
+    gradient = np.stack([np.full_like(plane, 0.4), np.full_like(plane, -0.2)])
+    assert smoothness.energy(Surface(plane, gradient, none)) < 0.01
+    assert smoothness.energy(Surface(step, slopes(step, image), none)) == pytest.approx(20 * 4 * 2, rel=0.01)
+
+
+def test_agreement_is_the_weighted_share():
+    maps = np.array([[[5.0]], [[5.3]], [[7.0]], [[6.0]]], np.float32)
+    weights = np.array([1, 2, 4, 1], np.float32)
+    np.testing.assert_allclose(agreement(np.float32([[5.0]]), maps, weights), (1 + 2 + 0.5) / 8)
+
+
+def test_planes_are_fitted_where_most_maps_agree():
+    rng = np.random.default_rng(3)
+    labels = rng.integers(0, 6, (40, 50)).astype(np.int32)
+    labels[0, :5] = 6  # a segment of five pixels
+    agreeing = np.where(labels < 3, rng.integers(0, 4, labels.shape), rng.integers(0, 2, labels.shape))
+    agreeing[labels == 5] = 0
+    agreeing[labels == 4] = 1
+    agreeing[np.nonzero(labels == 4)[0][:5], np.nonzero(labels == 4)[1][:5]] = 3  # too few to go by
+    found = _most_agreed(agreeing, labels, 7)
+    for k, least in enumerate((3, 3, 3, 1, 1, 0, 0)):
+        np.testing.assert_array_equal(found[labels == k], agreeing[labels == k] >= least)
+
+
+SMALL = {
+    "measures": ["absolute_difference", "census"],
+    "optimization": "scanline",
+    "refinement": ["left_right_check", "subpixel", "background_fill"],
+    "confidence": ["agreement", "da"],
+    "maps": {
+        "matchers": [
+            {"weight": 2, "matcher": {"pipeline": "local", "cost": "census", "optimization": "scanline"}},
+            {"matcher": {"pipeline": "local", "cost": "gradient", "aggregation": "cross"}},
+        ],
+        "optimizations": [{"weight": 0.5, "optimization": {"method": "scanline", "p2": 4.0}}],
+        "segmentations": [{"segmentation": "felzenszwalb"}],
+    },
+}
+
+
+def test_the_mix_is_better_than_its_parts_and_says_where_maps_agree():
+    fusion = Fusion.model_validate(SMALL)
+    parts = [
+        Fusion.model_validate({**SMALL, "maps": None, "confidence": []}),
+        *(m.matcher for m in fusion.maps.matchers),
+    ]
+    errors = {"mix": 0.0, 0: 0.0, 1: 0.0, 2: 0.0}
+    for seed in (5, 6):
+        scene = make_scene("planes", seed, 160, 120, 24, wall_contrast=0.3)
+        pair = StereoPair(scene.left, scene.right)
+        result = fusion(pair, 24)
+        wrong = ~(np.abs(result.disparity.values - scene.disparity_left) <= 1)
+        errors["mix"] += wrong.mean()
+        for k, part in enumerate(parts):
+            errors[k] += np.mean(~(np.abs(part(pair, 24).disparity.values - scene.disparity_left) <= 1))
+        sure = result.confidence["agreement"] > 0.9
+        assert wrong[sure].mean() < 0.5 * wrong.mean()
+        filled = (result.disparity.status & Status.FILLED) != 0
+        assert result.disparity.valid.all()
+        assert wrong[filled].mean() > wrong[~filled].mean()
+    assert errors["mix"] <= 0.9 * min(errors[k] for k in (0, 1, 2))
+
+
+@pytest.mark.parametrize("color", [False, True])
+def test_same_bytes_at_any_thread_count_and_on_small_images(color):
+    fusion = Fusion.model_validate(SMALL)
+    pair = blocky_pair(31, 70, color, 4)
+
+    def run():
+        result = fusion(pair, 20)
+        return np.concatenate([result.disparity.values, result.disparity.status, result.confidence["agreement"]])
+
+    assert_pure(run, pair.left, pair.right)
+    for height, width in ((1, 1), (2, 3), (9, 1)):
+        assert fusion(blocky_pair(height, width, color), 5).disparity.values.shape == (height, width)
+
+
+def test_a_flat_pair_does_not_crash():
+    image = np.full((20, 30, 3), 80, np.uint8)
+    assert Fusion.model_validate(SMALL)(StereoPair(image, image), 8).disparity.valid.all()
+
+
+def test_agreement_wants_maps_and_segments_exclude_them():
+    with pytest.raises(ValidationError, match="'agreement' is that of several maps"):
+        Fusion.model_validate({**SMALL, "maps": None})
+    with pytest.raises(ValidationError, match="no effect beside 'segments'"):
+        Fusion.model_validate({"measures": ["census"], "segments": {}, "maps": SMALL["maps"]})
+
+
+def test_memory_counts_the_largest_of_what_runs_in_turn():
+    alone = Fusion.model_validate({**SMALL, "maps": None, "confidence": []})
+    assert Fusion.model_validate(SMALL).peak_bytes((300, 400), 64) > alone.peak_bytes((300, 400), 64)

@@ -1,0 +1,202 @@
+"""The methods of others, and the fast one of ours."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import DepthStatus
+from depthcli.data.generated.kinect_scenes import make_kinect_scene, make_kinect_sequence, simulate_kinect
+from depthcli.methods.kinect.fill import nearest_fill
+from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother, weighted_smoothing
+from depthcli.methods.kinect.pipeline.guided import Guided
+from depthcli.methods.kinect.pipeline.inpaint import Inpaint
+from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateral, joint_bilateral_fill
+from depthcli.methods.kinect.pipeline.nearest import Nearest
+from depthcli.methods.kinect.pipeline.realsense import Realsense
+from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
+from depthcli.methods.kinect.shadows import shadow_rims
+
+METHODS = [
+    FastGlobalSmoother(), Guided(), Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateral(), Nearest(),
+    Realsense(), ShadowSmoother(),
+]  # fmt: skip
+FILLS_ONLY = (Inpaint, JointBilateral, Nearest)
+
+
+@pytest.fixture(scope="module")
+def sample():
+    return simulate_kinect(*make_kinect_scene("foreground", 2, 240, 180, 32), 2, discs=4)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=repr)
+def test_all_fill_gaps_and_leave_the_input_alone(method, sample):
+    frame = sample.frame()
+    color, depth = frame.color.copy(), frame.depth.copy()
+    refined = method(frame)
+    np.testing.assert_array_equal(frame.color, color)
+    np.testing.assert_array_equal(frame.depth, depth)
+    filled = ~np.isnan(refined.depth.values)
+    assert filled[sample.gap].mean() > 0.95
+    assert ((refined.depth.status == DepthStatus.EMPTY) == ~filled).all()
+    if isinstance(method, FILLS_ONLY):
+        known = ~np.isnan(depth)
+        np.testing.assert_array_equal(refined.depth.values[known], depth[known])
+        assert (refined.depth.status[known] == DepthStatus.KEPT).all()
+        assert (refined.depth.status[~known] == DepthStatus.GAP_FILLED).all()
+    np.testing.assert_array_equal(refined.depth.values, method(frame).depth.values)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=repr)
+@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (4, 5)])
+def test_tiny_and_narrow_frames(method, shape):
+    depth = np.full(shape, 2.0, np.float32)
+    if depth.size > 1:
+        depth.flat[depth.size // 2] = np.nan
+    values = method(RgbdFrame(np.zeros((*shape, 3), np.uint8), depth)).depth.values
+    np.testing.assert_allclose(values[~np.isnan(values)], 2, rtol=1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=repr)
+def test_nothing_known_is_an_error(method):
+    with pytest.raises(ValueError, match="no pixel"):
+        method(RgbdFrame(np.zeros((8, 9, 3), np.uint8), np.full((8, 9), np.nan, np.float32)))
+
+
+def test_joint_bilateral_is_its_formula():
+    rng = np.random.default_rng(1)
+    color = rng.integers(100, 140, (24, 26, 3), dtype=np.uint8)
+    values = rng.uniform(10, 20, (24, 26)).astype(np.float32)
+    values[8:12, 9:14] = np.nan
+    filled = joint_bilateral_fill(color, values, 11, 4.0, 15.0)
+    for y, x in np.argwhere(np.isnan(values)):
+        total = weights = 0.0
+        for v in range(max(y - 5, 0), min(y + 6, 24)):
+            for u in range(max(x - 5, 0), min(x + 6, 26)):
+                if not np.isnan(values[v, u]):
+                    contrast = ((color[v, u].astype(int) - color[y, x]) ** 2).sum()
+                    w = np.exp(-((v - y) ** 2 + (u - x) ** 2) / 32 - contrast / 450)
+                    total, weights = total + w * values[v, u], weights + w
+        assert filled[y, x] == pytest.approx(total / weights, rel=1e-4)
+
+
+def test_nearest_is_the_nearest():
+    values = np.full((20, 20), np.nan, np.float32)
+    values[3, 4], values[15, 12] = 1, 2
+    filled = nearest_fill(values)
+    rows, columns = np.mgrid[:20, :20]
+    first, second = np.hypot(rows - 3, columns - 4), np.hypot(rows - 15, columns - 12)
+    clear = np.abs(first - second) > 1  # the transform's distances are approximate
+    np.testing.assert_array_equal(filled[clear], np.where(first < second, 1, 2)[clear])
+    assert np.isnan(nearest_fill(np.full((3, 3), np.nan, np.float32))).all()
+
+
+def test_inpaint_is_opencvs(sample):
+    frame = sample.frame()
+    gaps = np.isnan(frame.disparity)
+    expected = cv2.inpaint(np.nan_to_num(frame.disparity), gaps.astype(np.uint8), 3, cv2.INPAINT_TELEA)
+    expected = np.clip(expected, np.nanmin(frame.disparity), np.nanmax(frame.disparity))
+    np.testing.assert_allclose(frame.fb / Inpaint()(frame).depth.values[gaps], expected[gaps], rtol=1e-5)
+
+
+def spatial(line, alpha, delta):
+    """One pass over a line, there and back, with edges told by the values before filtering."""
+    for order in (range(len(line)), range(len(line) - 1, -1, -1)):
+        source, state, before = line.copy(), np.nan, np.nan
+        for i in order:
+            if abs(before - source[i]) < delta:
+                state = alpha * source[i] + (1 - alpha) * state
+                line[i] = state
+            else:
+                state = source[i]
+            before = source[i]
+    return line
+
+
+def test_realsense_spatial_filter():
+    rng = np.random.default_rng(3)
+    disparity = (20 + np.cumsum(rng.normal(0, 0.4, (13, 17)), axis=1)).astype(np.float32)
+    disparity[rng.random((13, 17)) < 0.2] = np.nan
+    method = Realsense(temporal_alpha=1, persistency=0, hole_filling="off")
+    frame = RgbdFrame(np.zeros((13, 17, 3), np.uint8), (43.5 / disparity).astype(np.float32))
+    expected = frame.disparity.astype(float)
+    for _ in range(2):
+        expected = np.array([spatial(row, 0.5, 20 / 32) for row in expected])
+        expected = np.array([spatial(column, 0.5, 20 / 32) for column in expected.T]).T
+    np.testing.assert_allclose(43.5 / method(frame).depth.values, expected, rtol=1e-4)
+
+
+def test_realsense_temporal_filter_smooths_carries_over_and_follows():
+    method = Realsense(magnitude=0, hole_filling="off")
+    color = np.zeros((1, 3, 3), np.uint8)
+    # steady; seen twice, then gone for long; moves by more than the threshold
+    columns = [[10, 10.4, 10, 10, 10, 10, 10], [10, 10] + [np.nan] * 5, [10, 12, 12, 12, 12, 12, 12]]
+    state, seen, status = None, [], []
+    for disparity in np.array(columns).T:
+        refined, state = method.step(RgbdFrame(color, (43.5 / disparity[None]).astype(np.float32)), state)
+        seen.append(43.5 / refined.depth.values[0])
+        status.append(refined.depth.status[0, 1])
+    seen = np.array(seen)
+    assert seen[1, 0] == pytest.approx(0.4 * 10.4 + 0.6 * 10, rel=1e-5)
+    np.testing.assert_allclose(seen[:, 2], columns[2], rtol=1e-5)
+    # valid in 2 of the last 4 frames: for three frames after the value is gone
+    np.testing.assert_array_equal(np.isnan(seen[:, 1]), [False] * 5 + [True] * 2)
+    assert [bool(s & DepthStatus.CARRIED) for s in status] == [False, False, True, True, True, False, False]
+    with pytest.raises(ValueError, match="size"):
+        method.step(RgbdFrame(np.zeros((2, 3, 3), np.uint8), np.ones((2, 3), np.float32)), state)
+
+
+@pytest.mark.parametrize(("mode", "value"), [("left", 10), ("farthest", 8), ("nearest", 14)])
+def test_realsense_hole_filling(mode, value):
+    disparity = np.full((3, 4), 10.0)
+    disparity[0, 2], disparity[2, 1], disparity[1, 2] = 14, 8, np.nan
+    method = Realsense(magnitude=0, hole_filling=mode)
+    refined = method(RgbdFrame(np.zeros((3, 4, 3), np.uint8), (43.5 / disparity).astype(np.float32)))
+    assert 43.5 / refined.depth.values[1, 2] == pytest.approx(value, rel=1e-5)
+
+
+def test_realsense_lowers_the_noise_of_a_static_camera():
+    frames = make_kinect_sequence("static", 6, 0, 160, 120, 24)
+    method, state = Realsense(), None
+    errors = []
+    for sample in frames:
+        refined, state = method.step(sample.frame(), state)
+        errors.append(np.abs(43.5 / refined.depth.values - sample.truth)[sample.measured].mean())
+    assert errors[-1] < 0.8 * errors[0]
+
+
+def test_shadow_rims_hold_the_value_on_the_left():
+    truth = np.full((9, 90), 10.0, np.float32)
+    truth[:, 40:60] = 20
+    sample = simulate_kinect(np.zeros((9, 90, 3), np.uint8), truth, 0, noise=0.0, discs=0)
+    rims = shadow_rims(sample.disparity, 1.0)
+    np.testing.assert_array_equal(rims[sample.occluded], 10)
+
+
+@pytest.mark.parametrize("kind", ["planes", "foreground", "curved", "camouflage"])
+def test_the_fast_one_beats_the_smoother_it_is_made_of(kind):
+    sample = simulate_kinect(*make_kinect_scene(kind, 1, 320, 240, 40), 1, discs=4)
+    frame = sample.frame()
+    ours, peer = (
+        np.abs(frame.fb / m(frame).depth.values - sample.truth) for m in (ShadowSmoother(), FastGlobalSmoother())
+    )
+    assert np.nanmean(ours[sample.gap]) < 0.8 * np.nanmean(peer[sample.gap])
+    assert np.nanmean(ours[sample.mismatch]) < 0.8 * np.nanmean(peer[sample.mismatch])
+    assert np.nanmean(ours[sample.measured]) < 0.24
+
+
+def test_weighted_smoothing_is_the_same_at_any_number_of_threads():
+    rng = np.random.default_rng(0)
+    color = cv2.GaussianBlur(rng.integers(0, 256, (241, 333, 3), np.uint8), (0, 0), 2)
+    disparity = 50 * rng.random((241, 333), np.float32)
+    before = cv2.getNumThreads()
+    found = []
+    for threads in (1, 3, 8):
+        cv2.setNumThreads(threads)
+        found.append(weighted_smoothing(color, disparity, np.ones_like(disparity), 900, 5))
+        assert cv2.getNumThreads() == threads
+    cv2.setNumThreads(before)
+    np.testing.assert_array_equal(found[1], found[0])
+    np.testing.assert_array_equal(found[2], found[0])

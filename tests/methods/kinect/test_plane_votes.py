@@ -1,0 +1,267 @@
+"""The pipeline of local planes and votes, and the kernels behind it."""
+
+from __future__ import annotations
+
+import cv2
+import numba
+import numpy as np
+import pytest
+
+from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import DepthStatus
+from depthcli.data.generated.kinect_scenes import make_kinect_scene, simulate_kinect
+from depthcli.methods.kinect.holes import hidden_openings
+from depthcli.methods.kinect.local_planes import LocalPlanes, local_planes
+from depthcli.methods.kinect.outlines import FIRST, outline_offsets, truth_probability
+from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
+from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateral
+from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
+from depthcli.methods.kinect.shadows import left_rims, shadow_belief, shadow_limits
+from depthcli.methods.kinect.votes import LEVELS, Evidence, Voters, cast_votes
+from tests.naive import kinect_votes as naive
+
+
+def lab_of(color):
+    return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2LAB), np.uint8)
+
+
+def sample_of(kind="foreground", seed=0, size=(220, 160), **options):
+    color, truth = make_kinect_scene(kind, seed, *size, 32)
+    return simulate_kinect(color, truth, seed, **{"discs": 3, "disc_radius": (6.0, 12.0), **options})
+
+
+def random_map(rng, shape, holes=0.15):
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    disparity = 20 + 0.1 * columns - 0.05 * rows + 0.3 * rng.standard_normal(shape)
+    disparity[:, shape[1] // 2 :] += 9
+    disparity[rng.random(shape) < holes] = np.nan
+    return disparity.astype(np.float32)
+
+
+@pytest.mark.parametrize("shape", [(23, 31), (1, 40), (40, 1), (5, 4), (1, 1)])
+def test_local_planes_are_those_of_the_twin(shape):
+    rng = np.random.default_rng(sum(shape))
+    disparity = random_map(rng, shape)
+    trust = np.where(rng.random(shape) < 0.8, rng.random(shape), 0).astype(np.float32)
+    planes = local_planes(disparity, trust, 0.3)
+    np.testing.assert_array_equal(np.isnan(planes.value), np.isnan(disparity))
+    for y, x in np.argwhere(~np.isnan(disparity)):
+        window = np.s_[max(y - 4, 0) : y + 5, max(x - 4, 0) : x + 5]
+        if trust[window][~np.isnan(disparity[window])].sum() < 0.5:
+            continue
+        mine = [getattr(planes, name)[y, x] for name in ("value", "slope_x", "slope_y", "scale")]
+        np.testing.assert_allclose(mine, naive.local_plane(disparity, trust, 0.3, y, x), atol=6e-3)
+
+
+def test_planes_that_nothing_touches_are_taken_over():
+    rng = np.random.default_rng(8)
+    disparity = random_map(rng, (40, 150))
+    trust = np.ones((40, 150), np.float32)
+    first = local_planes(disparity, trust, 0.3)
+    changed = np.zeros((40, 150), bool)
+    changed[20:23, 70:75] = True
+    other = np.where(changed, np.float32(25), disparity)
+    again, anew = local_planes(other, trust, 0.3, first, changed), local_planes(other, trust, 0.3)
+    for name in ("value", "slope_x", "slope_y", "scale"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(anew, name))
+    np.testing.assert_array_equal(first.value, local_planes(disparity, trust, 0.3).value)
+
+
+def test_votes_are_those_of_the_twin():
+    rng = np.random.default_rng(5)
+    shape = (43, 90)
+    lab = rng.integers(60, 160, (*shape, 3), dtype=np.uint8)
+    disparity = random_map(rng, shape)
+    trust = np.where(np.isnan(disparity), 0, rng.random(shape)).astype(np.float32)
+    planes = local_planes(disparity, trust, 0.3)
+    limit = np.where(rng.random(shape) < 0.5, 25, np.inf).astype(np.float32)
+    beyond = np.full(shape, 0.1, np.float32)
+    rim = np.full(shape, np.nan, np.float32)
+    rim[::2] = 23.3
+    bonus = np.full(shape, 0.3, np.float32)
+    voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
+    sigma = np.full(shape, 2 * 1.1**24, np.float32)  # one of those that there are tables for
+    pixels = np.argwhere(rng.random(shape) < 0.01).astype(np.int32)
+    values, shares = cast_votes(pixels, lab, voters, Evidence(limit, beyond, rim, bonus), 0.3, 4, 40.0, sigma)
+    voting = planes.value[(trust > 0) & ~np.isnan(planes.value)]
+    unit = 0.3 * 5 / 3
+    low = float(voting.min()) - 8 * unit
+    bins = int((float(voting.max()) - low) / unit) + 10
+    agree = 0
+    for n, pixel in enumerate(pixels):
+        parts = (planes.value, planes.slope_x, planes.slope_y)
+        mass, moment = naive.histogram(pixel, lab, parts, trust, limit, beyond, low, unit, bins, 40.0, 2 * 1.1**24)
+        if not np.isnan(rim[tuple(pixel)]):
+            k = int((rim[tuple(pixel)] - low) / unit)
+            extra = 0.3 * mass.sum()
+            mass[k] += extra
+            moment[k] += extra * rim[tuple(pixel)]
+        expected = naive.modes(mass, moment, 4)
+        mine = [(v, s) for v, s in zip(values[n], shares[n], strict=True) if not np.isnan(v)]
+        agree += len(mine) == len(expected) and np.allclose(mine, expected, atol=0.02)
+    assert agree >= 0.95 * len(pixels)  # a vote at the border of two bins may fall into either
+
+
+def test_votes_of_nobody():
+    shape = (6, 7)
+    nothing = np.zeros(shape, np.float32)
+    planes = LocalPlanes(np.full(shape, np.nan, np.float32), nothing, nothing, nothing)
+    lab = np.zeros((*shape, 3), np.uint8)
+    voters = [Voters.of(lab, planes, nothing, stride) for stride, _ in LEVELS]
+    values, shares = cast_votes(
+        np.array([[0, 0]], np.int32),
+        lab,
+        voters,
+        Evidence(nothing, nothing, nothing, nothing),
+        0.3,
+        3,
+        9.0,
+        nothing + 9,
+    )
+    assert np.isnan(values).all() and (shares == 0).all()
+
+
+@pytest.mark.parametrize("fattening", [2, 4, 6])
+def test_the_frame_tells_how_much_too_wide_things_are(fattening):
+    sample = sample_of(size=(400, 300), fattening=fattening)
+    laws = outline_offsets(lab_of(sample.color), sample.disparity, 1.5)
+    np.testing.assert_allclose(laws.sum(axis=1), 1)
+    for law in laws:
+        assert abs((law * np.arange(FIRST, FIRST + law.size)).sum() - fattening) < 1.2
+        assert abs(FIRST + law.argmax() - fattening) <= 1
+
+
+def test_probabilities_are_honest():
+    sample = sample_of(size=(400, 300))
+    right = truth_probability(lab_of(sample.color), sample.disparity, 1.5)
+    known = sample.measured | sample.mismatch
+    assert sample.mismatch[known & (right < 0.2)].mean() > 0.75
+    assert sample.mismatch[known & (right > 0.9)].mean() < 0.05
+
+
+def test_a_frame_without_edges_or_without_depth_has_no_suspects():
+    lab = np.full((20, 60, 3), 100, np.uint8)
+    flat = np.full((20, 60), 12, np.float32)
+    assert (truth_probability(lab, flat, 1.0) == 1).all()
+    assert (truth_probability(lab, np.full_like(flat, np.nan), 1.0) == 1).all()
+    assert shadow_belief(flat, 1.0) == 0
+
+
+def test_shadows_of_the_simulation_are_believed_and_mirrored_ones_are_not():
+    sample = sample_of(size=(400, 300), discs=0)
+    assert shadow_belief(sample.disparity, 1.5) > 0.8
+    assert shadow_belief(np.ascontiguousarray(sample.disparity[:, ::-1]), 1.5) == 0
+
+
+def test_limits_and_rims_of_shadows():
+    truth = np.full((30, 120), 10.0, np.float32)
+    truth[:, 60:90] = 22.0
+    sample = simulate_kinect(np.full((30, 120, 3), 90, np.uint8), truth, 0, noise=0.0, discs=0)
+    planes = local_planes(sample.disparity, np.ones_like(truth), 0.1)
+    limit, beyond = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, 1.0)
+    rim, bonus = left_rims(sample.disparity, planes, 1.0, 1.0)
+    found = list(naive.shadows(sample.disparity, 1.0))
+    assert len(found) == 30 and all(is_shadow for *_, is_shadow in found)
+    for y, first, end, _ in found:
+        np.testing.assert_allclose(limit[y, first:end], 22 - np.arange(end - first, 0, -1) + 0.3, rtol=1e-5)
+        np.testing.assert_allclose(rim[y, first:end], 10, atol=0.05)
+        assert (bonus[y, first:end] > 0.5).all() and (beyond[y, first:end] < 0.05).all()
+    gaps = np.isnan(sample.disparity)
+    assert np.isinf(limit[~gaps]).all() and (beyond[~gaps] == 1).all()
+    unbelieved = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, 0.0)[1]
+    assert (unbelieved == 1).all()
+
+
+def test_an_opening_closed_by_the_sensor_is_doubted_for_its_color():
+    color = np.full((80, 160, 3), (200, 60, 60), np.uint8)
+    truth = np.full((80, 160), 30, np.float32)
+    behind = np.zeros((80, 160), bool)
+    behind[:, :50] = True
+    behind[30:50, 66:72] = True  # narrower than twice the fattening
+    color[behind] = (60, 90, 200)
+    truth[behind] = 22
+    sample = simulate_kinect(color, truth, 0, discs=0)
+    opening = behind.copy()
+    opening[:, :60] = False
+    assert sample.mismatch[opening].all()
+    trust = np.isfinite(sample.disparity).astype(np.float32)
+    planes = local_planes(sample.disparity, trust, 0.3)
+    lab = lab_of(color)
+    near = np.isfinite(sample.disparity) & (np.arange(160) > 58)
+    doubted = hidden_openings(lab, planes, Voters.of(lab, planes, trust, 4), near, 1.5, 11.0)
+    assert doubted[opening].all()
+    assert doubted[near & ~cv2.dilate(opening.astype(np.uint8), np.ones((9, 9))).astype(bool)].mean() < 0.01
+    refined = PlaneVotes()(sample.frame())
+    assert np.median(43.5 / refined.depth.values[opening]) == pytest.approx(22, abs=0.5)
+
+
+@pytest.mark.parametrize("kind", ["planes", "foreground", "curved", "camouflage"])
+def test_better_than_its_peers_everywhere(kind):
+    sample = sample_of(kind, 1, (320, 240))
+    frame = sample.frame()
+    refined = PlaneVotes()(frame)
+    error, raw = np.abs(frame.fb / refined.depth.values - sample.truth), np.abs(sample.disparity - sample.truth)
+    assert refined.depth.density == 1
+    assert error[sample.measured].mean() < 0.5 * raw[sample.measured].mean()
+    assert error[sample.mismatch].mean() < 0.4 * raw[sample.mismatch].mean()
+    for peer in (JointBilateral(), FastGlobalSmoother()):
+        other = np.abs(frame.fb / peer(frame).depth.values - sample.truth)
+        assert error[sample.gap].mean() < 0.5 * other[sample.gap].mean()
+        assert error[sample.mismatch].mean() < other[sample.mismatch].mean()
+
+
+def test_status_and_sigma():
+    sample = sample_of()
+    refined = PlaneVotes()(sample.frame())
+    status = refined.depth.status
+    assert (status[sample.gap] == DepthStatus.GAP_FILLED).all()
+    assert (status[sample.mismatch] == DepthStatus.CORRECTED).mean() > 0.6
+    assert (status[sample.measured] == DepthStatus.SMOOTHED).mean() > 0.9
+    assert (refined.sigma > 0).all()
+    shares = refined.sigma * 43.5 / refined.depth.values**2  # back to pixels
+    assert np.median(shares) == pytest.approx(0.3, abs=0.1)
+
+
+def test_a_plane_is_filled_exactly():
+    rows, columns = np.mgrid[:90, :120]
+    truth = (20 + 0.08 * columns - 0.05 * rows).astype(np.float32)
+    depth = 43.5 / truth
+    depth[30:60, 40:70] = np.nan
+    refined = PlaneVotes()(RgbdFrame(np.full((90, 120, 3), 120, np.uint8), depth.astype(np.float32)))
+    assert np.abs(43.5 / refined.depth.values - truth)[30:60, 40:70].mean() < 0.25
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (3, 5), (9, 400)])
+def test_tiny_and_narrow_frames(shape):
+    rng = np.random.default_rng(0)
+    color = rng.integers(0, 255, (*shape, 3), dtype=np.uint8)
+    depth = np.where(rng.random(shape) < 0.5, 2.0, np.nan).astype(np.float32)
+    depth.flat[0] = 2.0
+    for method in (PlaneVotes(), JointBilateral(), FastGlobalSmoother()):
+        refined = method(RgbdFrame(color, depth)).depth
+        known = refined.values[~np.isnan(refined.values)]
+        np.testing.assert_allclose(known, 2.0, rtol=1e-3)
+    assert PlaneVotes()(RgbdFrame(color, depth)).depth.density == 1
+
+
+def test_nothing_known_is_an_error():
+    frame = RgbdFrame(np.zeros((8, 9, 3), np.uint8), np.full((8, 9), np.nan, np.float32))
+    for method in (PlaneVotes(), JointBilateral(), FastGlobalSmoother()):
+        with pytest.raises(ValueError, match="no pixel"):
+            method(frame)
+
+
+def test_same_bytes_at_any_number_of_threads_and_inputs_untouched():
+    sample = sample_of(seed=3)
+    frame = sample.frame()
+    color, depth = frame.color.copy(), frame.depth.copy()
+    most = numba.get_num_threads()
+    results = []
+    for threads in (1, most):
+        numba.set_num_threads(threads)
+        results.append(PlaneVotes()(frame))
+    numba.set_num_threads(most)
+    np.testing.assert_array_equal(results[0].depth.values, results[1].depth.values)
+    np.testing.assert_array_equal(results[0].sigma, results[1].sigma)
+    np.testing.assert_array_equal(frame.color, color)
+    np.testing.assert_array_equal(frame.depth, depth)

@@ -1,0 +1,143 @@
+"""The model of a segment, its detail, and segments that join others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthcli.methods.kinect.growth import grow
+from depthcli.methods.kinect.model.polynomial import Polynomial
+from depthcli.methods.kinect.occlusion import farthest_fit
+from depthcli.methods.kinect.surfaces import Surfaces, add_detail
+from tests.algorithms.test_statistical_region_merging import blocks
+from tests.naive import kinect as naive
+
+SHAPES = [(1, 1), (1, 40), (40, 1), (9, 70), (31, 130)]
+
+
+def labels_of(height, width, size=7):
+    rows, columns = np.mgrid[:height, :width]
+    return (rows // size * (width // size + 1) + columns // size).astype(np.int32)
+
+
+def noisy(height, width, seed=0, unknown=0.3):
+    rng = np.random.default_rng(seed)
+    values = (20 + 5 * rng.random((height, width))).astype(np.float32)
+    values[rng.random((height, width)) < unknown] = np.nan
+    return values
+
+
+def one_segment(values):
+    return Polynomial()(values, np.zeros(values.shape, np.int32), 0.1)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("unknown", [0.0, 0.3, 1.0])
+def test_farthest_fit(shape, unknown):
+    disparity = noisy(*shape, unknown=unknown)
+    found = farthest_fit(disparity, 1.5, 2.5)
+    np.testing.assert_allclose(found, naive.farthest_fit(disparity, 1.5, 2.5), rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_plane_by_huber(seed):
+    rng = np.random.default_rng(seed)
+    height, width = 9, 10
+    rows, columns = np.mgrid[:height, :width].astype(float)
+    values = (30 + 0.4 * columns - 0.2 * rows + 0.1 * rng.standard_normal((height, width))).astype(np.float32)
+    values[rng.random((height, width)) < 0.2] += 9
+    values[rng.random((height, width)) < 0.2] = np.nan
+    known = ~np.isnan(values)
+    fitted = Polynomial(iterations=100)(values, np.zeros((height, width), np.int32), 0.05)
+    (center_y, center_x) = fitted.center[0]
+    x, y = (columns[known] - center_x) / width, (rows[known] - center_y) / width
+    beta, scale = naive.huber_plane(values[known].astype(float), x, y, 1.345, 0.05)
+    np.testing.assert_allclose(fitted.coefficients[0, :3], beta, atol=0.02)
+    np.testing.assert_allclose(fitted.scale[0], scale, rtol=0.1)
+
+
+def test_outliers_move_least_squares_more():
+    _rows, columns = np.mgrid[:40, :50].astype(np.float32)
+    truth = 30 + 0.3 * columns
+    values = truth.copy()
+    values[:, 44:] += 8
+    labels = np.zeros(truth.shape, np.int32)
+    huber, plain = (np.abs(Polynomial(huber=k)(values, labels, 0.1).at(labels) - truth).mean() for k in (1.345, None))
+    assert huber < 0.3 * plain
+
+
+@pytest.mark.parametrize(
+    ("known", "degree", "expected"), [(20, 2, 0), (60, 2, 1), (60, 1, 1), (400, 2, 2), (400, 0, 0)]
+)
+def test_degree_follows_what_is_known(known, degree, expected):
+    rows, columns = np.mgrid[:20, :20].astype(np.float32)
+    values = 20 + 0.5 * columns + 0.3 * rows + 0.02 * columns * rows
+    values.ravel()[np.random.default_rng(0).permutation(400)[known:]] = np.nan
+    beta = Polynomial(degree=degree)(values, np.zeros((20, 20), np.int32), 0.01).coefficients[0]
+    assert (beta[1:3] != 0).all() == (expected >= 1)
+    assert (beta[3:] != 0).all() == (expected == 2)
+
+
+def test_pixels_on_a_line_are_flat_across_it():
+    values = np.full((40, 40), np.nan, np.float32)
+    values[20] = 10 + 0.1 * np.arange(40)
+    fitted = one_segment(values)
+    assert np.isfinite(fitted.coefficients).all() and np.isfinite(fitted.at(np.zeros((40, 40), np.int32))).all()
+
+
+def test_warm_start_follows_a_change_and_keeps_what_is_unseen():
+    _rows, columns = np.mgrid[:30, :60].astype(np.float32)
+    labels = (columns >= 30).astype(np.int32)
+    first = Polynomial()(20 + 0.2 * columns, labels, 0.1)
+    moved = np.where(labels == 0, 20.6 + 0.2 * columns, np.nan).astype(np.float32)
+    second = Polynomial()(moved, labels, 0.1, first)
+    np.testing.assert_allclose(second.at(labels)[:, :30], moved[:, :30], atol=0.02)
+    np.testing.assert_array_equal(second.coefficients[1], first.coefficients[1])
+    assert second.scale[1] == first.scale[1]
+
+
+def test_values_stay_near_what_was_seen():
+    values = np.full((10, 200), np.nan, np.float32)
+    values[:, :20] = 20 - 0.9 * np.arange(20)
+    surface = one_segment(values).at(np.zeros((10, 200), np.int32))
+    assert surface.min() >= 0.5 * values[~np.isnan(values)].min() and surface.max() <= 22
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("reach", [0.8, 4.0])
+@pytest.mark.parametrize("unknown", [0.0, 0.5, 1.0])
+def test_detail(shape, reach, unknown):
+    labels = labels_of(*shape)
+    known = noisy(*shape, unknown=unknown)
+    surface = np.full(shape, 22, np.float32)
+    scale = np.random.default_rng(3).uniform(0.2, 2, labels.max() + 1).astype(np.float32)
+    expected = naive.detail(surface.astype(float), known.astype(float), labels, scale, reach)
+    add_detail(surface, known, labels, scale, reach)
+    np.testing.assert_allclose(surface, expected, rtol=2e-5)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (20, 31), (40, 45)])
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.6, 1.0])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_segments_join(shape, share, seed):
+    rng = np.random.default_rng(seed)
+    labels = labels_of(*shape)
+    count = labels.max() + 1
+    modelled = rng.random(count) < share
+    surfaces = Surfaces(
+        np.zeros((count, 6)),
+        np.zeros((count, 2)),
+        np.full((count, 2), (0, 99), np.float32),
+        np.ones(count, np.float32),
+        50.0,
+    )
+    surfaces.coefficients[:, :3] = rng.uniform(10, 20, (count, 3))
+    limit = np.where(rng.random(shape) < 0.5, rng.uniform(10, 40, shape), np.inf).astype(np.float32)
+    color = blocks(*shape, seed)
+
+    def value_at(s, y, x):
+        b = surfaces.coefficients[s]
+        return b[0] + b[1] * x / 50 + b[2] * y / 50
+
+    found = grow(labels, modelled, surfaces, color, limit)
+    np.testing.assert_array_equal(found, naive.owners(labels, modelled, color, value_at, limit))

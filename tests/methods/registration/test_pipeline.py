@@ -1,0 +1,154 @@
+"""The whole method on volumes whose error is known, and the combination of measures."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy import ndimage
+
+from depthcli.core.result import Clock
+from depthcli.core.volumes import RegisteredPair
+from depthcli.data.generated.deformed_volumes import make_deformed_pair, smooth_noise
+from depthcli.evaluation.protocols.registration import correlation, ranks
+from depthcli.methods.registration.config import RegisterConfidenceConfig
+
+
+def texture(shape, seed=0, sigma=1.2):
+    return (100 * smooth_noise(np.random.default_rng(seed), shape, sigma)).astype(np.float32)
+
+
+def config(**fields):
+    return RegisterConfidenceConfig(**{"radius": 4, "half_window": 2, "stride": 1, **fields})
+
+
+@pytest.fixture(scope="module")
+def deformed():
+    pair = make_deformed_pair(0, (36, 48, 48), 3.0, noise=0)
+    true = np.linalg.norm(pair.residual, axis=-1)
+    return RegisteredPair(pair.fixed, pair.warped, (1.0, 1.0, 1.0), pair.mask), true
+
+
+def test_identical_volumes_are_certain_inside():
+    volume = texture((20, 24, 24))
+    result = config()(RegisteredPair(volume, volume.copy(), (1.5, 1.5, 1.5)))
+    assert result.certainty[5:-5, 5:-5, 5:-5].min() > 0.95
+    assert result.figures["border"] == 0
+
+
+def test_where_identical_volumes_have_no_texture_nothing_is_in_doubt():
+    volume = texture((24, 28, 28)) * (np.arange(28) < 14) + np.float32(1e-3) * texture((24, 28, 28), 1)
+    result = config()(RegisteredPair(volume, volume.copy(), (1.5, 1.5, 1.5)))
+    assert result.measures["eshift"].max() > 1.5  # flat curves: by themselves they say nothing
+    assert result.certainty.min() > 0.95
+
+
+def test_confidence_falls_and_error_follows_a_uniform_shift():
+    wide = texture((24, 24, 32))
+    means, inner = [], (slice(6, -6),) * 3
+    for shift in range(4):
+        pair = RegisteredPair(wide[:, :, 4:28].copy(), wide[:, :, 4 - shift : 28 - shift].copy(), (1.0, 1.0, 1.0))
+        result = config()(pair)
+        means.append(float(result.certainty[inner].mean()))
+        if shift:
+            assert result.expected_error[inner].mean() == pytest.approx(shift, rel=0.25)
+    assert all(a > b for a, b in itertools.pairwise(means))
+
+
+@pytest.mark.parametrize("calibration", ["none", "self"])
+def test_orders_a_smooth_error(deformed, calibration):
+    pair, true = deformed
+    result = config(calibration=calibration, levels=2, stride=2)(pair)
+    every = (slice(None, None, 2),) * 3
+    found, known = result.expected_error[pair.mask[every]], true[every][pair.mask[every]]
+    assert result.step == (2, 2, 2)
+    assert correlation(ranks(found), ranks(known)) > 0.75
+    assert np.abs(found - known).mean() < 0.6 * known.mean()
+
+
+def test_an_error_is_averaged_with_its_surroundings_by_how_sure_they_are(deformed):
+    """Gaussian mean of eshift, weights 1 / (variance + iso^2 / 2), over features and places."""
+    pair, _ = deformed
+    features = ("mind", "local_ncc")
+    result = config(features=features, smoothing=1.5)(pair)
+    total = weights = np.float32(0)
+    for feature in features:
+        method = config(features=[feature], smoothing=0)
+        alone = method(pair)
+        fixed, warped, _ = method._working(pair)
+        variance = method._searches(fixed, warped, 1.0, Clock())[0][0].variance
+        weight = 1 / (variance.astype(float) + 0.5)
+        total = total + ndimage.gaussian_filter(weight * alone.expected_error, 1.5, mode="nearest", truncate=3.4)
+        weights = weights + ndimage.gaussian_filter(weight, 1.5, mode="nearest", truncate=3.4)
+    np.testing.assert_allclose(result.expected_error, total / weights, rtol=2e-3, atol=2e-3)
+
+
+def test_stride_only_leaves_places_out(deformed):
+    pair, _ = deformed
+    every, some = (config(stride=stride, smoothing=0)(pair) for stride in (1, 3))
+    assert np.array_equal(some.expected_error, every.expected_error[::3, ::3, ::3])
+    assert np.array_equal(some.shift, every.shift[:, ::3, ::3, ::3])
+
+
+def test_learning_from_errors_put_in_halves_the_mean_error_of_the_expectation():
+    pair = make_deformed_pair(5, (36, 48, 48), 3.0, noise=60)
+    true = np.linalg.norm(pair.residual, axis=-1)[::2, ::2, ::2]
+    inside = pair.mask[::2, ::2, ::2]
+    volumes = RegisteredPair(pair.fixed, pair.warped, (1.0, 1.0, 1.0), pair.mask)
+    plain, learned = (config(calibration=name, stride=2)(volumes).expected_error for name in ("none", "self"))
+    off = [np.abs(found - true)[inside].mean() for found in (plain, learned)]
+    assert off[1] < 0.6 * off[0]
+    # What is learned is monotone: it may not cost the order.
+    order = [correlation(ranks(found[inside]), ranks(true[inside])) for found in (learned, plain)]
+    assert order[0] > order[1] - 1e-4
+
+
+def test_a_coarser_level_sees_beyond_the_radius():
+    wide = texture((28, 40, 52), sigma=2.5)
+    pair = RegisteredPair(wide[:, :, 6:46].copy(), wide[:, :, :40].copy(), (1.0, 1.0, 1.0))
+    inner = (slice(10, -10),) * 3
+    near, far = (config(levels=levels)(pair) for levels in (1, 2))
+    assert near.figures["border"] > 0.2
+    assert far.expected_error[inner].mean() == pytest.approx(6, rel=0.25)
+    assert abs(far.expected_error[inner].mean() - 6) < abs(near.expected_error[inner].mean() - 6)
+
+
+def test_a_plane_is_searched_in_its_plane():
+    wide = texture((9, 40, 48))[4:5]
+    pair = RegisteredPair(wide[:, :, 2:46].copy(), wide[:, :, :44].copy(), (1.0, 0.8, 0.8))
+    result = config()(pair)  # fixed(x) = wide(x + 2) = warped(x + 2): the match lies 2 voxels of 0.8 mm up x
+    assert result.step[0] == 1 and result.expected_error.shape[0] == 1
+    assert not result.shift[0].any()
+    assert np.median(result.shift[2][:, 8:-8, 8:-8]) == pytest.approx(1.6, abs=0.3)
+
+
+def test_anisotropic_voxels_become_cubes():
+    method = config()
+    shape, step, start = method.grid((10, 40, 60), (4.0, 1.0, 1.0))
+    side = 4 ** (1 / 3)
+    assert np.allclose(np.array(step) * [4, 1, 1], side)
+    assert shape == tuple(int(np.ceil(n * s / side - 1e-6)) for n, s in zip((10, 40, 60), (4, 1, 1), strict=True))
+    assert start == tuple((s - 1) / 2 for s in step)
+    assert np.prod(config(max_voxels=1000).grid((100, 100, 100), (1.0, 1.0, 1.0))[0]) <= 1000
+
+
+def test_inputs_are_left_alone_and_the_result_is_the_same(deformed):
+    pair, _ = deformed
+    before = pair.fixed.copy(), pair.warped.copy()
+    one, other = (config(calibration="self", stride=3)(pair) for _ in range(2))
+    assert np.array_equal(one.expected_error, other.expected_error) and np.array_equal(one.shift, other.shift)
+    assert np.array_equal(pair.fixed, before[0]) and np.array_equal(pair.warped, before[1])
+
+
+@pytest.mark.parametrize(
+    ("fields", "match"),
+    [({"measure": "nothing"}, "no measure"), ({"intensity_range": (5, 5)}, "below the second"),
+     ({"calibration": "self", "measure": "cost0"}, "chooses its measures"),
+     ({"calibration": "forest"}, "want each other"), ({"model": "a.npz"}, "want each other"),
+     ({"field": "spm"}, "pattern")],
+)  # fmt: skip
+def test_wrong_configs(fields, match):
+    with pytest.raises(ValidationError, match=match):
+        config(**fields)

@@ -1,0 +1,104 @@
+"""The search against its naive twin, and what must hold for any volume."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+from depthcli.methods.confidence import curve_measures
+from depthcli.methods.registration.search import FEW, displacements, search
+from tests.naive import registration as naive
+
+
+def channels(seed, shape, count=2, top=FEW):
+    return np.random.default_rng(seed).integers(0, top + 1, (count, *shape), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(("span", "power"), [("cube", 10), ("planes", 5), ("axes", 2), ("cube", 1)])
+@pytest.mark.parametrize(
+    ("shape", "count", "half", "top"), [((4, 5, 6), 2, 1, 85), ((1, 6, 5), 4, 2, 255), ((3, 3, 3), 1, 0, 255)]
+)
+def test_as_the_naive_twin(span, power, shape, count, half, top):
+    fixed, warped = channels(0, shape, count, top), channels(1, shape, count, top)
+    fixed[0, 0, 0, 0] = top
+    found = search(fixed, warped, 1.5, 2, half, power, span, every=True)
+    offsets = naive.displacements(shape, 2, span)
+    assert [tuple(d) for d in displacements(shape, 2, span)] == offsets
+    costs = naive.curves(fixed, warped, 2, half, span)
+    expected = naive.measures(costs, offsets, 1.5, power)
+    for name, values in expected.items():
+        units = top if name in ("cur0", "cost0", "msm") else 1
+        slack = 2e-3 * max(units / 20, 1)
+        np.testing.assert_allclose(found.maps[name] * units, values, rtol=2e-3, atol=slack, err_msg=name)
+
+
+def test_on_one_line_the_stereo_set_is_stereos():
+    fixed, warped = channels(9, (1, 1, 40), 3), channels(10, (1, 1, 40), 3)
+    found = search(fixed, warped, 1.0, 6, 2, every=True)
+    offsets = np.array(naive.displacements((1, 1, 40), 6, "cube"))[:, 2]
+    costs = naive.curves(fixed, warped, 6, 2, "cube")[np.argsort(offsets), 0, 0].T.astype(np.float32)
+    names = ("pkr", "mlm", "aml")
+    for x, curve in enumerate(costs):  # one by one: stereo takes the deviation over all curves that it is given
+        expected = curve_measures(curve[None, None], names).maps
+        for name in names:
+            assert found.maps[name][0, 0, x] == pytest.approx(expected[name][0, 0], rel=2e-3), (name, x)
+
+
+def test_same_bytes_at_any_tile_and_thread_count():
+    fixed, warped = channels(2, (9, 13, 17), 6), channels(3, (9, 13, 17), 6)
+    whole = search(fixed, warped, 1.0, 2, 2, every=True)
+    threads = numba.get_num_threads()
+    for count in (1, threads):
+        numba.set_num_threads(count)
+        try:
+            for tile in ((9, 13, 17), (4, 5, 7), (1, 1, 3)):
+                parts = search(fixed, warped, 1.0, 2, 2, every=True, tile=tile)
+                assert all(np.array_equal(parts.maps[name], whole.maps[name]) for name in whole.maps)
+                assert np.array_equal(parts.displacement, whole.displacement)
+                assert np.array_equal(parts.border, whole.border)
+        finally:
+            numba.set_num_threads(threads)
+
+
+@pytest.mark.parametrize("stride", [2, 3, 5])
+@pytest.mark.parametrize("shape", [(9, 11, 13), (1, 8, 7)])
+def test_every_other_voxel_is_measured_as_if_all_were(stride, shape):
+    fixed, warped = channels(7, shape, 4), channels(8, shape, 4)
+    every, some = (search(fixed, warped, 1.0, 2, 2, every=True, stride=step) for step in (1, stride))
+    chosen = tuple(slice(None, None, stride) for _ in shape)
+    assert all(np.array_equal(some.maps[name], every.maps[name][chosen]) for name in every.maps)
+    assert np.array_equal(some.displacement, every.displacement[(slice(None), *chosen)])
+    assert np.array_equal(some.border, every.border[chosen])
+    parts = search(fixed, warped, 1.0, 2, 2, every=True, stride=stride, tile=(1, 2, 1))
+    assert all(np.array_equal(some.maps[name], parts.maps[name]) for name in some.maps)
+
+
+@pytest.mark.parametrize("offset", [(0, 0, 0), (2, 0, 0), (0, -1, 0), (1, 2, -2)])
+def test_finds_a_shift(offset):
+    wide = channels(4, (18, 18, 18), 3)
+    inner = tuple(slice(3, 15) for _ in range(3))
+    moved = tuple(slice(3 - d, 15 - d) for d in offset)
+    found = search(
+        np.ascontiguousarray(wide[(slice(None), *inner)]), np.ascontiguousarray(wide[(slice(None), *moved)]), 2.0, 3, 1
+    )
+    middle = (slice(4, 8),) * 3
+    for axis in range(3):
+        assert np.allclose(found.displacement[(axis, *middle)], 2.0 * offset[axis], atol=0.05)
+    assert np.allclose(found.maps["shift"][middle], 2 * np.linalg.norm(offset))
+
+
+def test_flat_volumes_say_nothing_against_zero():
+    flat = np.full((6, 5, 5, 5), 40, np.uint8)
+    found = search(flat, flat.copy(), 1.0, 2, 1, every=True)
+    assert not found.maps["eshift"].any() and not found.border.any()
+    assert (found.maps["mlm0"] == 1).all() and (found.maps["aml0"] == 1).all()
+
+
+def test_inputs_are_left_alone_and_must_fit():
+    fixed, warped = channels(5, (4, 4, 4)), channels(6, (4, 4, 4))
+    before = fixed.copy(), warped.copy()
+    search(fixed, warped, 1.0, 1, 1)
+    assert np.array_equal(fixed, before[0]) and np.array_equal(warped, before[1])
+    with pytest.raises(ValueError, match="want two uint8 arrays"):
+        search(fixed, warped[:1], 1.0)

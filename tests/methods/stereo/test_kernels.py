@@ -1,0 +1,447 @@
+"""Every stereo kernel against its slow, obvious twin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.kernels.cross_support import cross_arms
+from depthcli.kernels.winners import winners
+from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
+from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.aggregation.cross import Cross
+from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
+from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.cost.combined import Combined
+from depthcli.methods.stereo.cost.gradient import Gradient, image_gradient
+from depthcli.methods.stereo.cost.rank import Rank
+from depthcli.methods.stereo.cost.zncc import Zncc
+from depthcli.methods.stereo.optimization.scanline import Scanline
+from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
+from depthcli.methods.stereo.refinement.discontinuity_adjustment import DiscontinuityAdjustment
+from depthcli.methods.stereo.refinement.interpolation import Interpolation
+from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
+from depthcli.methods.stereo.refinement.median import Median
+from depthcli.methods.stereo.refinement.region_voting import RegionVoting
+from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
+from depthcli.methods.stereo.refinement.subpixel import Subpixel
+from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
+from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
+from depthcli.methods.stereo.volume import CostVolume, Evidence
+from tests.methods.stereo._pairs import TINY, blocky_pair, inside, random_volume, texture
+from tests.naive import stereo as naive
+
+SMALL = [*TINY, (11, 23, 19)]
+sizes = pytest.mark.parametrize(("height", "width", "disparities"), SMALL)
+
+
+def random_pair(height, width, color, dtype=np.uint8):
+    shape = (height, width, 3) if color else (height, width)
+    return StereoPair(texture(shape, 1, dtype), texture(shape, 2, dtype))
+
+
+@sizes
+@pytest.mark.parametrize("color", [False, True])
+def test_absolute_difference(height, width, disparities, color):
+    pair, cost = random_pair(height, width, color), AbsoluteDifference()
+    channels = 3 if color else 1
+    limit = min(60 * channels, 255)
+    expected = naive.absolute_difference(pair.left, pair.right, disparities, limit, 20 * channels)
+    volume = cost(pair, disparities)
+    assert volume.scale == channels
+    np.testing.assert_array_equal(volume.costs, expected)
+
+
+@sizes
+@pytest.mark.parametrize("color", [False, True])
+def test_tolerant_absolute_difference(height, width, disparities, color):
+    pair, cost = random_pair(height, width, color), AbsoluteDifference(sampling="tolerant")
+    channels = 3 if color else 1
+    left, right = (image.reshape(height, width, channels) for image in (pair.left, pair.right))
+    expected = naive.tolerant_difference(left, right, disparities, min(60 * channels, 255), 20 * channels)
+    np.testing.assert_array_equal(cost(pair, disparities).costs, expected)
+
+
+@sizes
+def test_tolerant_gradient(height, width, disparities):
+    pair, cost = random_pair(height, width, False), Gradient(sampling="tolerant")
+    left, right = (image_gradient(image, cost.sigma).transpose(1, 2, 0) for image in pair.grey)
+    expected = naive.tolerant_difference(left, right, disparities, 160, 16, divisor=4)
+    np.testing.assert_array_equal(cost(pair, disparities).costs, expected)
+
+
+@pytest.mark.parametrize("cost", [AbsoluteDifference(sampling="tolerant"), Gradient(sampling="tolerant")])
+def test_tolerant_costs_do_not_see_half_a_pixel(cost):
+    """Fine texture seen by two cameras whose pixels lie half a pixel apart."""
+    fine = np.repeat(texture((30, 120), 3), 2, axis=1).astype(np.float32)
+    views = [((fine[:, k : k + 200 : 2] + fine[:, k + 1 : k + 201 : 2]) / 2).astype(np.uint8) for k in (0, 1)]
+    pair = StereoPair(*views)
+    plain = type(cost)()(pair, 1).costs[4:-4, 4:-4].mean()
+    assert cost(pair, 1).costs[4:-4, 4:-4].mean() < 0.3 * plain
+
+
+@sizes
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_census(height, width, disparities, dtype):
+    pair = random_pair(height, width, False, dtype)
+    for window in ((9, 7), (1, 3)):
+        expected = naive.census(pair.left, pair.right, disparities, window, 16)
+        np.testing.assert_array_equal(Census(window=window)(pair, disparities).costs, expected)
+
+
+@sizes
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_rank(height, width, disparities, dtype):
+    pair = random_pair(height, width, False, dtype)
+    for window in ((9, 9), (3, 1)):
+        expected = naive.rank(pair.left, pair.right, disparities, window, 16)
+        np.testing.assert_array_equal(Rank(window=window)(pair, disparities).costs, expected)
+
+
+@sizes
+@pytest.mark.parametrize(("window", "noise"), [((9, 9), 2.0), ((1, 3), 0.5), ((5, 1), 20.0)])
+def test_zncc(height, width, disparities, window, noise):
+    pair, cost = random_pair(height, width, False), Zncc(window=window, noise=noise)
+    volume = cost(pair, disparities)
+    expected = naive.zncc(pair.left, pair.right, disparities, window, noise, cost.outside)
+    np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=0.51 / volume.scale + 1e-4)
+
+
+def test_zncc_of_more_rows_than_a_task_takes():
+    pair = random_pair(37, 30, False)
+    expected = naive.zncc(pair.left, pair.right, 6, (5, 7), 2.0, 0.8)
+    np.testing.assert_allclose(Zncc(window=(5, 7))(pair, 6).costs / 250, expected, atol=2.1e-3)
+
+
+@sizes
+def test_gradient(height, width, disparities):
+    pair, cost = random_pair(height, width, False), Gradient()
+    volume = cost(pair, disparities)
+    expected = naive.gradient(pair.left, pair.right, disparities, cost.truncation, cost.outside)
+    # Four rounded sixteenths, then quarters.
+    np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=4 / 32 + 1 / 8 + 1e-4)
+
+
+def test_gradient_of_a_ramp_is_its_slope():
+    ramp = np.tile(np.arange(0, 120, 3, dtype=np.uint8), (20, 1))
+    flat = np.zeros_like(ramp)
+    volume = Gradient()(StereoPair(ramp, flat), 1)
+    np.testing.assert_array_equal(volume.costs[2:-2, 2:-2] / volume.scale, 3)
+    volume = Gradient()(StereoPair(np.ascontiguousarray(ramp.T), np.ascontiguousarray(flat.T)), 1)
+    np.testing.assert_array_equal(volume.costs[2:-2, 2:-2] / volume.scale, 3)
+
+
+@sizes
+def test_combined(height, width, disparities):
+    pair = random_pair(height, width, True)
+    parts = [("absolute_difference", 10.0), ("census", 30.0), ("rank", 15.0)]
+    combined = Combined.model_validate({"parts": [{"cost": name, "lambda": value} for name, value in parts]})
+    volume = combined(pair, disparities)
+    volumes = [(part.cost(pair, disparities), part.lambda_) for part in combined.parts]
+    expected = naive.combined([(v.costs / v.scale, scale) for v, scale in volumes], combined.outside)
+    np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=len(parts) * 0.52 / volume.scale)
+    trust = texture((height, width), 7)
+    trust[0, 0] = 255
+    volume = combined(replace(pair, light_trust=trust), disparities)
+    weights = np.stack([trust / 255, *2 * [1 + 0.4 * 0.5 * (1 - trust / 255)]])
+    expected = naive.combined([(v.costs / v.scale, scale) for v, scale in volumes], combined.outside, weights)
+    np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=len(parts) * 0.52 / volume.scale)
+
+
+@sizes
+@pytest.mark.parametrize("window", [1, 3, 11])
+def test_constant_window(height, width, disparities, window):
+    volume = random_volume(height, width, disparities)
+    result = ConstantWindow(window=window)(volume, blocky_pair(height, width))
+    np.testing.assert_allclose(result.costs / result.scale, naive.constant_window(volume.costs, window), atol=0.51 / 16)
+
+
+def test_constant_window_over_many_bands():
+    volume = random_volume(150, 20, 9)
+    result = ConstantWindow(window=9)(volume, blocky_pair(150, 20))
+    np.testing.assert_allclose(result.costs / result.scale, naive.constant_window(volume.costs, 9), atol=0.51 / 16)
+
+
+@sizes
+@pytest.mark.parametrize("color", [False, True])
+def test_cross_arms(height, width, disparities, color):
+    image = np.atleast_3d(blocky_pair(height, width, color, seed=disparities).left)
+    for rule in ((7, 20, 3, 6), (34, 12, 34, 12), (1, 255, 0, 0)):
+        np.testing.assert_array_equal(cross_arms(image, *rule), naive.cross_arms(image, *rule))
+
+
+@sizes
+@pytest.mark.parametrize("support", ["reference", "intersection"])
+def test_cross(height, width, disparities, support):
+    pair, volume = blocky_pair(height, width), random_volume(height, width, disparities)
+    method = Cross(length=6, threshold=40, inner_length=3, inner_threshold=20, iterations=2, support=support)
+    arms, target = (method.arms(view) for view in pair.color8)
+    expected = volume.costs.astype(float)
+    for horizontal_first in (True, False):
+        expected = naive.cross(
+            expected, arms.astype(int), horizontal_first, target.astype(int) if support == "intersection" else None
+        )
+    result = method(volume, pair)
+    np.testing.assert_allclose(result.costs / result.scale, expected, atol=0.6)
+
+
+@sizes
+@pytest.mark.parametrize(("norm", "gamma_color"), [("l2", 20.0), ("squared", 900.0)])
+def test_adaptive_weight(height, width, disparities, norm, gamma_color):
+    pair, volume = blocky_pair(height, width), random_volume(height, width, disparities)
+    method = AdaptiveWeight(window=5, color_space="rgb", norm=norm, gamma_color=gamma_color, gamma_space=5.0)
+    left, right = (view.astype(float) for view in pair.color8)
+    expected = naive.adaptive_weight(volume.costs, left, right, 2, gamma_color, 5.0, norm == "squared")
+    result = method(volume, pair)
+    np.testing.assert_allclose(result.costs / result.scale, expected, atol=0.51 / 16)
+    exact = method(CostVolume(volume.costs.astype(np.float32)), pair)
+    np.testing.assert_allclose(exact.costs, expected, rtol=2e-5, atol=1e-4)
+
+
+def test_adaptive_weight_in_lab_and_a_window_beyond_the_image():
+    pair, volume = blocky_pair(9, 14), random_volume(9, 14, 21)
+    left, right = (cv2.cvtColor(view.astype(np.float32) / 255, cv2.COLOR_RGB2Lab).astype(float) for view in pair.color8)
+    expected = naive.adaptive_weight(volume.costs, left, right, 16, 10.0, 36.0)
+    result = AdaptiveWeight()(volume, pair)
+    np.testing.assert_allclose(result.costs / result.scale, expected, atol=0.51 / 16)
+
+
+def test_adaptive_weight_of_far_colors_is_the_cost_itself():
+    """Weights that vanish must not turn into zero by zero."""
+    image = np.zeros((6, 10, 3), np.uint8)
+    image[::2, ::2] = image[1::2, 1::2] = 255
+    volume = random_volume(6, 10, 4)
+    result = AdaptiveWeight(window=3, gamma_color=0.5, gamma_space=0.1)(volume, StereoPair(image, image))
+    np.testing.assert_allclose(result.costs / 16, volume.costs, atol=0.2)
+
+
+@sizes
+@pytest.mark.parametrize("paths", [4, 8])
+def test_scanline(height, width, disparities, paths):
+    pair, volume = blocky_pair(height, width), random_volume(height, width, disparities, np.uint16)
+    method = Scanline(p1=30, p2=90, paths=paths, edge_threshold=10, edge_divisor=4)
+    expected = naive.scanline(volume.costs, pair.left, 30, 90, paths, 10, 4)
+    result = method(volume, pair)
+    np.testing.assert_allclose(result.costs / result.scale, expected / paths, atol=1e-6 if result.scale >= paths else 1)
+
+
+@sizes
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_winners(height, width, disparities, dtype):
+    volume = random_volume(height, width, disparities, dtype)
+    volume.costs[...] //= 16  # many ties
+    for found, expected in zip(winners(volume.costs), naive.winners(volume.costs), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def holes(height, width, disparities, seed=5):
+    rng = np.random.default_rng(seed)
+    volume = random_volume(height, width, disparities, np.uint16)
+    left, right = winners(volume.costs)
+    values = left.astype(np.float32)
+    values[rng.random((height, width)) < 0.3] = np.nan
+    values[: height // 4] = np.nan
+    values[-1:] = np.nan
+    status = np.where(np.isnan(values), Status.MISMATCH, 0).astype(np.uint8)
+    return DisparityMap(values, status), Evidence(blocky_pair(height, width), volume, right)
+
+
+@sizes
+@pytest.mark.parametrize("tolerance", [0.0, 1.0])
+def test_left_right_check(height, width, disparities, tolerance):
+    disparity, evidence = holes(height, width, disparities)
+    result = LeftRightCheck(tolerance=tolerance)(disparity, evidence)
+    values, occluded, mismatch = naive.left_right_check(disparity.values, evidence.right, disparities, tolerance)
+    np.testing.assert_array_equal(result.values, values)
+    np.testing.assert_array_equal(result.status & Status.OCCLUDED != 0, occluded)
+    np.testing.assert_array_equal(result.status & Status.MISMATCH != 0, mismatch | (disparity.status != 0))
+
+
+@sizes
+def test_background_fill(height, width, disparities):
+    disparity, evidence = holes(height, width, disparities)
+    result = BackgroundFill()(disparity, evidence)
+    np.testing.assert_array_equal(result.values, naive.background_fill(disparity.values))
+
+
+@sizes
+@pytest.mark.parametrize("window", [3, 5])
+def test_median(height, width, disparities, window):
+    disparity, evidence = holes(height, width, disparities)
+    result = Median(window=window)(disparity, evidence)
+    np.testing.assert_array_equal(result.values, naive.median(disparity.values, window))
+
+
+@sizes
+def test_subpixel(height, width, disparities):
+    disparity, evidence = holes(height, width, disparities)
+    result = Subpixel()(disparity, evidence)
+    np.testing.assert_allclose(result.values, naive.subpixel(evidence.volume.costs, disparity.values), rtol=1e-6)
+
+
+def test_cells_outside_are_where_the_fixture_says():
+    assert not inside((2, 3, 5))[:, 0, 1:].any()
+    assert inside((2, 3, 5))[:, 2, :3].all()
+
+
+@sizes
+def test_region_voting(height, width, disparities):
+    disparity, evidence = holes(height, width, disparities)
+    few = DisparityMap(np.minimum(disparity.values, 2).astype(np.float32), disparity.status)  # so that supports agree
+    step = RegionVoting(length=5, threshold=40, inner_length=3, inner_threshold=20, votes=3, iterations=1)
+    arms = naive.cross_arms(evidence.pair.color8[0], 5, 40, 3, 20)
+    expected = naive.region_voting(few.values, arms, disparities, 3, step.majority)
+    np.testing.assert_array_equal(step(few, evidence).values, expected)
+
+
+@sizes
+def test_interpolation(height, width, disparities):
+    disparity, evidence = holes(height, width, disparities)
+    status = disparity.status.copy()
+    status[:, ::2][status[:, ::2] != 0] = Status.OCCLUDED
+    result = Interpolation()(DisparityMap(disparity.values, status), evidence).values
+    expected = naive.interpolation(disparity.values, status == Status.OCCLUDED, evidence.pair.color8[0])
+    # Where two values are equally like in color the twin has no opinion.
+    decided = ~np.isnan(expected)
+    np.testing.assert_array_equal(result[decided], expected[decided])
+    assert not np.any(np.isnan(result) & decided)
+
+
+@sizes
+def test_discontinuity_adjustment(height, width, disparities):
+    disparity, evidence = holes(height, width, disparities)
+    result = DiscontinuityAdjustment()(disparity, evidence)
+    np.testing.assert_array_equal(
+        result.values, naive.discontinuity_adjustment(disparity.values, evidence.volume.costs)
+    )
+
+
+@sizes
+@pytest.mark.parametrize("filled_weight", [0.0, 0.5, 1.0])
+def test_weighted_median(height, width, disparities, filled_weight):
+    disparity, evidence = holes(height, width, disparities)
+    status = disparity.status.copy()
+    status[::3][disparity.valid[::3]] = Status.OCCLUDED | Status.FILLED
+    step = WeightedMedian(radius=3, color_scale=20, distance_scale=4, filled_weight=filled_weight, passes=1)
+    result = step(DisparityMap(disparity.values, status), evidence).values
+    trust = np.where(status & Status.FILLED, filled_weight, 1.0)
+    low, high = naive.weighted_median(disparity.values, trust, evidence.pair.color8[0], 3, 20, 4)
+    valid = disparity.valid
+    np.testing.assert_array_equal(np.isnan(result), ~valid)
+    assert np.all((result[valid] >= low[valid]) & (result[valid] <= high[valid]))
+
+
+def test_surface_fill_continues_the_farther_plane_into_the_gap():
+    y, x = np.mgrid[0:40, 0:90].astype(np.float32)
+    background = 8 + 0.1 * x + 0.05 * y
+    truth = np.where(x < 60, background, 30).astype(np.float32)
+    gap = (x >= 42) & (x < 60)  # hidden behind what begins at 60
+    left_strip = x < 7
+    values = np.where(gap | left_strip, np.float32(np.nan), truth)
+    status = np.where(np.isnan(values), Status.OCCLUDED, 0).astype(np.uint8)
+    volume = random_volume(40, 90, 40)
+    evidence = Evidence(blocky_pair(40, 90), volume, winners(volume.costs)[1])
+    result = SurfaceFill()(DisparityMap(values, status), evidence)
+    np.testing.assert_allclose(result.values[gap | left_strip], truth[gap | left_strip], atol=0.3)
+    np.testing.assert_array_equal(result.values[~np.isnan(values)], values[~np.isnan(values)])
+    # Holding the last value is wrong by more than a pixel at the far end of the gap.
+    held = BackgroundFill()(DisparityMap(values, status), evidence)
+    assert np.abs(held.values - truth)[gap].max() > 1
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("paths", [4, 8])
+@pytest.mark.parametrize("disparities", [1, 2, 15, 16, 17, 31, 33, 60])
+def test_scanline_at_every_number_of_disparities(disparities, paths, dtype):
+    """The kernel works in vectors of 16 disparities; the last one overlaps, and fewer than 16 are padded."""
+    pair, volume = blocky_pair(7, 13), random_volume(7, 13, disparities, dtype)
+    method = Scanline(p1=17, p2=70, paths=paths, edge_threshold=20, edge_divisor=3)
+    result = method(volume, pair)
+    assert result.scale == paths
+    expected = naive.scanline(volume.costs, pair.left, 17, 70, paths, 20, 3)
+    np.testing.assert_array_equal(result.costs, expected)
+
+
+@pytest.mark.parametrize("disparities", [9, 16, 40])
+def test_scanline_of_the_largest_costs_and_penalties_fits_into_its_numbers(disparities):
+    pair = blocky_pair(6, 11)
+    costs = np.random.default_rng(3).choice(np.array([0, 4080], np.uint16), (6, 11, disparities))
+    result = Scanline(p1=1e6, p2=1e6, paths=8)(CostVolume(costs), pair)
+    method = Scanline()
+    cap = 65535 // 8 - 4080
+    expected = naive.scanline(costs, pair.left, cap, cap, 8, method.edge_threshold, method.edge_divisor)
+    np.testing.assert_array_equal(result.costs, expected)
+
+
+def fractional_holes(height, width, disparities, seed=6):
+    """Smooth surfaces with steps, fractions, holes and islands."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:height, 0:width]
+    values = 0.2 * disparities + 0.06 * x + 0.04 * y + np.where(x > 0.6 * width, 0.4 * disparities, 0)
+    values = np.clip(values + rng.normal(0, 0.3, values.shape), 0, disparities - 1).astype(np.float32)
+    islands = rng.random(values.shape) < 0.03
+    values[islands] = rng.uniform(0, disparities - 1, islands.sum())
+    values[rng.random(values.shape) < 0.1] = np.nan
+    gap = (x > 0.4 * width) & (x < 0.6 * width + y % 3)
+    values[gap | (x < disparities // 5)] = np.nan
+    values[height // 2] = np.nan
+    status = np.where(np.isnan(values), Status.OCCLUDED, 0).astype(np.uint8)
+    volume = random_volume(height, width, disparities, np.uint16)
+    return DisparityMap(values, status), Evidence(blocky_pair(height, width), volume, winners(volume.costs)[1])
+
+
+@pytest.mark.parametrize("width", [1, 15, 16, 17, 32, 33, 50])
+@pytest.mark.parametrize("filled_weight", [0.0, 0.3])
+def test_weighted_median_of_fractions_at_every_width(width, filled_weight):
+    """The kernel works on 16 pixels at a time and sorts into bins of 1/8."""
+    disparity, evidence = fractional_holes(12, width, 20)
+    status = disparity.status.copy()
+    status[::2][disparity.valid[::2]] = Status.OCCLUDED | Status.FILLED
+    step = WeightedMedian(radius=4, color_scale=20, distance_scale=4, filled_weight=filled_weight)
+    result = step(DisparityMap(disparity.values, status), evidence).values
+    trust = np.where(status & Status.FILLED, filled_weight, 1.0)
+    low, high = naive.weighted_median(disparity.values, trust, evidence.pair.color8[0], 4, 20, 4)
+    valid = disparity.valid
+    np.testing.assert_array_equal(np.isnan(result), ~valid)
+    assert np.all((result[valid] >= low[valid]) & (result[valid] <= high[valid]))
+
+
+@pytest.mark.parametrize(("height", "width", "disparities"), [*SMALL, (24, 60, 30)])
+def test_surface_fill(height, width, disparities):
+    disparity, evidence = fractional_holes(height, width, disparities)
+    for rows, reach, support in ((20, 20, 30), (2, 7, 3), (0, 3, 3)):
+        expected = naive.surface_fill(disparity.values, rows, reach, support, disparities - 1)
+        result = SurfaceFill(rows=rows, reach=reach, support=support)(disparity, evidence)
+        np.testing.assert_allclose(result.values, expected, atol=2e-3)
+
+
+@sizes
+@pytest.mark.parametrize(("size", "step"), [(1, 0.0), (4, 1.0), (30, 2.0)])
+def test_speckle_filter(height, width, disparities, size, step):
+    for disparity, evidence in (holes(height, width, disparities), fractional_holes(height, width, disparities)):
+        # OpenCV filters sixteenths.
+        rounded = (np.round(disparity.values * 16) / 16).astype(np.float32)
+        disparity = DisparityMap(rounded, disparity.status)
+        result = SpeckleFilter(size=size, step=step)(disparity, evidence)
+        np.testing.assert_array_equal(result.values, naive.speckle_filter(disparity.values, size, step))
+        assert np.all(result.status[disparity.valid & ~result.valid] & Status.MISMATCH)
+
+
+@pytest.mark.parametrize("level", [3, 77, 301])
+def test_means_of_small_integers_have_no_bias(level):
+    """Sums that are kept in 16 bits are rounded, not cut off: means must not come out too low."""
+    pair = blocky_pair(60, 80)
+    rng = np.random.default_rng(level)
+    costs = (level + rng.integers(-2, 3, (60, 80, 6))).astype(np.uint16)
+    for method in (
+        ConstantWindow(window=5),
+        Cross(length=34, threshold=90, inner_length=17, inner_threshold=90, iterations=1),
+        Cross(length=34, threshold=90, inner_length=17, inner_threshold=90, iterations=1, support="intersection"),
+    ):
+        means = method(CostVolume(costs), pair).costs
+        assert abs(means.mean() - costs.mean()) < 0.2, method

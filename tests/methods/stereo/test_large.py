@@ -1,0 +1,297 @@
+"""Pairs that do not fit into memory: the same or nearly the same map, whatever was allowed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.batch.presets import find_config, find_preset
+from depthcli.cli import main
+from depthcli.core.config_file import load_config
+from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Status
+from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.kernels.winners import Gathered, winners
+from depthcli.methods.fusion.pipeline import Fusion
+from depthcli.methods.stereo import large
+from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
+from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.aggregation.cross import Cross
+from depthcli.methods.stereo.config import StereoConfig
+from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.cost.combined import Combined
+from depthcli.methods.stereo.large import PROCESS, match_in_tiles
+from depthcli.methods.stereo.pipeline.local import Local
+from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
+from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
+from depthcli.methods.stereo.refinement.median import Median
+from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
+from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
+from depthcli.methods.stereo.refinement.subpixel import Subpixel
+from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
+from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
+from depthcli.methods.stereo.tiles import BIN, BLOCK, Candidates, Margins, Tile
+from depthcli.methods.stereo.volume import StereoResult
+from tests.methods.stereo._pairs import PARAMETERS, TINY, blocky_pair, random_volume, texture, threads
+from tests.naive import stereo as naive
+
+PRESETS = ("fast", "accurate", "segments", "opencv-sgbm", "ad-census-mei", "cross")
+
+
+def preset(name: str):
+    return load_config(StereoConfig, find_config("stereo", name), [], lambda n: find_preset("stereo", n)).pipeline
+
+
+def least_memory(matcher, pair: StereoPair, top: int) -> tuple[StereoResult, int]:
+    """The result with about the least memory that suffices, so with the smallest tiles."""
+    for extra in range(400):
+        allowed = PROCESS + pair.left.nbytes * 2 + int(2**16 * 1.2**extra)
+        try:
+            return match_in_tiles(matcher, pair, top, allowed), allowed
+        except InputError:
+            continue
+    raise AssertionError("nothing sufficed")
+
+
+@pytest.fixture
+def small_levels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Images and ranges of tests count as large."""
+    monkeypatch.setattr(large, "_NARROW", 16)
+    monkeypatch.setattr(large, "_SMALL", 48)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize(("height", "width", "disparities"), [*TINY, (11, 37, 20)])
+def test_winners_of_tiles_are_those_of_the_image(height, width, disparities, dtype):
+    costs = random_volume(height, width, disparities, dtype, width).costs
+    gathered = Gathered((height, width), True)
+    # Two rows of tiles, and the disparities in two spans with a cell between.
+    middle = disparities // 2
+    spans = [(0, middle, 0), (middle + 1, disparities - middle, middle)] if middle else [(0, disparities, 0)]
+    gap = np.zeros((height, width, 1 if middle else 0), dtype)
+    apart = np.ascontiguousarray(np.concatenate([costs[:, :, :middle], gap, costs[:, :, middle:]], axis=2))
+    for y in range(0, height, 5):
+        inside = slice(0, min(5, height - y)), slice(0, width)
+        gathered.add(apart[y : y + 5], np.array(spans, np.int64), (y, 0), inside)
+    left, right = winners(costs)
+    np.testing.assert_array_equal(gathered.left, left)
+    known = np.arange(width) + 0 <= width - 1  # every right pixel has a candidate: d = 0
+    np.testing.assert_array_equal(gathered.right()[:, known], right[:, known])
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_winners_of_tiles_with_disparities_of_their_own(dtype):
+    height, width, depth = 6, 40, 24
+    costs = random_volume(height, width, depth, dtype, 3).costs
+    parts = [(0, 13, [(0, 8), (14, 6)]), (13, 29, [(3, 9)]), (29, 40, [(0, 4), (9, 5), (20, 4)])]
+    gathered = Gathered((height, width), True)
+    allowed = np.zeros(costs.shape, bool)
+    for x0, x1, listed in parts:
+        spans, cells, start = [], [], 0
+        for low, count in listed:
+            allowed[:, x0:x1, low : low + count] = True
+            spans.append((start, count, low))
+            cells += [costs[:, :, low : low + count], np.zeros((height, width, 1), dtype)]
+            start += count + 1
+        volume = np.ascontiguousarray(np.concatenate(cells[:-1], axis=2))
+        gathered.add(volume, np.array(spans, np.int64), (0, 0), (slice(0, height), slice(x0, x1)))
+    left, right, minima = naive.gathered_winners(costs, allowed)
+    np.testing.assert_array_equal(gathered.left, left)
+    there = right >= 0
+    np.testing.assert_array_equal(gathered.right()[there], right[there])
+    np.testing.assert_allclose(gathered.minima, minima, atol=1e-4)
+
+
+def test_tiles_cover_the_image_once_and_search_all_candidates():
+    rng = np.random.default_rng(5)
+    shape, top = (470, 333), 150
+    bins = rng.random((-(-shape[0] // BLOCK), -(-shape[1] // BLOCK), top // BIN + 1)) < 0.1
+    candidates = Candidates(bins, shape, top)
+    most = 3_000_000
+
+    def fits(tile: Tile) -> bool:
+        return tile.shape[0] * tile.shape[1] * tile.depth <= most
+
+    for margins in (Margins(20, 8, False), Margins(20, 8, True)):
+        tiles = candidates.tiles(margins, fits)
+        assert tiles is not None
+        assert len(tiles) > 1
+        seen = np.zeros(shape, int)
+        for tile in tiles:
+            seen[tile.place] += 1
+            assert fits(tile)
+            assert len(tile.spans) == 1 or not margins.whole
+            searched = {d for span in tile.spans for d in range(span.low, span.low + span.count)}
+            assert max(searched) <= top
+            rows, columns = (slice(a // BLOCK, -(-b // BLOCK)) for a, b in (tile.rows, tile.columns))
+            wanted = np.flatnonzero(bins[rows, columns].any(axis=(0, 1))) * BIN
+            assert {int(d) for d in wanted if d < tile.columns[1]} <= searched
+            assert min(searched) <= tile.columns[0]  # the first pixel has a candidate
+        assert np.all(seen == 1)
+    assert candidates.tiles(Margins(20, 8, False), lambda tile: False) is None
+
+
+LOCAL = [
+    Local(cost=Census(), aggregation=ConstantWindow(window=9)),
+    Local(cost=Combined.model_validate(PARAMETERS["combined"]), aggregation=ConstantWindow(window=5)),
+    Local(
+        cost=Combined.model_validate({"parts": [
+            {"cost": {"method": "absolute_difference", "sampling": "tolerant"}, "lambda": 20},
+            {"cost": {"method": "gradient", "sampling": "tolerant"}, "lambda": 4},
+            {"cost": {"method": "zncc", "window": [5, 5]}, "lambda": 0.5}, {"cost": "rank", "lambda": 9}]})
+    ),
+    Local(cost=Census(window=(5, 5)), aggregation=Cross(length=9, inner_length=5, iterations=2)),
+    Local(cost=Census(window=(5, 5)), aggregation=Cross(length=9, support="intersection", iterations=1)),
+    Local(cost=Census(window=(3, 3)), aggregation=AdaptiveWeight(window=9)),
+]  # fmt: skip
+STEPS = (
+    LeftRightCheck(), SpeckleFilter(size=20), Subpixel(), SurfaceFill(rows=5), BackgroundFill(), Median(),
+    WeightedMedian(radius=2), SlantedMedian(radius=3, slope_radius=8),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "pipeline", LOCAL, ids=lambda p: f"{p.cost.method_name()}-{p.aggregation and p.aggregation.method_name()}"
+)
+def test_local_methods_give_the_same_bytes_in_tiles(pipeline, monkeypatch):
+    monkeypatch.setattr(large, "_BAND", 2000)  # refinement in several bands, too
+    pipeline = pipeline.model_copy(update={"refinement": STEPS})
+    made = make_scene("planes", 3, width=200, height=150, max_disparity=40)
+    pair = StereoPair(made.left, made.right)
+    whole = pipeline(pair, 40).disparity
+    result, _ = least_memory(pipeline, pair, 40)
+    assert result.figures["tiles"] > 3
+    assert result.figures["exact"] == 1
+    np.testing.assert_array_equal(result.disparity.values, whole.values)
+    np.testing.assert_array_equal(result.disparity.status, whole.status)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_kind_of_preset_nearly_the_same_map_in_tiles(name, small_levels):
+    pipeline = preset(name)
+    made = make_scene("planes", 1, width=300, height=210, max_disparity=48)
+    pair = StereoPair(made.left, made.right)
+    whole = pipeline(pair, 48).disparity.values
+    results = []
+    for count in (1, 2):
+        with threads(count):
+            results.append(match_in_tiles(pipeline, pair, 48, PROCESS + (96 << 20)))
+    result = results[0]
+    assert result.figures["levels"] == (1 if result.figures["exact"] else 3)
+    np.testing.assert_array_equal(results[1].disparity.values, result.disparity.values)
+    np.testing.assert_array_equal(results[1].disparity.status, result.disparity.status)
+
+    def wrong(values):
+        return float(np.mean(~(np.abs(values - made.disparity_left) <= 1)[made.nonocc]))
+
+    assert wrong(result.disparity.values) <= wrong(whole) + 0.02
+    known = result.disparity.values[result.disparity.valid]
+    assert np.all((known >= 0) & (known <= 48))
+
+
+@pytest.mark.slow
+def test_fusion_in_tiles(small_levels):
+    fusion = Fusion.model_validate({"measures": ["census", "absolute_difference"], "confidence": ["consensus"]})
+    made = make_scene("planes", 1, width=200, height=150, max_disparity=32)
+    result = match_in_tiles(fusion, StereoPair(made.left, made.right), 32, PROCESS + (80 << 20))
+    near = np.abs(result.disparity.values - made.disparity_left) <= 1
+    assert near[made.nonocc].mean() > 0.85
+    assert result.confidence["consensus"].shape == made.disparity_left.shape
+
+
+def test_thin_things_are_found_although_small_images_lose_them(small_levels, monkeypatch):
+    monkeypatch.setattr(large, "_NARROW", 32)
+    height, width, near, far = 260, 320, 56, 12
+    wall = texture((height, width + 80, 3), 1)
+    views = [wall[:, 40 : 40 + width].copy(), wall[:, 40 + far : 40 + far + width].copy()]
+    bar = texture((height, 4, 3), 2)  # a pixel at a quarter of the size
+    for view, x in zip(views, (200, 200 - near), strict=True):
+        view[15:245, x : x + 4] = bar[15:245]
+    pair = StereoPair(*views)
+    pipeline = preset("accurate")
+    result = match_in_tiles(pipeline, pair, 63, PROCESS + (96 << 20))
+    assert result.figures["levels"] == 3
+    found, whole = (
+        np.abs(values[20:240, 200:204] - near) <= 1
+        for values in (result.disparity.values, pipeline(pair, 63).disparity.values)
+    )
+    assert found.mean() > whole.mean() - 0.1
+
+
+@pytest.mark.parametrize("name", ["fast", "accurate", "opencv-sgbm", "cross"])
+@pytest.mark.parametrize(("height", "width", "disparities"), [*TINY, (3, 300, 250), (300, 3, 250), (50, 70, 300)])
+def test_tiny_and_narrow_images_and_wide_ranges(name, height, width, disparities, small_levels):
+    result = match_in_tiles(preset(name), blocky_pair(height, width), disparities, 1 << 30)
+    assert result.disparity.values.shape == (height, width)
+    reasons = Status.OCCLUDED | Status.MISMATCH | Status.OUT_OF_RANGE | Status.NO_DATA
+    assert np.all(result.disparity.status[~result.disparity.valid] & reasons)
+    known = result.disparity.values[result.disparity.valid]
+    assert np.all((known >= 0) & (known <= disparities))
+
+
+def test_memory_that_suffices_for_no_tile():
+    pair = blocky_pair(100, 120)
+    with pytest.raises(InputError, match=r"needs at least \d+ MiB of memory even in tiles, 200 MiB may be used"):
+        match_in_tiles(preset("fast"), pair, 60, 200 << 20)
+
+
+def test_the_command_says_what_it_did(tmp_path: Path, capsys):
+    assert (
+        main(
+            [
+                "sample",
+                "--width",
+                "160",
+                "--height",
+                "120",
+                "--max-disparity",
+                "20",
+                "-n",
+                "1",
+                "-o",
+                str(tmp_path / "s"),
+                "-q",
+            ]
+        )
+        == 0
+    )
+    arguments = ["stereo", "fast", "-i", str(tmp_path / "s"), "-o"]
+    always = ["--set", "tiles=always", "--set", "min_disparity=3"]
+    assert main([*arguments, str(tmp_path / "u"), *always, "--max-memory", "1GiB"]) == 0
+    assert "matched in 1 tiles at 1 sizes, since only 1.0 GiB" in capsys.readouterr().err
+    assert main([*arguments, str(tmp_path / "t"), *always, "--set", "tile_memory=900"]) == 0
+    assert "matched in" not in capsys.readouterr().err
+    (row,) = json.loads((tmp_path / "t" / "report.json").read_text())["scenes"]
+    assert (row["tiles"], row["levels"], row["exact"]) == (1, 1, 0)
+    assert main([*arguments, str(tmp_path / "n"), "--set", "tiles=never", "--max-memory", "1MiB"]) == 3
+    assert "needs about" in capsys.readouterr().err
+    assert main([*arguments, str(tmp_path / "a"), "--max-memory", "1MiB"]) == 3
+    assert "even in tiles" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="peak sizes of processes are measured on Linux")
+@pytest.mark.skipif("NUMBA_BOUNDSCHECK" in os.environ, reason="checked kernels are compiled anew, which takes memory")
+def test_the_process_stays_within_the_memory_allowed(tmp_path: Path):
+    import cv2
+
+    height, width, shift = 700, 1000, 60
+    wall = texture((height, width + shift, 3), 4)
+    folder = tmp_path / "in" / "scene"
+    folder.mkdir(parents=True)
+    cv2.imwrite(str(folder / "left.png"), wall[:, :width])
+    cv2.imwrite(str(folder / "right.png"), wall[:, shift:])
+    command = [sys.executable, "-m", "depthcli", "stereo", "fast", "-i", str(tmp_path / "in"), "--max-disparity", "240"]
+    assert preset("fast").peak_bytes((height, width), 240) > 700 << 20
+    for turn in range(2):  # the first one may compile
+        subprocess.run([*command, "-o", str(tmp_path / f"{turn}"), "--max-memory", "500MiB", "-q"], check=True)
+    (row,) = json.loads((tmp_path / "1" / "report.json").read_text())["scenes"]
+    assert row["tiles"] > 1
+    assert 200 << 20 < row["peak_memory"] <= 500 << 20  # by the process itself: a child's own figure counts its parent

@@ -1,0 +1,178 @@
+"""Search ranges that do not begin at 0, and ranges that key points find."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.data.formats.disparity import read_disparity, read_pfm, write_pfm
+from depthcli.data.formats.images import write_png
+from depthcli.data.formats.pictures import read_status
+from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.methods.stereo.pipeline.local import Local
+from depthcli.methods.stereo.search_range import SearchRange, range_of_key_points
+from depthcli.methods.stereo.volume import StereoResult
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(a) for a in arguments])
+
+
+def blobs(width: int, height: int = 60, seed: int = 3) -> np.ndarray:
+    noise = np.random.default_rng(seed).random((height, width)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+def moved_pair(shift: int, width: int = 120) -> StereoPair:
+    """A textured plane: left (y, x) shows right (y, x - shift)."""
+    canvas = blobs(width + abs(shift))
+    start = max(shift, 0)
+    left = canvas[:, start - shift : start - shift + width]
+    return StereoPair(left.copy(), canvas[:, start : start + width].copy())
+
+
+@pytest.mark.parametrize("low", [-9, -1, 1, 6])
+def test_shifting_there_and_back_is_exact(low: int):
+    """Costs of the shifted pair are those of the pair, cell by cell, wherever both views have pixels."""
+    pair = StereoPair(blobs(40, 9, 1), blobs(40, 9, 2))
+    search = SearchRange(low, low + 7)
+    cost = Local(cost={"method": "absolute_difference", "truncation": 255}).cost
+    costs = cost(search.shift(pair), search.last + 1)
+    left, right = (image.astype(int) for image in pair.grey8)
+    for x in range(max(low, 0), 40):
+        for d in range(low, low + 8):
+            if 0 <= x - d < 40:
+                expected = np.abs(left[:, x] - right[:, x - d]) * costs.scale
+                np.testing.assert_allclose(costs.costs[:, x - low, d - low], expected, atol=costs.scale)
+    # Where the match lies left of the right image, the shifted pair says the same: d' > x'.
+    for x in range(max(low, 0), 40):
+        for d in range(low, low + 8):
+            assert (d - low > x - low) == (x - d < 0)
+
+
+@pytest.mark.parametrize("shift", [-12, 0, 9])
+@pytest.mark.parametrize("preset", ["fast", "opencv-sgbm"])
+def test_a_converging_or_cropped_pair(shift: int, preset: str, tmp_path: Path, capsys):
+    pair = moved_pair(shift)
+    write_png(tmp_path / "l.png", pair.left)
+    write_png(tmp_path / "r.png", pair.right)
+    images = ("--left", tmp_path / "l.png", "--right", tmp_path / "r.png", "--name", "s")
+    ends = ("--min-disparity", str(shift - 5), "--max-disparity", str(shift + 6))
+    assert run("stereo", preset, *images, *ends, "-o", tmp_path / "run", "-q") == 0
+    values, status = read_pfm(tmp_path / "run/s/disp_left.pfm"), read_status(tmp_path / "run/s/status.png")
+    assert values.shape == pair.shape == status.shape
+    seen = np.zeros(pair.shape, bool)
+    seen[:, max(shift, 0) : 120 + min(shift, 0)] = True
+    measured = np.isfinite(values) & ((status & Status.FILLED) == 0)
+    assert np.mean(np.abs(values - shift)[seen & measured] <= 0.5) > 0.98
+    assert measured[seen].mean() > 0.85
+    # What has no partner was not measured.
+    x = np.arange(120)[None] - np.where(measured, values, 0)
+    assert not (measured & (x > 119.51)).any()
+    assert not measured[:, : max(shift - 5, 0)].any()
+    codes = read_disparity(tmp_path / "run/s/disp_left.png")
+    np.testing.assert_array_equal(np.isfinite(codes), np.isfinite(values) & (values >= (0 if shift < 5 else -1)))
+    positive = np.isfinite(codes) & (values > 0)
+    np.testing.assert_allclose(codes[positive], values[positive], atol=1 / 256)
+    err = capsys.readouterr().err
+    row = json.loads((tmp_path / "run/report.json").read_text())["scenes"][0]
+    assert (row["min_disparity"], row["max_disparity"]) == (shift - 5, shift + 6)
+    assert err == ""  # quiet
+
+
+def test_what_the_report_and_the_warnings_say(tmp_path: Path, capsys):
+    pair = moved_pair(-12)
+    write_png(tmp_path / "l.png", pair.left)
+    write_png(tmp_path / "r.png", pair.right)
+    images = ("--left", tmp_path / "l.png", "--right", tmp_path / "r.png", "--name", "s")
+    assert run("stereo", "fast", *images, "--min-disparity", "-12", "--max-disparity", "8", "-o", tmp_path / "a") == 0
+    err = capsys.readouterr().err
+    assert "of the measured pixels lie at the end of the search range, -12; see --min-disparity" in err
+    assert "disp_left.png cannot hold negative disparities" in err
+    auto = ("--min-disparity", "auto", "--max-disparity", "auto")
+    assert run("stereo", "fast", *images, *auto, "-o", tmp_path / "b") == 0
+    assert "end of the search range" not in capsys.readouterr().err
+    row = json.loads((tmp_path / "b/report.json").read_text())["scenes"][0]
+    assert -25 < row["min_disparity"] == row["range_low"] < -12 < row["max_disparity"] == row["range_top"] < 0
+    assert row["range_matches"] > 16
+    assert row["seconds"]["range"] > 0
+    assert run("stereo", "fast", *images, "--max-disparity", "auto", "-o", tmp_path / "c", "-q") == 3
+    assert "which are none" in capsys.readouterr().err
+    for ends in (
+        ("--min-disparity", "9", "--max-disparity", "9"),
+        ("--max-disparity", "many"),
+        ("--max-disparity", "0"),
+    ):
+        assert run("stereo", "fast", *images, *ends, "-o", tmp_path / "d") == 2
+        assert "max" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["planes", "curved"])
+def test_key_points_find_the_range(kind):
+    scene = make_scene(kind, 1, 240, 180, 40)
+    found, matches = range_of_key_points(StereoPair(scene.left, scene.right))
+    true = np.quantile(scene.disparity_left, (0.01, 0.99))
+    assert matches > 16
+    assert found.low <= true[0]
+    assert true[1] <= found.top <= 1.6 * true[1] + 5
+    # Converging cameras: the same, moved.
+    right = np.roll(scene.right, 20, axis=1)
+    moved, _ = range_of_key_points(StereoPair(scene.left, right))
+    assert abs(moved.low - found.low + 20) <= 3
+    assert abs(moved.top - found.top + 20) <= 6
+
+
+def test_a_pair_without_matches_is_told():
+    flat = np.full((50, 60), 99, np.uint8)
+    with pytest.raises(InputError, match="only 0 key points match"):
+        range_of_key_points(StereoPair(flat, flat))
+
+
+@pytest.mark.parametrize("low", [-3, 4])
+def test_restoring_keeps_holes_and_fills_no_hole(low: int):
+    width = 12
+    search = SearchRange(low, low + 8)
+    shape = search.shift(StereoPair(blobs(width, 5), blobs(width, 5))).shape
+    holes = np.full(shape, 2.0, np.float32)
+    holes[0, 5] = np.nan
+    for values in (holes, np.full(shape, 2.0, np.float32)):
+        made = StereoResult(DisparityMap(values, np.zeros(shape, np.uint8)), confidence={"a": values})
+        back = search.restore(made, width)
+        assert back.disparity.values.shape == back.confidence["a"].shape == (5, width)
+        x = np.arange(width)
+        partner = (x - (2 + low) < width) & (x >= max(low, 0))
+        dense = not np.isnan(values).any()
+        kept = ~np.isnan(back.disparity.values[1])
+        np.testing.assert_array_equal(kept, np.ones(width, bool) if dense else partner)
+        np.testing.assert_array_equal(back.disparity.status[1] == 0, partner)
+        assert set(back.disparity.status[1][~partner]) <= {int(Status.OCCLUDED), int(Status.OCCLUDED | Status.FILLED)}
+        assert (back.disparity.values[1][kept] == 2 + low).all()
+
+
+def test_evaluation_and_depth_with_negative_disparities(tmp_path: Path):
+    """A scene whose truth is negative: matched, scored by every protocol's rule that has one, turned into depth."""
+    pair, scene = moved_pair(-12), tmp_path / "data" / "s"
+    write_png(scene / "left.png", pair.left)
+    write_png(scene / "right.png", pair.right)
+    truth = np.full(pair.shape, -12, np.float32)
+    truth[:, -12:] = np.nan
+    write_pfm(scene / "disp_left.pfm", truth)
+    (scene / "calib.txt").write_text("cam0=[50 0 20; 0 50 20; 0 0 1]\ndoffs=20\nbaseline=100\n")
+    for protocol in ("middlebury_v2", "middlebury_v3", "eth3d"):
+        meta = {"max_disparity": -4, "min_disparity": -20, "protocol": protocol}
+        (scene / "meta.json").write_text(json.dumps(meta))
+        out = tmp_path / protocol
+        assert run("stereo", "fast", "-i", tmp_path / "data", "-o", out, "--evaluate", "-q") == 0
+        scores = json.loads((out / "evaluation/scores.json").read_text())
+        assert scores["headlines"][0]["value"] < 3
+    assert run("depth", tmp_path / "eth3d", "-o", tmp_path / "depth", "-q") == 0
+    assert abs(np.median(read_pfm(tmp_path / "depth/s/depth.pfm")) - 5 / 8) < 0.01

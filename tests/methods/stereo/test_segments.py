@@ -1,0 +1,332 @@
+"""The segment-based pipeline: its kernels against naive twins, its behaviour on generated and on impossible pairs."""
+
+from __future__ import annotations
+
+import cv2
+import numba
+import numpy as np
+import pytest
+
+from depthcli.algorithms.regions import region_graph
+from depthcli.batch.presets import find_config
+from depthcli.core.config_file import load_config
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Status
+from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.methods.stereo.config import StereoConfig
+from depthcli.methods.stereo.keypoint_matching import Matches, consistent
+from depthcli.methods.stereo.pipeline.segments import Segments
+from depthcli.methods.stereo.segments import energy
+from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, segment_window
+from depthcli.methods.stereo.segments.planes import Members, PlaneFit, Planes, distinct, evaluate
+from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges, search_ranges, search_zones
+from depthcli.methods.stereo.segments.splitting import Split
+from depthcli.methods.stereo.volume import CostVolume
+from tests.naive import segments as naive
+
+FIT = PlaneFit(tolerance=0.5, trials=200, max_slope=1.0, flatness=1.0, seed=0)
+
+
+def _preset(name="segments", **changes):
+    pipeline = load_config(StereoConfig, find_config("stereo", name)).pipeline
+    return pipeline.model_copy(update=changes)
+
+
+def _labels(seed=0, shape=(9, 12), count=4):
+    return np.random.default_rng(seed).integers(0, count, shape).astype(np.int32)
+
+
+def _matches(*points):
+    x, y, d = np.array(points, np.float32).reshape(-1, 3).T
+    index = np.arange(len(x), dtype=np.int32)
+    return Matches(index, index, x, y, d, np.zeros(len(x), np.float32))
+
+
+def _planes(*rows):
+    count = len(rows)
+    return Planes(np.array(rows, float), np.arange(count, 0, -1), np.zeros((count, 2)))
+
+
+@pytest.mark.parametrize("radius", [0, 1, 3, 12])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_window_stays_inside_the_segment(radius, dtype):
+    rng = np.random.default_rng(radius)
+    costs = rng.integers(0, 200, (9, 12, 5)).astype(dtype)
+    costs[0, 0, 0] = 255
+    labels = _labels()
+    volume = segment_window(CostVolume(costs, 2.0), labels, radius)
+    expected = naive.segment_window(costs.astype(np.float64), labels, radius)
+    step = 16 if dtype == np.uint8 else volume.scale / 2.0
+    assert volume.costs.dtype == np.uint16
+    assert np.allclose(volume.costs / step, expected, atol=0.6 / step + (0 if dtype != np.float32 else 0.05))
+
+
+def test_ranges_follow_equations_2_3_to_2_5():
+    labels = np.zeros((4, 9), np.int32)
+    labels[:, 3:6] = 1
+    labels[:, 6:] = 2
+    matches = _matches((0, 0, 10.2), (1, 1, 12.6), (4, 2, 1.0))
+    ranges = search_ranges(labels, matches, 20, 0.25)
+    assert ranges.tolist() == [[5, 18], [0, 6], [0, 20]]
+    assert search_ranges(labels, None, 20, 0.25).tolist() == [[0, 20]] * 3
+    assert search_ranges(labels, _matches((4, 2, 19.5)), 20, 0.0).tolist() == [[0, 20], [19, 20], [0, 20]]
+
+
+def test_ranges_can_borrow_from_key_points_around():
+    labels = np.repeat(np.arange(3, dtype=np.int32), 10)[None].repeat(4, axis=0)
+    matches = _matches((5, 1, 8.0), (6, 2, 9.0))
+    assert search_ranges(labels, matches, 20, 0.0, neighbors=2).tolist() == [[8, 9]] * 3
+    assert search_ranges(labels, matches, 20, 0.0, neighbors=2, reach=12).tolist() == [[8, 9], [8, 9], [0, 20]]
+    assert search_ranges(labels, matches, 20, 0.0, neighbors=3).tolist() == [[8, 9], [0, 20], [0, 20]]
+
+
+def test_a_segment_has_a_zone_in_every_cell():
+    labels = np.zeros((5, 7), np.int32)
+    labels[:, 5:] = 1
+    zones = search_zones(labels, 4)
+    assert zones[0].tolist() == [0, 0, 0, 0, 1, 4, 4] and len(np.unique(zones)) == 6
+    assert np.array_equal(search_zones(labels, 100), labels)
+    ranges = np.arange(12, dtype=np.int32).reshape(6, 2)
+    assert SearchRanges(zones, ranges).by_segment(labels).tolist() == [[0, 7], [8, 11]]
+
+
+@pytest.mark.parametrize(("dtype", "most"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, np.inf)])
+@pytest.mark.parametrize("penalty", [0.0, 20.0, 90.0])
+def test_disparities_outside_the_range_cost_more(dtype, most, penalty):
+    rng = np.random.default_rng(7)
+    costs = rng.integers(0, 250, (9, 12, 6)).astype(dtype)
+    ranges = np.array([[0, 5], [2, 3], [4, 5], [1, 1]], np.int32)
+    raw = costs.copy()
+    volume = Ranges(penalty=penalty).discourage(CostVolume(costs, 2.0), SearchRanges(_labels(), ranges))
+    assert np.array_equal(costs, raw)
+    assert volume.costs.dtype == dtype
+    assert np.array_equal(volume.costs, naive.discourage_outside(costs, _labels(), ranges, 2 * penalty, most))
+
+
+def test_clear_costs_overrule_a_wrong_range():
+    costs = np.full((4, 30, 8), 100, np.uint8)
+    costs[:, :, 6] = 0
+    ranges = np.array([[0, 3]], np.int32)
+    volume = Ranges(penalty=40).discourage(CostVolume(costs), SearchRanges(np.zeros((4, 30), np.int32), ranges))
+    assert np.all(Selection()(volume).values[:, 7:] == 6)
+
+
+def test_more_key_points_than_pixels():
+    labels = np.zeros((1, 2), np.int32)
+    matches = _matches(*[(0, 0, d) for d in range(9)])
+    assert search_ranges(labels, matches, 8, 0.0).tolist() == [[0, 8]]
+
+
+def test_key_points_that_nobody_around_agrees_with_are_dropped():
+    points = [(x, y, 5.0) for x in range(4) for y in range(4)]
+    kept = consistent(_matches(*points, (1.5, 1.5, 12.0)))
+    assert len(kept) == 16 and kept.disparity.max() == 5
+    assert len(consistent(_matches())) == 0
+
+
+def test_selection_respects_ranges_and_checks_both_views():
+    rng = np.random.default_rng(0)
+    costs = rng.integers(10, 200, (5, 20, 6)).astype(np.uint16)
+    costs[:, 3:, 3] = 0  # the true disparity
+    labels = np.zeros((5, 20), np.int32)
+    labels[:, 10:] = 1
+    found = SearchRanges(labels, np.array([[0, 5], [4, 5]], np.int32))
+    first = Selection(tolerance=0)(Ranges(penalty=300).discourage(CostVolume(costs), found))
+    assert np.all(first.values[:, 3:10] == 3) and first.trusted[:, 3:10].all()
+    assert np.all(first.values[:, 10:] >= 4)
+
+
+def test_equal_costs_are_not_trusted():
+    first = Selection(subpixel=True)(CostVolume(np.full((4, 9, 5), 7, np.uint16)))
+    assert not first.trusted.any()
+
+
+def test_parabola_finds_the_fraction():
+    d = np.arange(8)
+    costs = np.broadcast_to(((d - 3.3) ** 2 * 100).astype(np.uint16), (2, 20, 8)).copy()
+    first = Selection(subpixel=True)(CostVolume(costs))
+    assert np.allclose(first.values[:, 8:], 3.3, atol=0.02)
+
+
+def test_ransac_finds_the_plane_among_outliers_and_any_order():
+    rng = np.random.default_rng(1)
+    y, x = np.mgrid[:30, :40]
+    values = (0.1 * x - 0.05 * y + 7).astype(np.float32)
+    wild = rng.random(values.shape) < 0.4
+    values[wild] = rng.uniform(0, 20, wild.sum())
+    labels = np.zeros((30, 40), np.int32)
+    labels[:, 20:] = 1
+    planes = FIT(values, Members.of(labels), np.array([0, 1]))
+    assert np.allclose(planes.coefficients, [0.1, -0.05, 7], atol=0.02)
+    assert np.all(planes.support >= 0.58 * 600)
+    backwards = FIT(values, Members.of(labels), np.array([1, 0]))
+    assert np.array_equal(backwards.coefficients[::-1], planes.coefficients)
+
+
+def test_degenerate_segments_get_a_flat_plane():
+    values = np.array([[1, 2, 3, 4, 5]], np.float32)  # on a line: no plane is determined
+    planes = FIT(values, Members.of(np.zeros((1, 5), np.int32)), np.array([0]))
+    assert planes.coefficients.tolist() == [[0, 0, 3]]
+    assert FIT.constant(values, Members.of(np.zeros((1, 5), np.int32)), np.array([0])).support.tolist() == [1]
+
+
+def test_near_duplicates_are_dropped_and_stood_for():
+    planes = _planes((0, 0, 5), (0.001, 0, 5.1), (0, 0, 9), (0.5, 0, 5))
+    kept, stands_for = distinct(planes, 0.01, 0.25, 10)
+    assert kept.coefficients.tolist() == [[0, 0, 5], [0, 0, 9], [0.5, 0, 5]]
+    assert stands_for.tolist() == [0, 0, 1, 2]
+    assert distinct(planes, 0.01, 0.25, 1)[1].tolist() == [0, 0, -1, -1]
+
+
+@pytest.mark.parametrize("truncation", [np.inf, 1.5])
+def test_discrepancy_is_equation_2_9(truncation):
+    rng = np.random.default_rng(3)
+    values = rng.uniform(0, 6, (9, 12)).astype(np.float32)
+    trusted = rng.random((9, 12)) < 0.6
+    trusted[_labels() == 3] = False
+    rows = [(0.1, 0.0, 2.0), (0.0, 0.2, 1.0), (0.0, 0.0, 3.0)]
+    members = Members.of(_labels(), trusted, 4)
+    unary = energy.discrepancy(values, members, _planes(*rows), 10.0, truncation)
+    assert np.allclose(unary, naive.discrepancy(values, trusted, _labels(), rows, 10.0, truncation), rtol=1e-4)
+    assert np.all(unary[3] == 0)  # nothing trusted: any plane
+
+
+def test_matching_cost_sums_the_volume():
+    rng = np.random.default_rng(4)
+    costs = rng.integers(0, 200, (9, 12, 6)).astype(np.uint8)
+    trusted = rng.random((9, 12)) < 0.6
+    rows = [(0.1, 0.0, 2.0), (0.0, 0.0, 5.0), (0.0, 0.0, 9.0)]
+    members = Members.of(_labels(), trusted, 4)
+    expected = naive.matching_cost(costs, trusted, _labels(), rows)
+    assert np.allclose(energy.matching_cost(CostVolume(costs, 2.0), members, _planes(*rows), 3.0), expected * 1.5)
+
+
+def test_visibility_charges_planes_in_front_of_what_the_right_view_sees():
+    labels = np.zeros((1, 10), np.int32)
+    right = np.full((1, 10), 3, np.uint16)
+    members = Members.of(labels, np.arange(10)[None] >= 6)
+    unary = energy.visibility(right, members, _planes((0, 0, 3), (0, 0, 4), (0, 0, 5), (0, 0, 9)), 2.0)
+    assert unary.tolist() == [[0, 0, 8, 2]]  # at 9 only x = 9 points into the right image
+
+
+def test_smoothness_is_equation_2_12():
+    labels = np.zeros((4, 6), np.int32)
+    labels[:, 3:] = 1
+    image = np.where(labels[..., None] == 1, 10, 40).astype(np.uint8).repeat(3, axis=2)
+    weights = energy.smoothness(region_graph(labels, image), 25.0, 150.0)
+    assert weights.tolist() == pytest.approx([25 * 4 * np.exp(-3 * 30**2 / 150**2)])
+
+
+def test_only_segments_that_are_not_a_plane_are_cut():
+    x = np.mgrid[:64, :128][1]
+    values = np.where(x < 64, 5 + 0.1 * x, 10 + 8 * np.sin(x / 12)).astype(np.float32)
+    labels = (x >= 64).astype(np.int32)
+    first = FirstEstimate(values, np.ones((64, 128), bool), np.zeros((64, 128), np.uint16))
+    cut = Split(cells=(16,), tolerance=0.5)(labels, first, FIT)
+    assert len(np.unique(cut[:, :64])) == 1
+    assert len(np.unique(cut[:, 64:])) == 16
+    assert not set(np.unique(cut[:, :64])) & set(np.unique(cut[:, 64:]))
+    assert np.array_equal(naive.components(cut[..., None], 0).max(), cut.max())
+
+
+def test_planes_are_evaluated_inside_the_range():
+    values = evaluate(np.array([[1.0, 0, 0], [0, 2.0, 1]]), np.array([[0, 0, 1], [1, 1, 0]]), 2.5)
+    assert values.tolist() == [[0, 1, 1], [2.5, 2.5, 2]]
+
+
+def _errors(result, scene):
+    bad = ~(np.abs(result.disparity.values - scene.disparity_left) <= 1)
+    return 100 * bad[scene.nonocc].mean()
+
+
+def test_generated_planes_come_out():
+    scene = make_scene("planes", seed=1, height=150, width=200, max_disparity=20)
+    result = _preset()(StereoPair(scene.left, scene.right), scene.max_disparity)
+    assert _errors(result, scene) < 2
+    assert result.disparity.density == 1
+    assert result.figures["energy"] <= result.figures["energy_before"]
+    assert result.figures["planes"] > 0 and result.figures["keypoints"] > 10
+    status = result.disparity.status
+    assert not np.any((status & Status.FILLED == 0) & (status & (Status.OCCLUDED | Status.MISMATCH) != 0))
+    hidden = (status & Status.OCCLUDED) != 0
+    assert hidden[~scene.nonocc].mean() > 0.5 > hidden[scene.nonocc].mean()
+
+
+def test_same_bytes_at_any_number_of_threads_and_inputs_untouched():
+    scene = make_scene("foreground", seed=2, height=90, width=120, max_disparity=16)
+    left, right = scene.left.copy(), scene.right.copy()
+    pipeline, pair = _preset(), StereoPair(scene.left, scene.right)
+    results = []
+    before = numba.get_num_threads()
+    try:
+        for threads in {1, before}:
+            numba.set_num_threads(threads)
+            results.append(pipeline(pair, 16).disparity)
+    finally:
+        numba.set_num_threads(before)
+    assert all(np.array_equal(r.values, results[0].values, equal_nan=True) for r in results)
+    assert all(np.array_equal(r.status, results[0].status) for r in results)
+    assert np.array_equal(scene.left, left) and np.array_equal(scene.right, right)
+
+
+def test_details_when_asked_for():
+    scene = make_scene("planes", seed=1, height=90, width=120, max_disparity=16)
+    pair = StereoPair(scene.left, scene.right)
+    assert not _preset()(pair, 16).tables
+    result = _preset(details=True)(pair, 16)
+    assert set(result.tables) == {"planes", "segment_labels", "keypoints"}
+    assert set(result.pictures) == {"segments", "segments_preview", "keypoints"}
+    assert len(result.tables["planes"]) == result.figures["planes"]
+    assert len(result.tables["segment_labels"]) == result.figures["segments"]
+    assert len(result.tables["keypoints"]) == result.figures["keypoints"]
+    segments = result.pictures["segments"]
+    assert segments.dtype == np.uint16 and segments.max() + 1 == result.figures["segments"]
+    assert result.pictures["keypoints"].shape == (180, 120, 3)
+    assert sum(row["segments"] for row in result.tables["planes"]) == result.figures["segments"]
+
+
+def test_a_flat_image_knows_nothing():
+    flat = np.full((40, 60, 3), 90, np.uint8)
+    result = _preset(details=True)(StereoPair(flat, flat.copy()), 8)
+    assert result.figures["segments"] == 1 and result.figures["keypoints"] == 0
+    assert np.isnan(result.disparity.values).all()
+    assert np.all(result.disparity.status & Status.NO_DATA)
+
+
+@pytest.mark.parametrize("name", ["segments", "segments-kp", "segments-dedc", "segments-baseline"])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (3, 4), (12, 10)])
+def test_tiny_pairs_and_ranges_wider_than_the_image(name, shape):
+    rng = np.random.default_rng(0)
+    left, right = rng.integers(0, 256, (2, *shape, 3)).astype(np.uint8)
+    disparity = _preset(name)(StereoPair(left, right), 17).disparity
+    known = ~np.isnan(disparity.values)
+    assert disparity.values.shape == shape
+    assert np.all((disparity.status & Status.NO_DATA != 0) == ~known)
+
+
+def test_no_segment_large_enough_gives_one_flat_plane():
+    scene = make_scene("planes", seed=1, height=60, width=80, max_disparity=12)
+    planes = _preset().planes.model_copy(update={"min_size": 10_000})
+    result = _preset(planes=planes, rounds=1, refinement=())(StereoPair(scene.left, scene.right), 12)
+    assert result.figures["planes"] == 1
+    assert len(np.unique(result.disparity.values)) == 1
+
+
+def test_grey_and_16_bit_pairs():
+    scene = make_scene("planes", seed=1, height=60, width=80, max_disparity=12)
+    grey = [cv2.cvtColor(i, cv2.COLOR_RGB2GRAY) for i in (scene.left, scene.right)]
+    deep = [i.astype(np.uint16) * 257 for i in (scene.left, scene.right)]
+    assert _preset()(StereoPair(*grey), 12).disparity.density == 1
+    one, two = (_preset()(StereoPair(*p), 12) for p in (deep, [scene.left, scene.right]))
+    assert np.mean(np.abs(one.disparity.values - two.disparity.values) <= 1) > 0.95
+
+
+def test_keypoints_none_and_back():
+    for text in ("none", "NONE", None):
+        assert Segments.model_validate({"cost": "census", "keypoints": text}).keypoints is None
+    sift = Segments.model_validate({"cost": "census", "keypoints": "sift"})
+    assert Segments.model_validate({k: v for k, v in sift.model_dump().items() if k != "pipeline"}) == sift
+
+
+def test_peak_memory_grows_with_the_range():
+    assert _preset().peak_bytes((100, 100), 60) > _preset().peak_bytes((100, 100), 10)

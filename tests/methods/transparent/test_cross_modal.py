@@ -1,0 +1,214 @@
+"""Stereo of color and infrared: the rig's geometry, channel weights, which matches are kept, and the whole chain."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from depthcli.core.cameras.geometry import Camera, depth_of_disparity, disparity_of_depth
+from depthcli.core.cameras.rig import Rig
+from depthcli.core.errors import InputError
+from depthcli.core.frames import RgbIrFrame
+from depthcli.core.result import Clock
+from depthcli.data.generated.transparent_scenes import glass_of_pair, make_transparent_scene
+from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.walk import find_items
+from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
+from depthcli.methods.transparent.channels import GREY, learned_weights, mixed, nonnegative_least_squares
+from depthcli.methods.transparent.cross_modal import CrossModal, Selection
+from tests.methods.stereo._pairs import assert_pure, texture
+from tests.scenes import DATA
+
+SIZE, SMALL = (200, 150), (160, 130)
+
+
+def rig(shift=-0.08, **changes):
+    """A color camera and an infrared one of another size and focal length, turned a little."""
+    color = Camera(np.array([[190.0, 0, 98], [0, 192, 77], [0, 0, 1]]), (0.05, -0.03, 0.001, -0.001, 0.0))
+    infrared = Camera(np.array([[150.0, 0, 82], [0, 149, 63], [0, 0, 1]]))
+    turn = cv2.Rodrigues(np.array([0.01, -0.03, 0.015]))[0]
+    values = {
+        "color": color, "infrared": infrared, "color_size": SIZE, "infrared_size": SMALL,
+        "rotation": np.asarray(turn, np.float64), "translation": np.array([shift, 0.002, 0.003]),
+    }  # fmt: skip
+    return Rig(**{**values, **changes})
+
+
+def photograph(cameras, wall=1.0, seed=0):
+    """Both views of a textured wall ``wall`` meters away, at right angles to the color camera's axis, and its depth."""
+    picture = cv2.GaussianBlur(texture((900, 1200), seed).astype(np.float32), (0, 0), 3)
+    picture = np.clip(128 + 6 * (picture - 128), 0, 255).astype(np.float32)
+
+    def view(camera, size, turn, shift):
+        x, y = np.meshgrid(np.arange(size[0], dtype=np.float64), np.arange(size[1], dtype=np.float64))
+        pixels = np.stack([x.ravel(), y.ravel()], axis=1)[:, None]
+        rays = cv2.undistortPoints(pixels, camera.matrix, np.asarray(camera.distortion))[:, 0]
+        rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) @ turn  # in the color camera's frame
+        origin = -turn.T @ shift
+        far = (wall - origin[2]) / rays[:, 2]
+        points = origin + far[:, None] * rays
+        u, v = ((500 * points[:, k] + half).reshape(size[::-1]) for k, half in ((0, 600), (1, 450)))
+        return cv2.remap(picture, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
+
+    left = view(cameras.color, SIZE, np.eye(3), np.zeros(3))
+    right = view(cameras.infrared, SMALL, cameras.rotation, cameras.translation)
+    color = np.repeat(np.rint(left).astype(np.uint8)[:, :, None], 3, axis=2)
+    return color, np.rint(255 * (right / 255) ** 0.7).astype(np.uint8), np.full(left.shape, wall, np.float32)
+
+
+@pytest.mark.parametrize("shift", [-0.08, 0.08])
+def test_a_wall_is_measured_through_two_different_cameras(shift):
+    cameras = rig(shift)
+    color, infrared, depth = photograph(cameras)
+    depth[40:90, 60:130] = np.nan  # the sensor is blind here
+    frame, figures = CrossModal()(RgbIrFrame(color, infrared, depth, cameras), Clock())
+    found = frame.sparse[40:90, 60:130]
+    assert np.isfinite(found).mean() > 0.5
+    assert np.nanmedian(np.abs(found - 1.0)) < 0.02
+    assert figures["matched"] == pytest.approx(np.isfinite(frame.sparse).mean())
+    assert (frame.sparse_confidence[np.isfinite(frame.sparse)] >= 0.3).all()
+
+
+def test_depth_is_turned_and_turned_back():
+    rectified = rig().rectified()
+    depth = np.fromfunction(lambda y, x: 1 + 0.001 * x + 0.0005 * y, SIZE[::-1]).astype(np.float32)
+    turned = rectified.depth(depth)
+    back, beside = rectified.back(turned, turned)
+    known = np.isfinite(back)
+    assert known.mean() > 0.7
+    np.testing.assert_allclose(back[known], depth[known], atol=0.004)
+    assert np.isfinite(beside[known]).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"color": Camera(np.zeros((3, 3)))}, "singular"),
+        ({"infrared": Camera(np.full((3, 3), np.nan))}, "finite 3 x 3"),
+        ({"rotation": 2 * np.eye(3)}, "not a rotation"),
+        ({"rotation": -np.eye(3)}, "not a rotation"),
+        ({"translation": np.zeros(3)}, "baseline of 0 m"),
+        ({"translation": np.array([80.0, 0, 0])}, "t is in meters"),
+    ],
+)
+def test_impossible_rigs_are_refused(changes, said):
+    with pytest.raises(InputError, match=said):
+        rig(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"translation": np.array([0.0, 0.08, 0])}, "one above the other"),
+        ({"rotation": cv2.Rodrigues(np.array([0.0, 2.5, 0]))[0]}, "nothing in common|one above"),
+    ],
+)
+def test_cameras_that_cannot_be_matched_are_refused(changes, said):
+    with pytest.raises(InputError, match=said):
+        rig(**changes).rectified()
+
+
+def test_least_squares_without_negative_values():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        matrix, target = rng.normal(size=(30, 3)), rng.normal(size=30)
+        np.testing.assert_allclose(nonnegative_least_squares(matrix, target), nnls(matrix, target)[0], atol=1e-9)
+
+
+def test_weights_of_the_channels_are_learned_from_the_sensor():
+    rng = np.random.default_rng(1)
+    color = cv2.GaussianBlur(rng.integers(0, 256, (80, 120, 3)).astype(np.uint8), (0, 0), 1.2)
+    shift = 7
+    infrared = np.roll(mixed(color, (0.7, 0.3, 0.0)), -shift, axis=1)
+    disparity = np.full((80, 120), shift, np.float32)
+    disparity[:, :20] = np.nan
+    np.testing.assert_allclose(learned_weights(color, infrared, disparity), (0.7, 0.3, 0.0), atol=0.03)
+    assert learned_weights(color, infrared, np.full_like(disparity, np.nan)) == GREY
+
+
+@pytest.mark.parametrize("channels", ["early", "late", "r", "g", "b", "grey"])
+def test_every_way_to_mix_the_channels_matches(channels):
+    scene = make_transparent_scene(3, 128, 96, 16)
+    found = CrossModal(channels=channels, max_disparity=16).match(scene.color, scene.infrared, scene.sensor)
+    assert np.nanmedian(np.abs(found.dense - scene.disparity)) < 0.5
+    assert sum(found.weights) == pytest.approx(1)
+
+
+def test_kept_matches_are_right_and_widened_edges_are_not_among_them():
+    scene = make_transparent_scene(4, 240, 180, 30)
+    rule = Selection(margin=0, blind_margin=0, widening=0, consensus=0, texture=0, speckle=0)
+    without = CrossModal(max_disparity=30, selection=rule)
+    kept, all_of = (
+        stereo.match(scene.color, scene.infrared, scene.sensor).sparse
+        for stereo in (CrossModal(max_disparity=30), without)
+    )
+
+    def contradicting(sparse):
+        return np.mean((np.abs(sparse - scene.sensor) > 1.5)[~scene.mask])
+
+    assert contradicting(kept) < 0.5 * contradicting(all_of)
+    known = np.isfinite(kept)
+    assert 0.15 < known.mean() < np.isfinite(all_of).mean()
+    assert np.mean(np.abs(kept - scene.disparity)[known] > 1) < 0.08
+
+
+def test_speckles_are_taken_off_the_infrared_image():
+    scene = make_transparent_scene(5, 128, 96, 16, speckles=0.03)
+    smooth = cv2.medianBlur(scene.infrared, 3)
+    found = CrossModal(max_disparity=16, median=3).match(scene.color, scene.infrared, scene.sensor).dense
+    by_hand = CrossModal(max_disparity=16).match(scene.color, smooth, scene.sensor).dense
+    np.testing.assert_array_equal(found, by_hand)
+    plain = CrossModal(max_disparity=16).match(scene.color, scene.infrared, scene.sensor).dense
+    assert np.mean(found != plain) > 0.2
+
+
+def test_same_bytes_at_any_thread_count_and_inputs_untouched():
+    scene = make_transparent_scene(6, 128, 96, 16)
+    inputs = (scene.color, scene.infrared, scene.sensor)
+    assert_pure(lambda: CrossModal(max_disparity=16).match(*inputs).sparse, *inputs)
+
+
+class TestRealScenes:
+    """Middlebury pairs whose right view is made infrared and one surface glass."""
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def scenes():
+        folder = DATA / "middlebury_v2"
+        if not folder.is_dir():
+            pytest.skip("middlebury_v2 is not in ../shared/data")
+        found = {}
+        for item in find_items(folder, (StereoItem,), patterns=("Cones", "Teddy", "Venus")):
+            assert isinstance(item, StereoItem)
+            pair, truth = item.load(), item.truth()
+            found[item.name] = (glass_of_pair(pair.left, pair.right, truth.disparity), truth.masks["nonocc"], item)
+        return found
+
+    def test_structure_beats_absolute_differences_by_far(self, scenes):
+        for scene, nonocc, item in scenes.values():
+            rates = []
+            fields = CrossModal().fusion.model_dump()
+            plain = {**fields, "measures": [AbsoluteDifference().method_name()], "consensus": {"vote_cost": 0}}
+            for fusion in (fields, plain):
+                stereo = CrossModal(max_disparity=item.max_disparity, fusion=fusion)
+                found = stereo.match(scene.color, scene.infrared, scene.sensor).dense
+                rates.append(np.mean(np.abs(found - scene.disparity)[nonocc] > 1))
+            assert rates[0] < 0.4 * rates[1]
+
+    def test_the_whole_chain_replaces_the_object_and_little_else(self, scenes):
+        from depthcli.batch.presets import find_config
+        from depthcli.core.config_file import load_config
+        from depthcli.methods.transparent.config import TransparentConfig
+
+        config = load_config(TransparentConfig, find_config("transparent", "kinect"), [])
+        for scene, _, item in scenes.values():
+            stereo = config.stereo.model_copy(update={"max_disparity": item.max_disparity})
+            depth = depth_of_disparity(scene.sensor, 24.0)
+            frame, _ = stereo(RgbIrFrame(scene.color, scene.infrared, depth, None, 24.0), Clock())
+            values = disparity_of_depth(config.pipeline(frame).depth.values, 24.0)
+            error = np.abs(values - scene.disparity)
+            known = np.isfinite(scene.sensor) & ~scene.mask
+            assert np.nanmean(error[scene.mask]) < 0.8
+            assert np.nanmean(error[known]) < 0.2

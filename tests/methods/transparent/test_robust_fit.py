@@ -1,0 +1,105 @@
+"""The robust fit and its search for neighbors against their twins, and on planes with outliers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthcli.methods.transparent.nearest import nearest_samples
+from depthcli.methods.transparent.robust_fit import RobustFit, Samples
+from tests.methods.stereo._pairs import assert_pure, texture
+from tests.naive import transparent as naive
+
+
+def _pixels(shape):
+    rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: shape[0], : shape[1]])
+    return rows, columns
+
+
+def _scattered(seed, shape, count):
+    """Distinct pixels, and inverse depths of a slanted plane with noise; every fourth one wrong."""
+    rng = np.random.default_rng(seed)
+    rows, columns = np.divmod(rng.choice(shape[0] * shape[1], count, replace=False), shape[1])
+    values = 1.5 + 0.001 * columns - 0.0008 * rows + 0.01 * rng.standard_normal(count)
+    values[::4] = rng.uniform(0.8, 3.0, len(values[::4]))
+    return Samples(rows.astype(np.int32), columns.astype(np.int32), values.astype(np.float32))
+
+
+@pytest.mark.parametrize(("shape", "count"), [((1, 1), 1), ((1, 30), 7), ((25, 3), 9), ((9, 13), 40), ((9, 13), 117)])
+@pytest.mark.parametrize("neighbors", [1, 5, 24])
+@pytest.mark.parametrize("skip_own", [False, True])
+def test_neighbors_are_the_nearest(shape, count, neighbors, skip_own):
+    samples = _scattered(1, shape, count)
+    rows, columns = _pixels(shape)
+    found = nearest_samples(samples.rows, samples.columns, shape, (rows, columns), neighbors, skip_own)
+    for p in range(rows.size):
+        expected = naive.nearest(samples.rows, samples.columns, rows[p], columns[p], neighbors, skip_own)
+        np.testing.assert_array_equal(found[p, : len(expected)], expected)
+        assert (found[p, len(expected) :] == -1).all()
+
+
+def test_neighbors_far_from_a_cluster_are_found():
+    rows, columns = np.array([90, 91, 91], np.int32), np.array([90, 90, 91], np.int32)
+    at = np.array([0], np.int32), np.array([0], np.int32)
+    np.testing.assert_array_equal(nearest_samples(rows, columns, (100, 100), at, 2), [[0, 1]])
+
+
+def test_without_samples_there_is_no_value():
+    none = Samples.of(np.full((4, 5), np.nan, np.float32))
+    fit = RobustFit()(none, texture((4, 5, 3)), 0.01, _pixels((4, 5)))
+    assert np.isnan(fit.values).all()
+    assert not fit.confidence.any()
+
+
+@pytest.mark.parametrize("leave_own", [False, True])
+def test_the_fit_is_its_twins(leave_own):
+    shape = (24, 31)
+    samples, image = _scattered(3, shape, 90), texture((*shape, 3), 4)
+    fit = RobustFit(neighbors=12, color_scale=80, steps=4)
+    at = (samples.rows, samples.columns)
+    ours = fit(samples, image, 0.01, at, leave_own)
+    expected = np.array([
+        naive.robust_fit(samples.rows, samples.columns, samples.values, image, y, x, 0.01, 12, 80, 0.8, 4, leave_own)
+        for y, x in zip(*at, strict=True)
+    ])  # fmt: skip
+    # A sample on the edge of a gate may fall either way in single precision: a few pixels differ.
+    for got, want in zip((ours.values, ours.sigma, ours.confidence), expected.T, strict=True):
+        assert np.mean(np.abs(got - want) <= 1e-3 * np.abs(want) + 1e-4) > 0.95
+
+
+def test_a_plane_is_found_among_outliers():
+    shape = (60, 80)
+    samples = _scattered(5, shape, 600)
+    rows, columns = _pixels(shape)
+    ours = RobustFit()(samples, np.full((*shape, 3), 90, np.uint8), 0.01, (rows, columns))
+    error = np.abs(ours.values - (1.5 + 0.001 * columns - 0.0008 * rows))
+    assert np.median(error) < 0.004
+    assert np.mean(error > 0.03) < 0.01
+    assert np.median(ours.confidence) > 0.6
+
+
+def test_color_keeps_two_surfaces_apart():
+    shape = (40, 60)
+    image = np.full((*shape, 3), 20, np.uint8)
+    image[:, 30:] = 220
+    rng = np.random.default_rng(6)
+    rows, columns = (axis.astype(np.int32) for axis in np.divmod(rng.choice(2400, 200, replace=False), 60))
+    samples = Samples(rows, columns, np.where(columns < 30, 1.0, 2.0).astype(np.float32))
+    at = _pixels(shape)
+    ours = RobustFit()(samples, image, 0.01, at)
+    np.testing.assert_allclose(ours.values, np.where(at[1] < 30, 1.0, 2.0), atol=0.02)
+
+
+def test_it_is_less_sure_far_from_samples():
+    samples = Samples.of(np.where(np.arange(90)[None, :] < 30, np.float32(1.5), np.float32(np.nan)).repeat(20, axis=0))
+    at = np.array([10, 10, 10], np.int32), np.array([15, 40, 80], np.int32)
+    sigma = RobustFit()(samples, np.full((20, 90, 3), 50, np.uint8), 0.01, at).sigma
+    assert sigma[0] < sigma[1] < sigma[2]
+
+
+def test_same_bytes_at_any_thread_count_and_inputs_untouched():
+    shape = (50, 70)
+    samples, image, at = _scattered(7, shape, 400), texture((*shape, 3), 8), _pixels(shape)
+    inputs = (samples.rows, samples.columns, samples.values, image)
+    assert_pure(lambda: RobustFit()(samples, image, 0.01, at).values, *inputs)
+    assert_pure(lambda: RobustFit()(samples, image, 0.01, at).sigma, *inputs)

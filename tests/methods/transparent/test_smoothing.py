@@ -1,0 +1,60 @@
+"""Smoothing by color against its twin; where it is done."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthcli.methods.transparent.robust_fit import Samples
+from depthcli.methods.transparent.smoothing import Smoothing
+from tests.methods.stereo._pairs import assert_pure, texture
+from tests.naive import transparent as naive
+
+
+def _samples(shape, rows, columns):
+    known = np.full(shape, np.nan, np.float32)
+    known[rows, columns] = 1
+    return Samples.of(known)
+
+
+def _scene(shape, seed):
+    rng = np.random.default_rng(seed)
+    values = (1.5 + 0.1 * rng.standard_normal(shape)).astype(np.float32)
+    values[rng.random(shape) < 0.1] = np.nan
+    return values, texture((*shape, 3), seed), rng.random(shape) < 0.7
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 17), (13, 2), (14, 19)])
+@pytest.mark.parametrize("radius", [0, 1, 4])
+def test_it_is_its_twin_far_from_samples(shape, radius):
+    values, image, wanted = _scene(shape, 1)
+    samples = _samples(shape, [0], [0])
+    ours = Smoothing(radius=radius, color_scale=40, reach=3.5 / shape[1])(values, samples, image, wanted)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    far = wanted & (np.hypot(y, x) > 3.5)
+    np.testing.assert_allclose(ours, naive.smoothed(values, image, far, radius, 40), rtol=1e-5)
+
+
+def test_near_samples_and_elsewhere_values_stay():
+    values, image, wanted = _scene((20, 30), 2)
+    every = _samples((20, 30), *np.mgrid[:20:2, :30:2])
+    np.testing.assert_array_equal(Smoothing(reach=0.1)(values, every, image, wanted), values)
+    one = _samples((20, 30), [10], [15])
+    changed = Smoothing(reach=0.1)(values, one, image, wanted) != values
+    assert changed[wanted & np.isfinite(values)].sum() > 100
+    assert not changed[~wanted & np.isfinite(values)].any()
+
+
+def test_an_edge_of_color_keeps_both_sides_apart():
+    values = np.full((20, 40), 1.0, np.float32)
+    values[:, 20:] = 2.0
+    image = np.zeros((20, 40, 3), np.uint8)
+    image[:, 20:] = 200
+    smooth = Smoothing(reach=0.05)(values, _samples((20, 40), [0], [0]), image, np.ones((20, 40), np.bool_))
+    np.testing.assert_allclose(smooth, values, rtol=1e-5)
+
+
+def test_same_bytes_at_any_thread_count_and_inputs_untouched():
+    values, image, wanted = _scene((60, 80), 3)
+    samples = _samples((60, 80), [30], [40])
+    assert_pure(lambda: Smoothing()(values, samples, image, wanted), values, image, wanted)
