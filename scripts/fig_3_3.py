@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from depthcli.data.walk import find_items
+from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
 from depthcli.evaluation.report import Table, number
 from depthcli.kernels.winners import winners
@@ -56,7 +56,7 @@ def aggregations(windows: list[int]) -> list[tuple[str, int | None, Aggregator]]
 def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
     """One row a similarity, aggregation, window and scene, with the error in every mask."""
     rows: list[dict[str, object]] = []
-    for scene in find_items(data):
+    for scene in discover_scenes(data):
         pair, truth = scene.load(), MiddleburyV2().truth(scene)
         if scene.max_disparity is None or not set(MASKS) <= set(truth.masks):
             raise SystemExit(f"scene {scene.name}: want max_disparity and the masks {', '.join(MASKS)}")

@@ -25,8 +25,8 @@ from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.data.generated.cross_modal import cross_modal_pair
-from depthcli.data.scenes.stereo import StereoItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.protocols import load
 from depthcli.evaluation.report import Table, number
@@ -68,14 +68,14 @@ class Bench:
     """Runs configs over scenes, remembers every figure."""
 
     def __init__(self, data: Path, quick: bool) -> None:
-        self.scenes = [s for name in SETS for s in find_items(data / name, [StereoItem])]
+        self.scenes = [s for name in SETS for s in discover_scenes(data / name, [StereoScene])]
         if quick:
             self.scenes = [s for s in self.scenes if s.name.rpartition("/")[2] in QUICK]
-        self.kitti = find_items(data / "kitti", [StereoItem]) if (data / "kitti").is_dir() else []
+        self.kitti = discover_scenes(data / "kitti", [StereoScene]) if (data / "kitti").is_dir() else []
         self.rows: list[dict[str, object]] = []
         self.plots: dict[str, str] = {}
 
-    def bad(self, scenes: list[StereoItem], match: Callable[[StereoPair, int], np.ndarray], protocol: str = V2,
+    def bad(self, scenes: list[StereoScene], match: Callable[[StereoPair, int], np.ndarray], protocol: str = V2,
             change: Callable[[StereoPair], StereoPair] = lambda pair: pair) -> list[float]:  # fmt: skip
         rates = []
         for scene in scenes:

@@ -32,9 +32,9 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, color8
 from depthcli.data.formats.images import read_image
 from depthcli.data.generated.kinect_scenes import SEQUENCE_KINDS, KinectSample, make_kinect_sequence, simulate_kinect
-from depthcli.data.scenes.rgbd import RgbdItem
-from depthcli.data.scenes.stereo import StereoItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.rgbd import RgbdScene
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.report import Table, number
 from depthcli.methods.kinect.config import RefineKinectConfig
 
@@ -61,21 +61,21 @@ def refined(name: str, run: Refine | None, frame: RgbdFrame) -> NDArray[np.float
     return frame.disparity if run is None else disparity_of_depth(run(frame).depth.values, frame.fb)
 
 
-def scenes(data: Path, folder: str) -> list[StereoItem]:
-    found = find_items(data / folder, (StereoItem,))
-    return [item for item in found if isinstance(item, StereoItem) and item.has_truth]
+def scenes(data: Path, folder: str) -> list[StereoScene]:
+    found = discover_scenes(data / folder, (StereoScene,))
+    return [scene for scene in found if isinstance(scene, StereoScene) and scene.has_truth]
 
 
-def sample(item: StereoItem, fattening: int) -> KinectSample:
-    return simulate_kinect(color8(read_image(item.left)), item.truth().disparity, 0, fattening=fattening)
+def sample(scene: StereoScene, fattening: int) -> KinectSample:
+    return simulate_kinect(color8(read_image(scene.left)), scene.truth().disparity, 0, fattening=fattening)
 
 
 def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, title: str) -> None:
     """A row a method: MAE by set and region, means over scenes."""
     cells: dict[tuple[str, str, str], list[float]] = {}
     for folder in SETS:
-        for item in scenes(data, folder):
-            made = sample(item, fattening)
+        for scene in scenes(data, folder):
+            made = sample(scene, fattening)
             for name, run in methods.items():
                 error = np.abs(refined(name, run, made.frame()) - made.truth)
                 for region in REGIONS:
@@ -84,7 +84,7 @@ def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, tit
                     cells.setdefault((name, folder, region), []).append(
                         float(answered.mean()) if answered.size else float("nan")
                     )
-            print(f"{folder}/{item.name}", file=sys.stderr)
+            print(f"{folder}/{scene.name}", file=sys.stderr)
     rows = [
         (name, *(number(_mean(cells[name, folder, region]), 3) for folder in SETS for region in REGIONS))
         for name in methods
@@ -95,17 +95,17 @@ def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, tit
 
 def real(data: Path, methods: dict[str, Refine | None]) -> None:
     """A row a frame: MAE in blocks that were taken out, mm, mean of several random patterns of blocks."""
-    items = [
-        item
+    scenes = [
+        scene
         for folder in sorted(data.glob("rgbd_*"))
-        for item in find_items(folder, (RgbdItem,), "sun-rgbd" if folder.name == "rgbd_sun" else None)
-        if isinstance(item, RgbdItem)
+        for scene in discover_scenes(folder, (RgbdScene,), "sun-rgbd" if folder.name == "rgbd_sun" else None)
+        if isinstance(scene, RgbdScene)
     ]
     rows = []
-    for number_, item in enumerate(items):
-        if item.folder.parent.name == "rgbd_tum":
-            item = RgbdItem(**{**vars(item), "depth_scale": 5000.0})
-        frame = item.load()
+    for number_, scene in enumerate(scenes):
+        if scene.folder.parent.name == "rgbd_tum":
+            scene = RgbdScene(**{**vars(scene), "depth_scale": 5000.0})
+        frame = scene.load()
         errors: dict[str, list[float]] = {name: [] for name in methods}
         for pattern in range(PATTERNS):
             holes = _blocks(np.isfinite(frame.depth), PATTERNS * number_ + pattern)
@@ -116,7 +116,7 @@ def real(data: Path, methods: dict[str, Refine | None]) -> None:
                 error = 1000 * np.abs(values[holes] - frame.depth[holes])
                 errors[name].append(_mean(error[np.isfinite(error)].tolist()))
         cells = [number(_mean(errors[name]), 1) for name in methods]
-        rows.append((f"{item.folder.parent.name}/{item.name}", *cells))
+        rows.append((f"{scene.folder.parent.name}/{scene.name}", *cells))
     print(
         Table(
             f"Blocks of 20 to 40 px taken out of real frames: MAE, mm, mean of {PATTERNS} patterns",
@@ -142,8 +142,8 @@ def view(data: Path, methods: dict[str, Refine | None], fattening: int) -> None:
     """A row a method: PSNR of the left image warped to the right view, and on how many scenes it beats the first."""
     found: dict[str, list[float]] = {name: [] for name in methods}
     for folder in SETS:
-        for item in scenes(data, folder):
-            pair, made = item.load(), sample(item, fattening)
+        for scene in scenes(data, folder):
+            pair, made = scene.load(), sample(scene, fattening)
             for name, run in methods.items():
                 found[name].append(_psnr(*pair.color8, refined(name, run, made.frame())))
     first = next(iter(methods))

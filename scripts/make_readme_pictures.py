@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from depthcli.data.formats.disparity import read_disparity
-from depthcli.data.walk import find_items
+from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
 
 
@@ -38,7 +38,7 @@ def main() -> int:
             done = subprocess.run([sys.executable, "-m", "depthcli", *map(str, command)], check=False)
             if done.returncode:
                 return done.returncode
-        (scene,) = find_items(scenes)
+        (scene,) = discover_scenes(scenes)
         left, truth = scene.load().left, MiddleburyV2().truth(scene)
         estimate = read_disparity(run / scene.name / "disp_left.pfm")
     assert scene.max_disparity is not None

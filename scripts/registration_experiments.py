@@ -32,8 +32,8 @@ from depthcli.core.config_file import load_config
 from depthcli.core.volumes import RegisteredPair
 from depthcli.data.formats.volumes import linear, simple_itk
 from depthcli.data.generated.deformed_volumes import smooth_noise
-from depthcli.data.scenes.volume_pair import VolumePairItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.volume_pair import VolumePairScene
+from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.registration import area, correlation, ranks
 from depthcli.evaluation.report import Table, number
 from depthcli.methods.registration._volume import gaussian, moved, resample
@@ -75,18 +75,18 @@ def measures(result: RegistrationResult, places: NDArray[np.float64]) -> Iterabl
         yield name, (-1 if name in SURER_IF_LARGER else 1) * at_points(result, values, places)
 
 
-def real(items: list[VolumePairItem], presets: Iterable[str]) -> list[Table]:
+def real(scenes: list[VolumePairScene], presets: Iterable[str]) -> list[Table]:
     rows = []
-    for item in items:
-        loaded, truth = item.load(), item.truth()
+    for scene in scenes:
+        loaded, truth = scene.load(), scene.truth()
         places = loaded.grid.to_index(truth.points)
         for preset in presets:
             result = config(preset)(loaded.pair)
-            rows.append(row(item.name, preset, at_points(result, result.expected_error, places), truth.error))
+            rows.append(row(scene.name, preset, at_points(result, result.expected_error, places), truth.error))
             if preset == "mind":
                 for name, values in measures(result, places):
-                    rows.append(row(item.name, f"mind {name}", values, truth.error, name.endswith("shift")))
-            rows.append((item.name, f"{preset}: border", f"{100 * result.figures['border']:.0f} %", *[""] * 5))
+                    rows.append(row(scene.name, f"mind {name}", values, truth.error, name.endswith("shift")))
+            rows.append((scene.name, f"{preset}: border", f"{100 * result.figures['border']:.0f} %", *[""] * 5))
     return [Table("Real registrations, at landmarks", HEAD, tuple(rows))]
 
 
@@ -125,19 +125,19 @@ def misregistered(pair: RegisteredPair, largest: float, seed: int) -> tuple[Regi
     return RegisteredPair(volumes[0], volumes[1], pair.spacing, pair.mask), error
 
 
-def synthetic(items: list[VolumePairItem], presets: Iterable[str]) -> list[Table]:
+def synthetic(scenes: list[VolumePairScene], presets: Iterable[str]) -> list[Table]:
     rows, done = [], set()
     methods: tuple[tuple[str, Callable[[], RegisterConfidenceConfig]], ...] = (
         ("mind", lambda: config("mind")), ("intensity", lambda: config("intensity")),
         ("mind, intensity", lambda: config("intensity", "features=[mind, intensity]")),
         *([("self", lambda: config("self"))] if "self" in presets else []),
     )  # fmt: skip
-    for item in items:
-        base = item.name.rsplit("_", 1)[0].split("_cyc")[0]
+    for scene in scenes:
+        base = scene.name.rsplit("_", 1)[0].split("_cyc")[0]
         if base in done:
             continue
         done.add(base)
-        pair = item.load().pair
+        pair = scene.load().pair
         inside = np.ones(pair.shape, np.bool_) if pair.mask is None else pair.mask
         places = np.argwhere(inside)[:: max(1, int(inside.sum()) // 20_000)].astype(np.float64)
         for k, largest in enumerate((3.0, 6.0, 10.0)):
@@ -154,20 +154,20 @@ def synthetic(items: list[VolumePairItem], presets: Iterable[str]) -> list[Table
     return [Table("Synthetic B-spline errors, dense truth", HEAD, tuple(rows))]
 
 
-def varied(items: list[VolumePairItem], title: str, settings: Iterable[tuple[str, ...]]) -> list[Table]:
+def varied(scenes: list[VolumePairScene], title: str, settings: Iterable[tuple[str, ...]]) -> list[Table]:
     rows = []
-    for item in items:
-        loaded, truth = item.load(), item.truth()
+    for scene in scenes:
+        loaded, truth = scene.load(), scene.truth()
         places = loaded.grid.to_index(truth.points)
         for changed in settings:
             result = config("mind", *changed)(loaded.pair)
             found = at_points(result, result.expected_error, places)
-            rows.append(row(item.name, ", ".join(changed) or "as shipped", found, truth.error))
+            rows.append(row(scene.name, ", ".join(changed) or "as shipped", found, truth.error))
     return [Table(title, HEAD, tuple(rows))]
 
 
-def parameters(items: list[VolumePairItem]) -> list[Table]:
-    chosen = [item for item in items if item.name.startswith("lung")]
+def parameters(scenes: list[VolumePairScene]) -> list[Table]:
+    chosen = [scene for scene in scenes if scene.name.startswith("lung")]
     values = {
         "sharpness": (1, 5, 20),
         "smoothing": (0, 1, 4),
@@ -179,37 +179,37 @@ def parameters(items: list[VolumePairItem]) -> list[Table]:
     return varied(chosen, "Parameters (k = 0.5 / sharpness)", changes)
 
 
-def baselines(items: list[VolumePairItem], data: Path | None) -> list[Table]:
+def baselines(scenes: list[VolumePairScene], data: Path | None) -> list[Table]:
     from depthcli.data.formats.fields import in_millimeters, read_field
 
     rows = []
-    for item in items:
-        loaded, truth = item.load(), item.truth()
+    for scene in scenes:
+        loaded, truth = scene.load(), scene.truth()
         places = loaded.grid.to_index(truth.points)
         fixed = loaded.pair.fixed
         mean = gaussian(fixed, 3.0)
         variance = gaussian(fixed * fixed, 3.0) - mean * mean
-        rows.append(row(item.name, "minus local variance", -linear(variance, places), truth.error, False))
-        if item.displacement is not None:
-            field = read_field(item.displacement, loaded.grid)
+        rows.append(row(scene.name, "minus local variance", -linear(variance, places), truth.error, False))
+        if scene.displacement is not None:
+            field = read_field(scene.displacement, loaded.grid)
             vectors = in_millimeters(field, field.named)
             slopes = np.stack([np.stack(np.gradient(vectors[..., c], *loaded.pair.spacing), -1)[..., ::-1]
                                for c in range(3)], -2)  # fmt: skip
             determinant = np.linalg.det(slopes + np.eye(3)).astype(np.float32)
-            rows.append(row(item.name, "|1 - Jacobian|", linear(np.abs(1 - determinant), places), truth.error, False))
+            rows.append(row(scene.name, "|1 - Jacobian|", linear(np.abs(1 - determinant), places), truth.error, False))
     if data is not None:
-        rows += registered_again(items, data)
+        rows += registered_again(scenes, data)
     return [Table("Baselines without a search", HEAD, tuple(rows))]
 
 
-def registered_again(items: list[VolumePairItem], data: Path) -> list[tuple[str, ...]]:
+def registered_again(scenes: list[VolumePairScene], data: Path) -> list[tuple[str, ...]]:
     """Inverse consistency and the variance over five registrations, for pairs of kind a."""
     from dataclasses import replace
 
     from scripts.register_pairs import EARLY, pairs, register
 
     rows = []
-    wanted = {item.name.removesuffix("_a"): item for item in items if item.name.endswith("_a")}
+    wanted = {scene.name.removesuffix("_a"): scene for scene in scenes if scene.name.endswith("_a")}
     for pair in pairs(data):
         if pair.name not in wanted:
             continue
@@ -226,13 +226,13 @@ def registered_again(items: list[VolumePairItem], data: Path) -> list[tuple[str,
     return rows
 
 
-def forest(items: list[VolumePairItem]) -> list[Table]:
+def forest(scenes: list[VolumePairScene]) -> list[Table]:
     """Forests that have not seen a pair, and that have not seen its set: lung, dataset18, dataset19."""
     from depthcli.methods.registration.forest import predict, train
     from scripts.registration_forest import columns, joined
 
     method = config("self")
-    known = {item.name: columns(item, method) for item in items}
+    known = {scene.name: columns(scene, method) for scene in scenes}
     rows = []
     for left_out, depth in (("pair", -1), ("set", 1)):
         for name, (table, true) in known.items():
@@ -244,10 +244,10 @@ def forest(items: list[VolumePairItem]) -> list[Table]:
     return [Table("Random forest on landmarks of other pairs", HEAD, tuple(rows))]
 
 
-def shifts(items: list[VolumePairItem]) -> list[Table]:
+def shifts(scenes: list[VolumePairScene]) -> list[Table]:
     rows = []
-    for item in [item for item in items if item.name.startswith(("lung_a", "dataset19_cyc_1_6_a"))]:
-        pair = item.load().pair
+    for scene in [scene for scene in scenes if scene.name.startswith(("lung_a", "dataset19_cyc_1_6_a"))]:
+        pair = scene.load().pair
         method = config("mind")
         shape, step, start = method.grid(pair.shape, pair.spacing)
         cubes = resample(np.maximum(pair.fixed, -1000), shape, step, start)
@@ -261,7 +261,7 @@ def shifts(items: list[VolumePairItem]) -> list[Table]:
             chosen = inside[::2, ::2, ::2]
             confidence, error = (float(v[chosen].mean()) for v in (result.certainty, result.expected_error))
             sure = 100 * float((result.certainty[chosen] > 0.95).mean())
-            rows.append((item.name, str(shift), f"{confidence:.3f}", f"{sure:.1f} %", number(error)))
+            rows.append((scene.name, str(shift), f"{confidence:.3f}", f"{sure:.1f} %", number(error)))
     head = ("pair", "shift", "mean confidence", "above .95", "expected")
     return [Table("Whole shifts, in voxels, inside the mask", head, tuple(rows))]
 
@@ -299,16 +299,16 @@ def main() -> int:
     parser.add_argument("--pairs", nargs="+", default=["*"])
     parser.add_argument("--data", type=Path, help="with it, baselines register again")
     options = parser.parse_args()
-    found = find_items(options.folder, (VolumePairItem,), None, tuple(options.pairs))
-    items = [item for item in found if isinstance(item, VolumePairItem) and item.has_truth]
+    found = discover_scenes(options.folder, (VolumePairScene,), None, tuple(options.pairs))
+    scenes = [scene for scene in found if isinstance(scene, VolumePairScene) and scene.has_truth]
     makers: dict[str, Callable[[], list[Table]]] = {
-        "real": lambda: real(items, options.presets),
-        "synthetic": lambda: synthetic(items, options.presets),
-        "search": lambda: varied(items, "Fast searches", [(), ("search=planes",), ("search=axes", "sharpness=2")]),
-        "parameters": lambda: parameters(items),
-        "baselines": lambda: baselines(items, options.data),
-        "forest": lambda: forest(items),
-        "shifts": lambda: shifts(items),
+        "real": lambda: real(scenes, options.presets),
+        "synthetic": lambda: synthetic(scenes, options.presets),
+        "search": lambda: varied(scenes, "Fast searches", [(), ("search=planes",), ("search=axes", "sharpness=2")]),
+        "parameters": lambda: parameters(scenes),
+        "baselines": lambda: baselines(scenes, options.data),
+        "forest": lambda: forest(scenes),
+        "shifts": lambda: shifts(scenes),
         "speed": speed,
     }
     for part in options.only:

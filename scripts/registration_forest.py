@@ -28,8 +28,8 @@ from depthcli.core.config_file import load_config
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.data.formats.forests import write_forest
 from depthcli.data.formats.volumes import linear
-from depthcli.data.scenes.volume_pair import VolumePairItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.volume_pair import VolumePairScene
+from depthcli.data.walk import discover_scenes
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.forest import train
 
@@ -38,9 +38,9 @@ VOXELS = 2000
 Columns = tuple[dict[str, NDArray[np.float32]], NDArray[np.float32]]
 
 
-def columns(item: VolumePairItem, config: RegisterConfidenceConfig, seed: int = 0) -> Columns:
+def columns(scene: VolumePairScene, config: RegisterConfidenceConfig, seed: int = 0) -> Columns:
     """Measures and true errors (mm) at the landmarks of a pair, or at random voxels of its dense truth."""
-    loaded, truth = item.load(config.field, config.max_voxels), item.truth(config.field)
+    loaded, truth = scene.load(config.field, config.max_voxels), scene.truth(config.field)
     maps, step, start = config.evidence(loaded.pair)
     if truth.error.ndim == 1:
         places, error = loaded.grid.to_index(truth.points), truth.error
@@ -76,18 +76,18 @@ def main() -> int:
         config = load_config(
             RegisterConfidenceConfig, find_config("register-confidence", options.config), options.settings
         )
-        found = find_items(options.folder, (VolumePairItem,), None, tuple(options.pairs))
-        items = [item for item in found if isinstance(item, VolumePairItem) and item.has_truth]
-        if not items:
+        found = discover_scenes(options.folder, (VolumePairScene,), None, tuple(options.pairs))
+        scenes = [scene for scene in found if isinstance(scene, VolumePairScene) and scene.has_truth]
+        if not scenes:
             raise InputError(f"{options.folder}: no pair with true errors")
-        table, error = joined([columns(item, config, options.seed) for item in items])
-        names = [item.name for item in items]
+        table, error = joined([columns(scene, config, options.seed) for scene in scenes])
+        names = [scene.name for scene in scenes]
         forest = train(table, error, config.settings, names, options.seed, options.jobs)
         write_forest(options.output, forest)
     except DepthcliError as problem:
         print(f"registration_forest: {problem}", file=sys.stderr)
         return 3
-    print(f"{options.output}: {len(error)} points of {len(items)} pairs, {len(forest.feature)} nodes")
+    print(f"{options.output}: {len(error)} points of {len(scenes)} pairs, {len(forest.feature)} nodes")
     return 0
 
 

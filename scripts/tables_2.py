@@ -20,7 +20,7 @@ from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.data.generated.stereo_scenes import make_scene
-from depthcli.data.walk import find_items
+from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
 from depthcli.evaluation.report import Table, number
 from depthcli.evaluation.scores import bad_rate
@@ -57,7 +57,7 @@ def preset(name: str) -> StereoPipeline:
 
 def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
     """The twelve figures: nonocc, all, disc of every scene."""
-    by_name = {item.name.rpartition("/")[2]: item for item in find_items(data)}
+    by_name = {item.name.rpartition("/")[2]: item for item in discover_scenes(data)}
     figures: list[float] = []
     for name in SCENES:
         scene = by_name[name]

@@ -36,7 +36,7 @@ from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.data.generated.stereo_scenes import KINDS, Radiometry, make_scene
-from depthcli.data.walk import find_items
+from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.masks import derive_masks
 from depthcli.methods.fusion.choice import Chooser, Chosen, Proposals
@@ -83,14 +83,14 @@ def scenes(data: Path) -> Iterator[Scene]:
                         f"{name}_{seed}", seed // 2 % 2, 0.3, 20, generated(how["kind"], seed, how["wall_contrast"])
                     )
             continue
-        for item in find_items(data / folder, patterns=names):
+        for scene in discover_scenes(data / folder, patterns=names):
             half = 1 - half
             for variant, weight in VARIANTS.items():
-                if variant != "mirrored" or item.truth().right is not None:
-                    name, part = f"{folder}_{item.name}_{variant}", 20 if variant else 10
-                    yield Scene(name, half, weight, part, real(item, variant))
-    for item in find_items(data / "middlebury_half", patterns=["Cloth3", "Reindeer"]):
-        yield Scene(f"half_{item.name}", 1, 0.7, 20, real(item, ""))
+                if variant != "mirrored" or scene.truth().right is not None:
+                    name, part = f"{folder}_{scene.name}_{variant}", 20 if variant else 10
+                    yield Scene(name, half, weight, part, real(scene, variant))
+    for scene in discover_scenes(data / "middlebury_half", patterns=["Cloth3", "Reindeer"]):
+        yield Scene(f"half_{scene.name}", 1, 0.7, 20, real(scene, ""))
     for k, kind in enumerate(KINDS):
         for look, (contrast, noise, light) in enumerate(LOOKS):
             seed = 200 + len(LOOKS) * k + look
@@ -99,19 +99,19 @@ def scenes(data: Path) -> Iterator[Scene]:
                 yield Scene(f"{kind}_{seed + more}", seed % 2, GENERATED, 20, load)
 
 
-def real(item: Any, variant: str) -> Callable[[], Any]:
+def real(scene: Any, variant: str) -> Callable[[], Any]:
     def load() -> tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]:
-        pair, truth = item.load(), protocols.load("middlebury_v2")().truth(item)
+        pair, truth = scene.load(), protocols.load("middlebury_v2")().truth(scene)
         disparity, masks = truth.disparity, dict(truth.masks)
         if variant == "mirrored":
-            stored = item.truth()
+            stored = scene.truth()
             disparity, other = (np.ascontiguousarray(one[:, ::-1]) for one in (stored.right, stored.disparity))
             masks = derive_masks(disparity, other)
             left, right = (np.ascontiguousarray(one[:, ::-1]) for one in pair.color8)
             pair = StereoPair(right, left)
         if variant == "lit":
-            pair = lit(pair, zlib.crc32(f"{item.name} {variant}".encode()))
-        return pair, item.max_disparity, disparity, masks
+            pair = lit(pair, zlib.crc32(f"{scene.name} {variant}".encode()))
+        return pair, scene.max_disparity, disparity, masks
 
     return load
 

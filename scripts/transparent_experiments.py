@@ -35,9 +35,9 @@ from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
 from depthcli.core.result import Clock
 from depthcli.data.generated.sparse_depth import sparse_samples
 from depthcli.data.generated.transparent_scenes import glass_of_pair
-from depthcli.data.scenes.rgbd import RgbdItem
-from depthcli.data.scenes.stereo import StereoItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.rgbd import RgbdScene
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.transparent.channels import GREY, learned_weights, mixed
@@ -57,7 +57,7 @@ Map = NDArray[np.float32]
 Scene = tuple[NDArray[np.uint8], Map, Map, NDArray[np.bool_]]
 
 
-def halved(item: RgbdItem) -> Scene:
+def halved(item: RgbdScene) -> Scene:
     """Color, sensor, truth and mask at half size."""
     frame, truth = item.load(), item.truth()
     height, width = frame.shape
@@ -88,7 +88,7 @@ def measures(found: Map, scene: Scene) -> dict[str, float]:
 
 def accuracy(folder: Path, presets: list[str]) -> None:
     """Print a line a preset and kind of samples: the mean over the scenes, then MAE by scene."""
-    items = [item for item in find_items(folder, (RgbdItem,)) if isinstance(item, RgbdItem)]
+    items = [item for item in discover_scenes(folder, (RgbdScene,)) if isinstance(item, RgbdScene)]
     scenes = {item.name: halved(item) for item in items}
     for preset in presets:
         config = load_config(TransparentConfig, find_config("transparent", preset), [])
@@ -113,8 +113,8 @@ def cross_modal(folders: list[Path]) -> None:
     stereo = configs["kinect"].stereo
     assert stereo is not None
     rows = []
-    for item in (item for folder in folders for item in find_items(folder, (StereoItem,))):
-        if not isinstance(item, StereoItem) or item.right is None or not item.has_truth:
+    for item in (item for folder in folders for item in discover_scenes(folder, (StereoScene,))):
+        if not isinstance(item, StereoScene) or item.right is None or not item.has_truth:
             continue
         pair, truth = item.load(), item.truth()
         scene = glass_of_pair(pair.left, pair.right, truth.disparity)

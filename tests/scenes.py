@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
-from depthcli.data.scenes.stereo import StereoItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -34,11 +34,11 @@ def real_scenes(folder: str = V2, protocol: str = "middlebury_v2") -> dict[str, 
         pytest.skip(f"{folder} is not in ../shared/data")
     judge = protocols.load(protocol)()
     found = {}
-    for item in find_items(DATA / folder, (StereoItem,)):
-        assert isinstance(item, StereoItem)
-        if item.right is not None:
-            assert item.max_disparity is not None
-            found[item.name] = RealScene(item.load(), judge.truth(item), item.max_disparity)
+    for scene in discover_scenes(DATA / folder, (StereoScene,)):
+        assert isinstance(scene, StereoScene)
+        if scene.right is not None:
+            assert scene.max_disparity is not None
+            found[scene.name] = RealScene(scene.load(), judge.truth(scene), scene.max_disparity)
     return found
 
 

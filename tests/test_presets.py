@@ -42,7 +42,7 @@ QUICK = {"register-confidence": ["--set", "max_voxels=40000"]}
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Folder of small items for a command, made once."""
+    """Folder of small scenes for a command, made once."""
     folders: dict[str, Path] = {}
 
     def make(command: str) -> Path:

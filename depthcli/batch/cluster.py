@@ -1,6 +1,6 @@
-"""Items on the workers of a dask.distributed cluster: the same rows and files as by worker processes here.
+"""Scenes on the workers of a dask.distributed cluster: the same rows and files as by worker processes here.
 
-The workers see the same file system at the same places. Small items go out in chunks of some seconds. An item whose
+The workers see the same file system at the same places. Small scenes go out in chunks of some seconds. An scene whose
 worker dies is done by another one; where the scheduler is lost, the run ends with its report and can be resumed.
 """
 
@@ -29,11 +29,11 @@ from depthcli.core.errors import ConfigError, IncompleteError
 if TYPE_CHECKING:
     from depthcli.batch.runner import Options
 
-_CHUNK = 5.0  # seconds that a chunk of small items shall take
-_LARGEST = 500  # items of a chunk
+_CHUNK = 5.0  # seconds that a chunk of small scenes shall take
+_LARGEST = 500  # scenes of a chunk
 _AHEAD = 2  # chunks that every worker has or waits for
 _PAUSE = 0.05
-_GOES_ON = "goes-on"  # a file beside the items that are made; where it has gone, the run has ended, and workers stop
+_GOES_ON = "goes-on"  # a file beside the scenes that are made; where it has gone, the run has ended, and workers stop
 _PATIENCE = "20s"  # for the scheduler to answer
 
 _one_at_a_time = threading.Lock()  # threads of one worker share kernels and buffers
@@ -100,8 +100,8 @@ class _Cluster:
     def __init__(self, client: Any, work: Work, config: Any, options: Options) -> None:
         self.client, self.work, self.config, self.options = client, work, config, options
         self.running: dict[Any, list[Task]] = {}
-        self.alone: set[str] = set()  # items whose chunk was lost with its worker again and again
-        self.each: float | None = None  # seconds of an item
+        self.alone: set[str] = set()  # scenes whose chunk was lost with its worker again and again
+        self.each: float | None = None  # seconds of an scene
         self.workers, self.counted = 1, 0.0
 
     def check(self, output: Path, reporter: Reporter) -> None:
@@ -130,7 +130,7 @@ class _Cluster:
         return len(self.running) < _AHEAD * self.workers
 
     def chunk(self, left: int) -> int:
-        """Items of the next chunk: some seconds, and no more than leaves work for the others."""
+        """Scenes of the next chunk: some seconds, and no more than leaves work for the others."""
         size = 1 if self.each is None else int(_CHUNK / max(self.each, 1e-3))
         return max(1, min(size, _LARGEST, left // (_AHEAD * self.workers)))
 
@@ -141,7 +141,7 @@ class _Cluster:
         self.running[future] = chunk
 
     def finished(self, reporter: Reporter) -> Iterator[tuple[tuple[list[dict[str, Any]], int, float], list[Task]]]:
-        """(rows, kernels compiled, seconds of that) of every chunk that came back, and its items to do again."""
+        """(rows, kernels compiled, seconds of that) of every chunk that came back, and its scenes to do again."""
         for future in [future for future in self.running if future.done()]:
             chunk = self.running.pop(future)
             if future.status == "finished":
@@ -154,7 +154,7 @@ class _Cluster:
                     why = f"{chunk[0].work}: a worker does not see it; is the file system shared?"
                     found = ([failed_row(task, why) for task in chunk], kernels, seconds)
                 names = {row["scene"] for row in found[0]}
-                yield found, [task for task in chunk if task.item.name not in names]
+                yield found, [task for task in chunk if task.scene.name not in names]
                 continue
             if future.status != "error":  # cancelled, or lost with the scheduler
                 self.running[future] = chunk
@@ -199,7 +199,7 @@ def _about(output: str) -> tuple[str, str]:
 def _do(
     chunk: list[Task], work: Work, config: Any, threads: int | None, limit: int | None, place: str
 ) -> tuple[list[dict[str, Any]], int, float]:
-    """On a worker: the rows of a chunk's items, kernels compiled, and how long that took."""
+    """On a worker: the rows of a chunk's scenes, kernels compiled, and how long that took."""
     from distributed import get_worker
 
     mine = f"{platform.node()}-{os.getpid()}"

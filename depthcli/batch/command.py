@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from depthcli.batch.reporter import Reporter
 
 SOME_FAILED = 3
-"""Exit code of a command that finished, though not for every item."""
+"""Exit code of a command that finished, though not for every scene."""
 
 
 class Command(ABC):

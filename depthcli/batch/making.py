@@ -1,4 +1,4 @@
-"""One item, from its files to its folder: computed in a hidden place, moved into its own with its record last."""
+"""One scene, from its files to its folder: computed in a hidden place, moved into its own with its record last."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from typing import Any, Protocol
 from depthcli.batch import record, resources
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 BUG = "a bug in depthcli: "
-"""How the reason of an item begins that failed by our fault."""
+"""How the reason of an scene begins that failed by our fault."""
 
 
 @dataclass
 class Outcome:
-    """What one item gave, beside its files.
+    """What one scene gave, beside its files.
 
     Attributes
     ----------
@@ -38,40 +38,40 @@ class Outcome:
 
 
 class Work(Protocol):
-    """What a command does with its items; picklable, for worker processes."""
+    """What a command does with its scenes; picklable, for worker processes."""
 
     @property
     def name(self) -> str: ...
 
-    def compute(self, config: Any, item: Any, folder: Path, memory: int, /) -> Outcome:
-        """Compute ``item`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
+    def compute(self, config: Any, scene: Any, folder: Path, memory: int, /) -> Outcome:
+        """Compute ``scene`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
 
-    def files(self, config: Any, item: Any, /) -> dict[str, Path]:
+    def files(self, config: Any, scene: Any, /) -> dict[str, Path]:
         """Role -> file whose content the result depends on."""
 
-    def settings(self, config: Any, item: Any, /) -> dict[str, str]:
+    def settings(self, config: Any, scene: Any, /) -> dict[str, str]:
         """What else the result depends on, beside the config."""
 
-    def effort(self, config: Any, item: Any, /) -> int | None:
+    def effort(self, config: Any, scene: Any, /) -> int | None:
         """About how much work it is, in any unit; None: it follows the size of its files."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One item to compute.
+    """One scene to compute.
 
     Attributes
     ----------
-    item : what
-    output, work : the run folder, and where in it items are made
-    number : of the item in this call
+    scene : what
+    output, work : the run folder, and where in it scenes are made
+    number : of the scene in this call
     run : identity of the run
     inputs : role -> digest of what the result depends on
     source : where the inputs are, for the report
     keep : patterns of the files that stay
     """
 
-    item: Item
+    scene: Scene
     output: Path
     work: Path
     number: int
@@ -83,7 +83,7 @@ class Task:
     @property
     def target(self) -> Path:
         """The item's folder."""
-        return self.output / self.item.name
+        return self.output / self.scene.name
 
     @property
     def hidden(self) -> Path:
@@ -93,23 +93,23 @@ class Task:
     @property
     def trace(self) -> Path:
         """Where the traceback of a bug goes."""
-        return self.output / f"traceback-{self.item.name.replace('/', '_')}.txt"
+        return self.output / f"traceback-{self.scene.name.replace('/', '_')}.txt"
 
 
 def run_one(task: Task, work: Work, config: Any, limit: int) -> dict[str, Any]:
-    """One item from its files to its folder; whatever goes wrong is the row's reason."""
+    """One scene from its files to its folder; whatever goes wrong is the row's reason."""
     resources.reset_peak()
     row: dict[str, Any]
     mine, lost = None, False
     try:
-        task.item.check()
+        task.scene.check()
         task.hidden.mkdir(parents=True)
         mine = os.open(task.hidden, os.O_RDONLY)  # open, so that no other folder gets its number
-        outcome = work.compute(config, task.item, task.hidden, limit)
+        outcome = work.compute(config, task.scene, task.hidden, limit)
         _leave(task)
         _install(task, outcome, mine)
         seconds = {name: round(value, 6) for name, value in outcome.seconds.items()}
-        row = {"scene": task.item.name, "status": "done", "error": "", **outcome.facts, "seconds": seconds}
+        row = {"scene": task.scene.name, "status": "done", "error": "", **outcome.facts, "seconds": seconds}
         row |= {"peak_memory": resources.peak_memory(), "source": task.source, "warnings": outcome.warnings}
     except MemoryError:
         row = failed_row(task, "out of memory; see --max-memory")
@@ -124,7 +124,7 @@ def run_one(task: Task, work: Work, config: Any, limit: int) -> dict[str, Any]:
         row = failed_row(task, f"{BUG}{what}; the traceback is in {task.trace.name}, please report it")
     finally:
         memory.release()
-        # Of a run that has ended while its item was made: another one may have the item by now.
+        # Of a run that has ended while its scene was made: another one may have the scene by now.
         lost = mine is not None and not _is_open(task.hidden, mine)
         if mine is not None:
             os.close(mine)
@@ -147,7 +147,7 @@ def _leave(task: Task) -> None:
 
 
 def discard(folder: Path) -> None:
-    """Delete a folder in which items are made; who still writes there finds it gone as a whole, not file by file."""
+    """Delete a folder in which scenes are made; who still writes there finds it gone as a whole, not file by file."""
     away = folder.with_name(f"{folder.name}-{time.time_ns()}")
     try:
         folder.rename(away)
@@ -164,13 +164,13 @@ def _is_open(folder: Path, opened: int) -> bool:
 
 
 def _install(task: Task, outcome: Outcome, mine: int) -> None:
-    """Move a finished item into place, its record last; ``mine`` is the open folder that it was made in."""
+    """Move a finished scene into place, its record last; ``mine`` is the open folder that it was made in."""
     try:
         made = sorted(path for path in task.hidden.rglob("*") if path.is_file())
         files = {path.relative_to(task.hidden).as_posix(): record.file_digest(path) for path in made}
         if not _is_open(task.hidden, mine):
             raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
-        known = {"scene": task.item.name, "run": task.run, "inputs": task.inputs, "files": files}
+        known = {"scene": task.scene.name, "run": task.run, "inputs": task.inputs, "files": files}
         record.write_record(task.hidden, {**known, "facts": outcome.facts})
         before = record.read_record(task.target)
         if before is not None:
@@ -201,8 +201,8 @@ def remove(target: Path, known: dict[str, Any]) -> None:
 
 
 def failed_row(task: Task, error: str) -> dict[str, Any]:
-    """The row of an item that gave nothing."""
+    """The row of an scene that gave nothing."""
     return {
-        "scene": task.item.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None,
+        "scene": task.scene.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None,
         "source": task.source,
     }  # fmt: skip

@@ -16,7 +16,7 @@ from depthcli.batch.tables import aligned
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import InputError
 from depthcli.data.formats.headers import image_size
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
@@ -24,12 +24,12 @@ DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 def plan(
     work: Work,
     config: BaseModel | Mapping[str, Any],
-    items: Sequence[Item],
+    scenes: Sequence[Scene],
     output: Path,
     memory: Callable[[Any, Any], int | None],
     options: Options,
 ) -> dict[str, Any]:
-    """What :func:`~depthcli.batch.runner.run_items` would do with the same arguments; nothing is written.
+    """What :func:`~depthcli.batch.runner.run_scenes` would do with the same arguments; nothing is written.
 
     Parameters
     ----------
@@ -37,21 +37,21 @@ def plan(
 
     Returns
     -------
-    ``config``, ``refused`` (why the folder would be refused, or empty) and ``scenes``: a row an item
+    ``config``, ``refused`` (why the folder would be refused, or empty) and ``scenes``: a row an scene
     """
     text = record.run_text(work.name, config)
     run = record.digest(text.encode())
     other = record.holds_another(output, text)
     look = Inspector(work, config, output, run, options.keep)
     rows = []
-    own = items if options.shard is None else options.shard.of(items, lambda item: work.effort(config, item))
-    for item in own:
-        row: dict[str, Any] = {"scene": item.name, "status": BROKEN, "memory": None, "problem": item.problem}
-        if not item.problem:
-            task = Task(item, output, output, 0, run, *look.inputs(item))
+    own = scenes if options.shard is None else options.shard.of(scenes, lambda scene: work.effort(config, scene))
+    for scene in own:
+        row: dict[str, Any] = {"scene": scene.name, "status": BROKEN, "memory": None, "problem": scene.problem}
+        if not scene.problem:
+            task = Task(scene, output, output, 0, run, *look.inputs(scene))
             row["status"] = TO_DO if look.finished(task, {})[0] is None else DONE
             try:
-                row["memory"] = memory(config, item)
+                row["memory"] = memory(config, scene)
             except InputError as error:
                 row |= {"status": BROKEN, "problem": str(error)}
         rows.append(row)

@@ -111,22 +111,22 @@ def _lines(model: BaseModel, depth: int, flat: str, gap: tuple[str, ...] = ()) -
 
 def _value(name: str, value: object, depth: int) -> Iterator[str]:
     pad = "  " * depth
-    items = list(value) if isinstance(value, list | tuple) else []
+    scenes = list(value) if isinstance(value, list | tuple) else []
     if isinstance(value, BaseModel):
         yield f"{pad}{name}:"
         yield from _model(value, depth + 1)
-    elif items and any(isinstance(item, BaseModel) for item in items):
+    elif scenes and any(isinstance(scene, BaseModel) for scene in scenes):
         yield f"{pad}{name}:"
-        for item in items:
-            block = list(_model(item, 0)) if isinstance(item, BaseModel) else [str(item)]
+        for scene in scenes:
+            block = list(_model(scene, 0)) if isinstance(scene, BaseModel) else [str(scene)]
             mark = "- "
             for line in block:
-                # A comment stands before the dash, so that the item starts with its first key.
+                # A comment stands before the dash, so that the scene starts with its first key.
                 comment = line.lstrip().startswith("#") and mark == "- "
                 yield f"{pad}{line}" if comment else f"{pad}{mark}{line}"
                 mark = mark if comment else "  "
     else:
-        dumped = [item.model_dump(mode="json") if isinstance(item, BaseModel) else item for item in items]
+        dumped = [scene.model_dump(mode="json") if isinstance(scene, BaseModel) else scene for scene in scenes]
         plain = dumped if isinstance(value, list | tuple) else value
         for line in to_yaml({name: plain}).splitlines():
             yield pad + line

@@ -1,4 +1,4 @@
-"""What a run folder says about itself: ``run.yaml``, ``report.json``, ``report.csv``, and a record an item.
+"""What a run folder says about itself: ``run.yaml``, ``report.json``, ``report.csv``, and a record an scene.
 
 Everything in a run folder is the same, byte by byte, whether the run was disturbed or not, on any
 number of threads; only ``report.json`` and ``report.csv`` differ from run to run, by the measured
@@ -86,7 +86,7 @@ def file_digest(path: Path) -> str:
 def open_run(folder: Path, text: str, overwrite: bool) -> str:
     """Make ``folder`` the run that ``text`` describes; return the run's identity.
 
-    A folder in which no item was finished yet may change its mind.
+    A folder in which no scene was finished yet may change its mind.
 
     Raises
     ------

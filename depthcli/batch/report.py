@@ -13,19 +13,19 @@ from typing import Any
 from depthcli.batch import record
 from depthcli.batch.sharing import FolderLock, Shard
 from depthcli.core.errors import OutputError
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 
 class ReportWriter:
-    """Keeps the report on disk current without writing it after each of a thousand items.
+    """Keeps the report on disk current without writing it after each of a thousand scenes.
 
     Parameters
     ----------
     output, command : the run folder and who writes it
     run : identity of the run
     rows : scene -> row; grows
-    items : of this call, in order
-    others : rows of items of the same run that this call does not concern
+    scenes : of this call, in order
+    others : rows of scenes of the same run that this call does not concern
     shard : the part of a shared run, which is written beside those of the others; None for the whole
 
     Attributes
@@ -39,12 +39,12 @@ class ReportWriter:
         command: str,
         run: str,
         rows: dict[str, dict[str, Any]],
-        items: Sequence[Item],
+        scenes: Sequence[Scene],
         others: list[dict[str, Any]],
         shard: Shard | None,
     ) -> None:
         self.output, self.command, self.run, self.rows, self.others = output, command, run, rows, others
-        self.order = [item.name for item in items]
+        self.order = [scene.name for scene in scenes]
         self.shard = shard
         self.written = 0.0
         self.pause = 1.0
@@ -64,7 +64,7 @@ class ReportWriter:
                 part = self.output / record.PARTS_FOLDER / f"{self.shard}.json"
                 record.write_rows(part, rows, {"command": self.command, "run": self.run}, {})
             self.problem = ""
-        except OutputError as error:  # the items go on, and say themselves what they cannot write
+        except OutputError as error:  # the scenes go on, and say themselves what they cannot write
             self.problem = str(error)
         self.written = time.monotonic()
         self.pause = max(1.0, 20 * (self.written - start))  # a long report is not most of the work
@@ -110,7 +110,7 @@ def joined_rows(output: Path, run: str, names: Iterable[str] = ()) -> list[dict[
 
 
 def row_of(known: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:
-    """The row of a finished item: what its record says, with what was measured once."""
+    """The row of a finished scene: what its record says, with what was measured once."""
     return {
         "scene": known.get("scene"),
         "status": "done",

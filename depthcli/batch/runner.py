@@ -1,6 +1,6 @@
 """The loop of every batch command: resume, isolate failures, show progress, spread over processes.
 
-An item is computed into a hidden folder beside the others and then moved into place with its record
+An scene is computed into a hidden folder beside the others and then moved into place with its record
 written last, so that a run can be killed at any moment and started again: what has a record that
 matches the config and the inputs is kept, anything else is made anew.
 """
@@ -25,10 +25,10 @@ from depthcli.batch.report import ReportWriter, row_of
 from depthcli.batch.reporter import Reporter
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock, Shard
 from depthcli.core.errors import ConfigError, IncompleteError
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 _HIDDEN = ".partial-"
-_REMEMBERED = 16  # digests of files that several items share
+_REMEMBERED = 16  # digests of files that several scenes share
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class Options:
     threads : threads of each; None shares the cores out
     max_memory : bytes all of them together may use; None = what is available
     overwrite : replace what an earlier run with another config or from other inputs left
-    shard : the part of the items that this process does, beside others in the same folder; None: all, alone
-    fail_fast : stop at the first item that fails
-    keep : shell patterns of the files that stay of an item; none: all
+    shard : the part of the scenes that this process does, beside others in the same folder; None: all, alone
+    fail_fast : stop at the first scene that fails
+    keep : shell patterns of the files that stay of an scene; none: all
     scheduler : of a dask.distributed cluster whose workers compute; None: this machine does
     """
 
@@ -65,21 +65,21 @@ class Options:
         return (self.max_memory or resources.available_memory()) // self.jobs
 
 
-def run_items(
-    work: Work, config: Any, items: Sequence[Item], output: Path, options: Options, reporter: Reporter
+def run_scenes(
+    work: Work, config: Any, scenes: Sequence[Scene], output: Path, options: Options, reporter: Reporter
 ) -> list[dict[str, Any]]:
-    """Run ``work`` on every item that is not done yet; write the run folder.
+    """Run ``work`` on every scene that is not done yet; write the run folder.
 
     Parameters
     ----------
     work : what to do with each
     config : together with the command's name and the versions it is the identity of the run folder
-    items : what to run on, names unique
+    scenes : what to run on, names unique
     output : the run folder
 
     Returns
     -------
-    One row an item of this call (of its shard; up to the first failure with ``fail_fast``), in order: ``scene``,
+    One row an scene of this call (of its shard; up to the first failure with ``fail_fast``), in order: ``scene``,
     ``status`` (done or failed), ``error``, facts, ``seconds`` by stage, ``peak_memory`` in bytes, ``source``.
 
     Raises
@@ -92,7 +92,7 @@ def run_items(
     IncompleteError
         Everything was computed, but the report cannot be written; or the scheduler was lost.
     """
-    own = list(items) if options.shard is None else options.shard.of(items, lambda item: work.effort(config, item))
+    own = list(scenes) if options.shard is None else options.shard.of(scenes, lambda scene: work.effort(config, scene))
     _check_names(work, config, own, output)
     text = record.run_text(work.name, config)
     with FolderLock(output, options.shard is not None, reporter.info) as lock:
@@ -101,25 +101,25 @@ def run_items(
             record.open_run(output, text, options.overwrite)
             _clean(output)
             if options.overwrite:
-                _drop_others(output, record.digest(text.encode()), earlier, {item.name for item in items})
+                _drop_others(output, record.digest(text.encode()), earlier, {scene.name for scene in scenes})
         lock.settle()
         run = record.join_run(output, text)
         making = output / f"{_HIDDEN}{re.sub(r'[^A-Za-z0-9-]', '_', platform.node())}-{os.getpid()}"
         rows: dict[str, dict[str, Any]] = {}
         tasks = []
         look = Inspector(work, config, output, run, options.keep)
-        for number, item in enumerate(own):
-            inputs, source = look.inputs(item)
-            task = Task(item, output, making, number, run, inputs, source, options.keep)
-            before = earlier.pop(item.name, {})
+        for number, scene in enumerate(own):
+            inputs, source = look.inputs(scene)
+            task = Task(scene, output, making, number, run, inputs, source, options.keep)
+            before = earlier.pop(scene.name, {})
             row, known = look.finished(task, before)
             if row is not None:
-                rows[item.name] = _with_common_keys(row)
+                rows[scene.name] = _with_common_keys(row)
                 continue
             origin = before.get("source")
             if known is not None and known.get("run") == run and origin and origin != source and not options.overwrite:
                 raise ConfigError(
-                    f"{output}: holds the result of another {item.name!r}, made from {origin}; this one is "
+                    f"{output}: holds the result of another {scene.name!r}, made from {origin}; this one is "
                     f"{source}; choose another --output or --name, or --overwrite it"
                 )
             tasks.append(task)
@@ -133,13 +133,13 @@ def run_items(
 
         def claim(task: Task) -> bool:
             """Nobody else makes it, or has made it since."""
-            if lock.claim(task.item.name):
+            if lock.claim(task.scene.name):
                 row = None if options.shard is None else look.finished(task, {})[0]
                 if row is None:
                     begun.append(task)
                     return True
-                rows[task.item.name] = row
-                lock.release(task.item.name)
+                rows[task.scene.name] = row
+                lock.release(task.scene.name)
             else:
                 unclaimed.append(task)
             reporter.step()
@@ -164,12 +164,12 @@ def run_items(
                         break
         finally:
             for task in begun:  # a signal may come between an item's last file and its row
-                row = None if task.item.name in rows else look.finished(task, {})[0]
+                row = None if task.scene.name in rows else look.finished(task, {})[0]
                 if row is not None:
-                    rows[task.item.name] = _with_common_keys(row)
+                    rows[task.scene.name] = _with_common_keys(row)
             for task in tasks:
-                if task.item.name in rows:
-                    rows[task.item.name] = _still_there(task, rows[task.item.name])
+                if task.scene.name in rows:
+                    rows[task.scene.name] = _still_there(task, rows[task.scene.name])
             discard(making)
             writer.close(lock)
             if lock.alone:
@@ -178,7 +178,7 @@ def run_items(
             reporter.info(f"{len(unclaimed)} scenes are being computed by other processes")
     if writer.problem:
         raise IncompleteError(writer.problem)
-    return [rows[item.name] for item in own if item.name in rows]
+    return [rows[scene.name] for scene in own if scene.name in rows]
 
 
 def _with_common_keys(row: dict[str, Any]) -> dict[str, Any]:
@@ -187,35 +187,35 @@ def _with_common_keys(row: dict[str, Any]) -> dict[str, Any]:
 
 
 class Inspector:
-    """Which items of a run are done already; it reads only.
+    """Which scenes of a run are done already; it reads only.
 
     Parameters
     ----------
     work, config, output, run : of the run
-    keep : patterns of the files that stay of an item
+    keep : patterns of the files that stay of an scene
     """
 
     def __init__(self, work: Work, config: Any, output: Path, run: str, keep: tuple[str, ...]) -> None:
         self.work, self.config, self.output, self.run, self.keep = work, config, output, run, keep
         self._digests: dict[Path, str] = {}
 
-    def inputs(self, item: Item) -> tuple[dict[str, str], str]:
+    def inputs(self, scene: Scene) -> tuple[dict[str, str], str]:
         """What the result depends on, by role, and where it lies."""
-        files = {} if item.problem else self.work.files(self.config, item)
+        files = {} if scene.problem else self.work.files(self.config, scene)
         inputs = {role: self._digest(file) for role, file in files.items()}
-        inputs |= {} if item.problem else self.work.settings(self.config, item)
+        inputs |= {} if scene.problem else self.work.settings(self.config, scene)
         inputs |= {"keep": " ".join(self.keep)} if self.keep else {}
-        return inputs, str(next(iter(files.values()), item.folder).absolute())
+        return inputs, str(next(iter(files.values()), scene.folder).absolute())
 
     def finished(self, task: Task, measured: Mapping[str, Any]) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
-        """The row of an item that is done, and its record; None where it is not, or has none."""
+        """The row of an scene that is done, and its record; None where it is not, or has none."""
         known = record.read_record(task.target)
         if known is None or not record.is_done(task.target, self.run, task.inputs, known):
             return None, known
         return row_of(known, {**measured, "source": task.source}), known
 
     def _digest(self, file: Path) -> str:
-        """Of the last few files: calibrations and videos belong to many items."""
+        """Of the last few files: calibrations and videos belong to many scenes."""
         if file not in self._digests:
             if len(self._digests) >= _REMEMBERED:
                 self._digests.pop(next(iter(self._digests)))
@@ -230,14 +230,14 @@ def _still_there(task: Task, row: dict[str, Any]) -> dict[str, Any]:
     return row
 
 
-def _check_names(work: Work, config: Any, items: Sequence[Item], output: Path) -> None:
-    for item in items:
-        if any(not part or part.startswith(".") or "\0" in part for part in item.name.split("/")):
-            raise ConfigError(f"{item.name!r} is no name for a folder of results; give one with --name")
-        target = os.path.realpath(output / item.name)  # unlike resolve() it lives with loops of links
-        files = () if item.problem else work.files(config, item).values()
+def _check_names(work: Work, config: Any, scenes: Sequence[Scene], output: Path) -> None:
+    for scene in scenes:
+        if any(not part or part.startswith(".") or "\0" in part for part in scene.name.split("/")):
+            raise ConfigError(f"{scene.name!r} is no name for a folder of results; give one with --name")
+        target = os.path.realpath(output / scene.name)  # unlike resolve() it lives with loops of links
+        files = () if scene.problem else work.files(config, scene).values()
         if any(target == os.path.dirname(os.path.realpath(file)) for file in files):
-            raise ConfigError(f"{output}: {item.name} would be written over its own input; choose another --output")
+            raise ConfigError(f"{output}: {scene.name} would be written over its own input; choose another --output")
 
 
 def _measured(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -246,10 +246,10 @@ def _measured(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _other_rows(
-    output: Path, run: str, earlier: dict[str, dict[str, Any]], items: Sequence[Item]
+    output: Path, run: str, earlier: dict[str, dict[str, Any]], scenes: Sequence[Scene]
 ) -> list[dict[str, Any]]:
-    """Rows of items that this call does not concern but that belong to the same run."""
-    chosen = {item.name for item in items}
+    """Rows of scenes that this call does not concern but that belong to the same run."""
+    chosen = {scene.name for scene in scenes}
     rows = []
     for name, row in earlier.items():
         known = record.read_record(output / name) if name not in chosen and record.is_inside(name) else None
@@ -269,7 +269,7 @@ def _clean(output: Path) -> None:
 
 
 def _drop_others(output: Path, run: str, earlier: dict[str, dict[str, Any]], chosen: set[str]) -> None:
-    """Remove the items of the run that is replaced, which are those its report lists; other runs' stay."""
+    """Remove the scenes of the run that is replaced, which are those its report lists; other runs' stay."""
     for name in earlier:
         known = record.read_record(output / name) if name not in chosen and record.is_inside(name) else None
         if known is not None and known.get("run") != run:

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 
 from depthcli.core.errors import ConfigError, OutputError
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 LOCKS_FILE = ".locks"
 _PATIENCE = 60.0  # seconds that a process waits for another one to set the folder up
@@ -36,29 +36,29 @@ class Shard:
     def __str__(self) -> str:
         return f"{self.index}-of-{self.count}"
 
-    def of(self, items: Sequence[Item], effort: Callable[[Item], int | None] = lambda item: None) -> list[Item]:
-        """Its items: the same division in every process.
+    def of(self, scenes: Sequence[Scene], effort: Callable[[Scene], int | None] = lambda scene: None) -> list[Scene]:
+        """Its scenes: the same division in every process.
 
         Parameters
         ----------
-        effort : about how much an item takes, in any unit; where it is not known of one, the sizes of all items' files
+        effort : about how much an scene takes, in any unit; where it is not known of one, the sizes of all items' files
             are taken instead
         """
         parts = [(0, number) for number in range(1, self.count + 1)]
         mine = []
         efforts: list[int] = []
-        for item in items:
-            needs = 0 if item.problem else effort(item)
+        for scene in scenes:
+            needs = 0 if scene.problem else effort(scene)
             if needs is None:
-                efforts = [_bytes(item) for item in items]
+                efforts = [_bytes(scene) for scene in scenes]
                 break
             efforts.append(needs)
-        for size, item in sorted(zip(efforts, items, strict=True), key=lambda pair: (-pair[0], pair[1].name)):
+        for size, scene in sorted(zip(efforts, scenes, strict=True), key=lambda pair: (-pair[0], pair[1].name)):
             load, number = heapq.heappop(parts)
             if number == self.index:
-                mine.append(item)
+                mine.append(scene)
             heapq.heappush(parts, (load + size + 1, number))
-        return sorted(mine, key=lambda item: item.name)
+        return sorted(mine, key=lambda scene: scene.name)
 
 
 def parse_shard(text: str | None, environment: Mapping[str, str]) -> Shard | None:
@@ -85,9 +85,9 @@ def parse_shard(text: str | None, environment: Mapping[str, str]) -> Shard | Non
     return Shard(index, parts)
 
 
-def _bytes(item: Item) -> int:
+def _bytes(scene: Scene) -> int:
     total = 0
-    for file in {} if item.problem else item.input_files.values():
+    for file in {} if scene.problem else scene.input_files.values():
         with contextlib.suppress(OSError):
             total += os.stat(file).st_size
     return total

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from depthcli.kernels.jit import CompileWatch
 
 _HEAD_START = 1.0  # seconds the first worker may show that kernels have to be compiled
-_TRIES = 3  # an item whose worker dies is tried again: more often than not something else killed it
+_TRIES = 3  # an scene whose worker dies is tried again: more often than not something else killed it
 
 
 def use_threads(count: int) -> None:
@@ -76,7 +76,7 @@ def compute(
 ) -> Iterator[dict[str, Any]]:
     """Rows of the tasks, in the order in which they are finished.
 
-    The first item has a head start: where it shows that kernels must be compiled, the other workers
+    The first scene has a head start: where it shows that kernels must be compiled, the other workers
     wait for it, so that they find them compiled instead of doing the same work at the same time.
     """
     from depthcli.batch.making import failed_row
@@ -119,8 +119,8 @@ def compute(
                 try:
                     row, kernels, seconds = future.result()
                 except pebble.ProcessExpired as error:
-                    tries[task.item.name] = tries.get(task.item.name, 0) + 1
-                    if tries[task.item.name] < _TRIES:
+                    tries[task.scene.name] = tries.get(task.scene.name, 0) + 1
+                    if tries[task.scene.name] < _TRIES:
                         waiting.append(task)
                         continue
                     killed = error.exitcode == -signal.SIGKILL
@@ -153,7 +153,7 @@ def _interrupts_blocked() -> Iterator[None]:
 
 
 class _Here:
-    """What a worker process keeps between items."""
+    """What a worker process keeps between scenes."""
 
     work: Work
     config: Any

@@ -1,4 +1,4 @@
-"""What the commands that go through a folder item by item have in common."""
+"""What the commands that go through a folder scene by scene have in common."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from depthcli.batch.command import SOME_FAILED, Command
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -48,52 +48,53 @@ _HTML = Option("html", bool, "As --evaluate, with evaluation/report.html to look
 
 
 class BatchCommand(Command):
-    """Goes through items one by one, into a run folder."""
+    """Goes through scenes one by one, into a run folder."""
 
     @abstractmethod
-    def compute(self, config: Any, item: Any, folder: Path, memory: int) -> Outcome:
-        """Compute ``item`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
+    def compute(self, config: Any, scene: Any, folder: Path, memory: int) -> Outcome:
+        """Compute ``scene`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
 
     @abstractmethod
     def columns(self) -> tuple[Column, ...]:
         """Columns of the command's table."""
 
-    def files(self, config: Any, item: Any) -> dict[str, Path]:
+    def files(self, config: Any, scene: Any) -> dict[str, Path]:
         """Role -> file whose content the result depends on."""
-        files: dict[str, Path] = item.input_files
+        files: dict[str, Path] = scene.input_files
         return files
 
-    def settings(self, config: Any, item: Any) -> dict[str, str]:
+    def settings(self, config: Any, scene: Any) -> dict[str, str]:
         """What else the result depends on, beside the config: facts that the layout found."""
         return {}
 
-    def effort(self, config: Any, item: Any) -> int | None:
-        """About how much work an item is, in any unit, told quickly; None: it follows the size of its files."""
+    def effort(self, config: Any, scene: Any) -> int | None:
+        """About how much work an scene is, in any unit, told quickly; None: it follows the size of its files."""
         return None
 
-    def run_on(self, config: Any, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run_on(self, config: Any, scenes: list[Scene], values: Mapping[str, Any], reporter: Reporter) -> int:
         """The batch itself, its table and report; the exit code."""
         if values.get("dry_run"):
-            return self._say_plan(config, items, values, reporter)
+            return self._say_plan(config, scenes, values, reporter)
         from depthcli.batch import record
-        from depthcli.batch.runner import BUG, run_items
+        from depthcli.batch.runner import BUG, run_scenes
         from depthcli.batch.tables import run_table
 
         options = run_options(values)
         if values["list_scenes"]:
-            own = items if options.shard is None else options.shard.of(items, lambda item: self.effort(config, item))
-            names = [item.name for item in own]
+            shard = options.shard
+            own = scenes if shard is None else shard.of(scenes, lambda scene: self.effort(config, scene))
+            names = [scene.name for scene in own]
             if values["json"]:
                 reporter.data(record.to_json({"command": self.name, "scenes": names}))
             else:
                 reporter.data("".join(f"{name}\n" for name in names))
             return 0
         if options.shard is not None:
-            reporter.info(f"shard {options.shard} of {len(items)} scenes")
-        rows = run_items(self, config, items, values["output"], options, reporter)
+            reporter.info(f"shard {options.shard} of {len(scenes)} scenes")
+        rows = run_scenes(self, config, scenes, values["output"], options, reporter)
         self._write_legend(values["output"], rows)
         failed = [row for row in rows if row["status"] == "failed"]
-        evaluation = self._evaluation(items, values, reporter) if _evaluates(values) else None
+        evaluation = self._evaluation(scenes, values, reporter) if _evaluates(values) else None
         if values["json"]:
             document = record.report_document(self.name, rows)
             if evaluation is not None:
@@ -108,15 +109,15 @@ class BatchCommand(Command):
             return 1
         return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0
 
-    def memory_of(self, config: Any, item: Any) -> int | None:
-        """Estimate of the peak working memory of an item, bytes, from headers alone; None where there is none."""
+    def memory_of(self, config: Any, scene: Any) -> int | None:
+        """Estimate of the peak working memory of an scene, bytes, from headers alone; None where there is none."""
         return None
 
-    def _say_plan(self, config: Any, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> int:
+    def _say_plan(self, config: Any, scenes: list[Scene], values: Mapping[str, Any], reporter: Reporter) -> int:
         from depthcli.batch.plan import plan, plan_text
         from depthcli.batch.record import to_json
 
-        document = plan(self, config, items, values["output"], self.memory_of, run_options(values))
+        document = plan(self, config, scenes, values["output"], self.memory_of, run_options(values))
         reporter.data(to_json(document) if values["json"] else plan_text(document, config))
         return 0
 
@@ -135,25 +136,25 @@ class BatchCommand(Command):
         if palette is not None and any(row["status"] == "done" for row in rows):
             write_legend(output / "legend.png", palette, self.legend_values())
 
-    def _evaluation(self, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> Any:
+    def _evaluation(self, scenes: list[Scene], values: Mapping[str, Any], reporter: Reporter) -> Any:
         from depthcli.commands.evaluate import evaluate, new_page
 
-        if not any(item.has_truth for item in items):
+        if not any(scene.has_truth for scene in scenes):
             reporter.error(f"{values['input']}: no ground truth there, nothing to evaluate")
             return None
         output = values["output"]
         page = new_page(self, {"html_budget": "50MB", **values}, output / "evaluation") if values.get("html") else None
         return evaluate(
             [output], values["input"], output / "evaluation", values["scenes"] or ["*"], values["layout"],
-            reporter=reporter, kinds=tuple({type(item) for item in items}), page=page,
+            reporter=reporter, kinds=tuple({type(scene) for scene in scenes}), page=page,
         )  # fmt: skip
 
 
 class ConfigCommand(BatchCommand):
-    """``depthcli COMMAND CONFIG --input DIR --output DIR ...``: a config, a folder of items, a run folder."""
+    """``depthcli COMMAND CONFIG --input DIR --output DIR ...``: a config, a folder of scenes, a run folder."""
 
-    kinds: ClassVar[tuple[type[Item], ...]]
-    """Kinds of item that it reads."""
+    kinds: ClassVar[tuple[type[Scene], ...]]
+    """Kinds of scene that it reads."""
 
     @property
     def arguments(self) -> tuple[Option, ...]:
@@ -162,7 +163,7 @@ class ConfigCommand(BatchCommand):
 
     @property
     def options(self) -> tuple[Option, ...]:
-        """What the kinds of item declare, between what all batches share."""
+        """What the kinds of scene declare, between what all batches share."""
         own = {option.name: option for kind in self.kinds for option in kind.options}
         return (INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE, _HTML, DRY_RUN)
 
@@ -171,14 +172,14 @@ class ConfigCommand(BatchCommand):
         """Model of the config's root."""
 
     def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
-        """Compute every item, then evaluate where that is asked for; the exit code."""
+        """Compute every scene, then evaluate where that is asked for; the exit code."""
         run_options(values)  # wrong ones are told before anything is looked at
         config = self.config(values)
-        items = self.find(values, reporter)
-        return self.run_on(config, items, values, reporter)
+        scenes = self.find(values, reporter)
+        return self.run_on(config, scenes, values, reporter)
 
-    def find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Item]:
-        """The items that the command line means."""
+    def find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Scene]:
+        """The scenes that the command line means."""
         return find_scenes(self.kinds, values, reporter)
 
     def config(self, values: Mapping[str, Any]) -> BaseModel:
@@ -198,19 +199,19 @@ class ConfigCommand(BatchCommand):
         )
 
 
-def find_scenes(kinds: tuple[type[Item], ...], values: Mapping[str, Any], reporter: Reporter) -> list[Item]:
-    """The items that ``--input``, or the files of a single one, mean.
+def find_scenes(kinds: tuple[type[Scene], ...], values: Mapping[str, Any], reporter: Reporter) -> list[Scene]:
+    """The scenes that ``--input``, or the files of a single one, mean.
 
     Raises
     ------
     ConfigError
         Neither or both are given.
     InputError
-        As :func:`depthcli.data.walk.find_items`.
+        As :func:`depthcli.data.walk.discover_scenes`.
     """
-    from depthcli.data.walk import chosen_items
+    from depthcli.data.walk import chosen_scenes
 
-    named = next((items for kind in kinds if (items := kind.named(values))), [])
+    named = next((scenes for kind in kinds if (scenes := kind.named(values))), [])
     patterns = values["scenes"] or ["*"]
     if named:
         if values["input"] is not None:
@@ -218,7 +219,7 @@ def find_scenes(kinds: tuple[type[Item], ...], values: Mapping[str, Any], report
         if _evaluates(values):
             raise ConfigError("--evaluate wants --input: a single scene has no ground truth")
         if values["name"] is None:
-            return chosen_items(named, patterns, "the command line")
+            return chosen_scenes(named, patterns, "the command line")
         if len(named) > 1:
             raise ConfigError(f"--name is for a single scene, these are {len(named)}")
         return [_renamed(named[0], values["name"])]
@@ -228,22 +229,22 @@ def find_scenes(kinds: tuple[type[Item], ...], values: Mapping[str, Any], report
         raise ConfigError(f"--name is for a single scene, given by {_single_options(kinds)}")
     if _evaluates(values) and values["input"].is_file():
         raise ConfigError(f"{values['input']}: --evaluate wants a folder of scenes, with their ground truth")
-    return items_of(values["input"], kinds, values["layout"], patterns, reporter)
+    return scenes_at(values["input"], kinds, values["layout"], patterns, reporter)
 
 
-def items_of(
-    place: Path, kinds: tuple[type[Item], ...], layout: str | None, patterns: Sequence[str], reporter: Reporter
-) -> list[Item]:
-    """The items of a folder, or of a table of files."""
+def scenes_at(
+    place: Path, kinds: tuple[type[Scene], ...], layout: str | None, patterns: Sequence[str], reporter: Reporter
+) -> list[Scene]:
+    """The scenes of a folder, or of a table of files."""
     from depthcli.data.pairs import TABLE_SUFFIXES
-    from depthcli.data.walk import chosen_items, find_items
+    from depthcli.data.walk import chosen_scenes, discover_scenes
 
     if place.is_file() and place.suffix.lower() in TABLE_SUFFIXES:
-        return chosen_items(kinds[0].of_table(place), patterns, place)
-    return find_items(place, kinds, layout, patterns, reporter.info)
+        return chosen_scenes(kinds[0].of_table(place), patterns, place)
+    return discover_scenes(place, kinds, layout, patterns, reporter.info)
 
 
-def _single_options(kinds: tuple[type[Item], ...]) -> str:
+def _single_options(kinds: tuple[type[Scene], ...]) -> str:
     texts = (" and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path) for kind in kinds)
     return ", or ".join(text for text in texts if text)
 
@@ -272,7 +273,7 @@ def _evaluates(values: Mapping[str, Any]) -> bool:
     return bool(values.get("evaluate") or values.get("html"))
 
 
-def _renamed(item: Item, name: str) -> Item:
+def _renamed(scene: Scene, name: str) -> Scene:
     from dataclasses import replace
 
-    return replace(item, name=name)
+    return replace(scene, name=name)

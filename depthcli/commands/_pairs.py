@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.errors import InputError
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
     from depthcli.batch.reporter import Reporter
@@ -30,10 +30,10 @@ _AT_END = 0.05  # share of measured pixels at an end of the search range above w
 class PairCommand(ConfigCommand):
     """Reads a pair, matches it, writes the left view's map."""
 
-    kinds: ClassVar[tuple[type[Item], ...]] = (StereoItem,)
+    kinds: ClassVar[tuple[type[Scene], ...]] = (StereoScene,)
 
     @abstractmethod
-    def match(self, config: Any, item: StereoItem, pair: StereoPair, top: int) -> StereoResult:
+    def match(self, config: Any, scene: StereoScene, pair: StereoPair, top: int) -> StereoResult:
         """Match over disparities 0 .. ``top`` inclusive."""
 
     @abstractmethod
@@ -48,29 +48,29 @@ class PairCommand(ConfigCommand):
         """What can match a pair in tiles; None where nothing can."""
         return None
 
-    def memory_of(self, config: Any, item: StereoItem) -> int | None:
+    def memory_of(self, config: Any, scene: StereoScene) -> int | None:
         """By the size of the left image; None where key points tell the range; InputError where nothing does."""
         from depthcli.batch.plan import shape_of
 
-        low, top = asked_range(config, item)
+        low, top = asked_range(config, scene)
         if top is None and config.calibration is None:
-            raise _no_range(item)
+            raise _no_range(scene)
         if top is None or isinstance(low, str) or isinstance(top, str):
             return None
-        need: int = self.peak_bytes(config, shape_of(item.left), top - low)
+        need: int = self.peak_bytes(config, shape_of(scene.left), top - low)
         if config.tiles == "never" or self.in_tiles(config) is None:
             return need
         most: int = config.tile_memory << 20
         return min(need, most)
 
-    def effort(self, config: Any, item: StereoItem) -> int | None:
+    def effort(self, config: Any, scene: StereoScene) -> int | None:
         """Pixels times disparities, from the beginning of the left image's file."""
         from depthcli.data.formats.headers import peeked_size
 
-        size = peeked_size(item.left)
+        size = peeked_size(scene.left)
         if size is None:
             return None
-        low, top = asked_range(config, item)
+        low, top = asked_range(config, scene)
         # Ranges by key points are in proportion to the width.
         span = top - low if isinstance(low, int) and isinstance(top, int) else size.width // 4
         return size.height * size.width * max(span + 1, 1)
@@ -106,18 +106,18 @@ class PairCommand(ConfigCommand):
             how = config.calibration
             read_stereo_rig([Path(file) for file in how.files], how.unit, how.fisheye, how.cameras)
 
-    def files(self, config: Any, item: StereoItem) -> dict[str, Path]:
+    def files(self, config: Any, scene: StereoScene) -> dict[str, Path]:
         """The pair, and the calibration that rectifies it."""
         from depthcli.commands._rectified import calibration_files
 
-        return item.input_files | calibration_files(config.calibration)
+        return scene.input_files | calibration_files(config.calibration)
 
-    def settings(self, config: Any, item: StereoItem) -> dict[str, str]:
+    def settings(self, config: Any, scene: StereoScene) -> dict[str, str]:
         """The search range, which may come from a file beside the images."""
-        low, top = asked_range(config, item)
+        low, top = asked_range(config, scene)
         return {"max_disparity": str(top), **({} if low == 0 else {"min_disparity": str(low)})}
 
-    def compute(self, config: Any, item: StereoItem, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: Any, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Match one pair.
 
         Raises
@@ -138,15 +138,15 @@ class PairCommand(ConfigCommand):
         rows: dict[str, Any] = {}
         warnings: list[str] = []
         if config.calibration is None:
-            pair = item.load()
+            pair = scene.load()
             clock.stop("load")
         else:
-            pair, rows, warnings = rectified_pair(config.calibration, item, folder)
+            pair, rows, warnings = rectified_pair(config.calibration, scene, folder)
             clock.stop("rectify")
-        search, said = _search_range(config, item, pair)
+        search, said = _search_range(config, scene, pair)
         clock.stop("range")
         shifted = search.shift(pair)
-        matched = self._within(config, item, shifted, search.last, memory)
+        matched = self._within(config, scene, shifted, search.last, memory)
         tiles = matched.figures.get("tiles", 0)
         result = search.restore(matched, pair.shape[1])
         del matched
@@ -181,7 +181,7 @@ class PairCommand(ConfigCommand):
             )
         return Outcome(facts, seconds, warnings)
 
-    def _within(self, config: Any, item: StereoItem, pair: StereoPair, top: int, memory: int) -> StereoResult:
+    def _within(self, config: Any, scene: StereoScene, pair: StereoPair, top: int, memory: int) -> StereoResult:
         """Match the pair whole or, where that needs too much memory or the config says so, in tiles."""
         from depthcli.batch.resources import show_bytes
         from depthcli.methods.stereo.large import match_in_tiles
@@ -197,20 +197,20 @@ class PairCommand(ConfigCommand):
                 f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, "
                 f"{top + 1} disparities), {show_bytes(memory)} may be used; see --max-memory, --jobs, --max-disparity"
             )
-        return self.match(config, item, pair, top)
+        return self.match(config, scene, pair, top)
 
 
-def asked_range(config: Any, item: StereoItem) -> tuple[int | str, int | str | None]:
+def asked_range(config: Any, scene: StereoScene) -> tuple[int | str, int | str | None]:
     """Ends of the range as they were said, the upper one None where it was not."""
-    low = item.min_disparity if config.min_disparity is None else config.min_disparity
-    return low, item.max_disparity if config.max_disparity is None else config.max_disparity
+    low = scene.min_disparity if config.min_disparity is None else config.min_disparity
+    return low, scene.max_disparity if config.max_disparity is None else config.max_disparity
 
 
-def _no_range(item: StereoItem) -> InputError:
-    return InputError(f"{item.folder}: the search range is not known; say it with --max-disparity, or auto")
+def _no_range(scene: StereoScene) -> InputError:
+    return InputError(f"{scene.folder}: the search range is not known; say it with --max-disparity, or auto")
 
 
-def _search_range(config: Any, item: StereoItem, pair: StereoPair) -> tuple[SearchRange, dict[str, int]]:
+def _search_range(config: Any, scene: StereoScene, pair: StereoPair) -> tuple[SearchRange, dict[str, int]]:
     """The range, and where key points were asked for it what they said.
 
     A pair that was rectified just now has the one that ``rectify`` would have suggested.
@@ -218,12 +218,12 @@ def _search_range(config: Any, item: StereoItem, pair: StereoPair) -> tuple[Sear
     from depthcli.commands._rectified import suggested_range
     from depthcli.methods.stereo.search_range import SearchRange, range_of_key_points
 
-    low, top = asked_range(config, item)
+    low, top = asked_range(config, scene)
     if top is None and config.calibration is not None:
         ends = suggested_range(pair)
         low, top = (low if low not in (0, "auto") else ends["min_disparity"]), ends["max_disparity"]
     if top is None:
-        raise _no_range(item)
+        raise _no_range(scene)
     said = {}
     if "auto" in (low, top):
         found, matches = range_of_key_points(pair)
@@ -231,7 +231,7 @@ def _search_range(config: Any, item: StereoItem, pair: StereoPair) -> tuple[Sear
         low, top = (found.low if low == "auto" else low), (found.top if top == "auto" else top)
     assert isinstance(low, int) and isinstance(top, int)
     if top <= low:
-        raise InputError(f"{item.folder}: disparities from {low} to {top} are to be searched, which are none")
+        raise InputError(f"{scene.folder}: disparities from {low} to {top} are to be searched, which are none")
     return SearchRange(low, top), said
 
 

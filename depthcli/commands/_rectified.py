@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from depthcli.core.cameras.stereo_rig import RectifiedRig
     from depthcli.core.frames import StereoPair
-    from depthcli.data.scenes.stereo import StereoItem
+    from depthcli.data.scenes.stereo import StereoScene
     from depthcli.methods.stereo.config import Calibration
     from depthcli.methods.stereo.rectification import Points
 
@@ -35,7 +35,7 @@ def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[A
 
 
 def rectified_pair(
-    calibration: Calibration, item: StereoItem, folder: Path
+    calibration: Calibration, scene: StereoScene, folder: Path
 ) -> tuple[StereoPair, dict[str, Any], list[str]]:
     """An item's images rectified, and written with their calibration into ``folder``; facts and warnings for its row.
 
@@ -46,15 +46,15 @@ def rectified_pair(
     """
     from depthcli.data.formats.images import pair_of
 
-    left, right = item.load_views()
+    left, right = scene.load_views()
     found = rectified_rig(calibration, left, right)
     views = found.images(left, right)
     save_views(folder, views[0], views[1], found)
     facts, warnings = row_errors(match_rows(left, right), found)
-    if item.has_truth:
+    if scene.has_truth:
         warnings.append("the map is that of the rectified image, the scene's ground truth is not: do not compare them")
-    assert item.right is not None  # it was loaded
-    return pair_of(views[0], views[1], (item.left, item.right)), facts, warnings
+    assert scene.right is not None  # it was loaded
+    return pair_of(views[0], views[1], (scene.left, scene.right)), facts, warnings
 
 
 def save_views(folder: Path, left: NDArray[Any], right: NDArray[Any], rig: Any, top: int | None = None) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from depthcli.core.errors import DepthcliError, InputError
 
 if TYPE_CHECKING:
-    from depthcli.data.scenes import Item
+    from depthcli.data.scenes import Scene
     from depthcli.evaluation.protocols import Protocol, Settings
     from depthcli.evaluation.results import Result
     from depthcli.report.page import Page
@@ -36,37 +36,37 @@ class Scoring:
 
         return {run: read_report(place) for run, place in self.runs.items()}
 
-    def results(self, item: Item, alone: bool) -> list[Result]:
+    def results(self, scene: Scene, alone: bool) -> list[Result]:
         """The results of one scene for every run; ``alone``: no other scene has its short name."""
         from depthcli.evaluation.protocols import load
         from depthcli.evaluation.results import Result
 
-        folder, _, short = item.name.rpartition("/")
-        start = Result("", item.name, folder or self.truth.resolve().name, "")
-        names = [item.name, f"{self.truth.resolve().name}/{item.name}", *([short] if alone else [])]
+        folder, _, short = scene.name.rpartition("/")
+        start = Result("", scene.name, folder or self.truth.resolve().name, "")
+        names = [scene.name, f"{self.truth.resolve().name}/{scene.name}", *([short] if alone else [])]
         try:
-            item.check()
-            if self.judge is None and not item.protocol:
-                raise InputError(f"{item.folder}: {item.name} names no protocol; say which with --protocol")
-            judge = self.judge or load(item.protocol)(self.settings)
+            scene.check()
+            if self.judge is None and not scene.protocol:
+                raise InputError(f"{scene.folder}: {scene.name} names no protocol; say which with --protocol")
+            judge = self.judge or load(scene.protocol)(self.settings)
             judge = self.judges.setdefault(judge.name, judge)
             start = replace(start, protocol=judge.name)
-            truth = judge.truth(item)
+            truth = judge.truth(scene)
         except DepthcliError as error:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
         if self.page is not None:
-            self.page.scene(judge, item, truth)
-        return [self._result(replace(start, run=run), judge, item, truth, names) for run in self.runs]
+            self.page.scene(judge, scene, truth)
+        return [self._result(replace(start, run=run), judge, scene, truth, names) for run in self.runs]
 
-    def _result(self, start: Result, judge: Protocol[Any, Any], item: Item, truth: Any, names: list[str]) -> Result:
+    def _result(self, start: Result, judge: Protocol[Any, Any], scene: Scene, truth: Any, names: list[str]) -> Result:
         place, rows = self.runs[start.run], self.reports[start.run]
         row: dict[str, Any] = next((rows[name] for name in names if name in rows), {})
         try:
             path = place if place.is_file() else judge.find(place, names)
             if path is None:
                 failed = f": the run failed there: {row.get('error')}" if row.get("error") else judge.looked_for(names)
-                raise InputError(f"{place}: no map of scene {item.name}{failed}")
-            estimate = judge.read(path, item, truth)
+                raise InputError(f"{place}: no map of scene {scene.name}{failed}")
+            estimate = judge.read(path, scene, truth)
         except DepthcliError as error:
             missing, dense = tuple(judge.missing(truth)), tuple(judge.missing(truth, dense=True))
             return replace(start, scores=missing, dense=dense, error=str(error))

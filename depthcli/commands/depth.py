@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from depthcli.commands._batch import DRY_RUN, HOW, OUTPUT, SCENES, BatchCommand, items_of
+from depthcli.commands._batch import DRY_RUN, HOW, OUTPUT, SCENES, BatchCommand, scenes_at
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,7 +32,7 @@ _MANY_LOST = 0.01  # share of depths beyond the PNG's codes above which a map sa
 
 
 @dataclass(frozen=True, kw_only=True)
-class DisparityItem(Item):
+class DisparityScene(Scene):
     """A disparity map that a run made, and what belongs to it.
 
     Attributes
@@ -106,27 +106,27 @@ class DepthCommand(BatchCommand):
         config = {name: values[name] for name in (*_BY_HAND, "doffs", "mask", "ply", "depth_scale")}
         return self.run_on(config, self._find(values, reporter), values, reporter)
 
-    def _find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Item]:
-        from depthcli.data.scenes.stereo import StereoItem
-        from depthcli.data.walk import items_with_files
+    def _find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Scene]:
+        from depthcli.data.scenes.stereo import StereoScene
+        from depthcli.data.walk import scenes_with_files
 
         place: Path = values["run"]
         if place.is_file():
             left, calibration = values["left"], values["calibration"]
-            return [DisparityItem(name=place.stem, folder=place.parent, disparity=place, left=left,
+            return [DisparityScene(name=place.stem, folder=place.parent, disparity=place, left=left,
                                   calibration=calibration)]  # fmt: skip
         maps = _maps_of(place, values["scenes"] or ["*"])
-        sources: dict[str, Item]
+        sources: dict[str, Scene]
         if values["input"] is not None:
-            sources = {item.name: item for item in items_of(values["input"], (StereoItem,), None, ["*"], reporter)}
+            sources = {scene.name: scene for scene in scenes_at(values["input"], (StereoScene,), None, ["*"], reporter)}
         else:
-            known = items_with_files(source for _, source in maps.values() if source is not None)
+            known = scenes_with_files(source for _, source in maps.values() if source is not None)
             sources = {name: known[source] for name, (_, source) in maps.items() if source in known}
-        found: list[Item] = []
+        found: list[Scene] = []
         for name, (folder, source) in maps.items():
             origin, left = sources.get(name), source if source is not None and source.is_file() else None
             calibration, cameras = None, (2, 3)
-            if isinstance(origin, StereoItem):
+            if isinstance(origin, StereoScene):
                 left, calibration, cameras = origin.left, origin.calibration, origin.cameras
             if (folder / "calib.txt").is_file() and (folder / "left.png").is_file():  # rectified for the map
                 left, calibration, cameras = folder / "left.png", folder / "calib.txt", (2, 3)
@@ -134,7 +134,7 @@ class DepthCommand(BatchCommand):
                 calibration = beside
             status = folder / "status.png"
             found.append(
-                DisparityItem(
+                DisparityScene(
                     name=name,
                     folder=folder,
                     disparity=folder / _MAP,
@@ -147,14 +147,14 @@ class DepthCommand(BatchCommand):
             )
         return found
 
-    def settings(self, config: Any, item: DisparityItem) -> dict[str, str]:
+    def settings(self, config: Any, scene: DisparityScene) -> dict[str, str]:
         """The cameras of a file that holds several."""
-        return {"cameras": f"{item.cameras}"}
+        return {"cameras": f"{scene.cameras}"}
 
-    def memory_of(self, config: Any, item: DisparityItem) -> None:
+    def memory_of(self, config: Any, scene: DisparityScene) -> None:
         """No estimate: little more than the map itself; InputError where there is no calibration."""
         if config["focal"] is None:
-            _geometry(config, item)
+            _geometry(config, scene)
 
     def columns(self) -> tuple[Column, ...]:
         """Size, share of pixels with depth, how far they are, and what depth was computed with."""
@@ -172,7 +172,7 @@ class DepthCommand(BatchCommand):
 
         return STATUS_PALETTE
 
-    def compute(self, config: Any, item: DisparityItem, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: Any, scene: DisparityScene, folder: Path, memory: int) -> Outcome:
         """The depth of one map.
 
         Raises
@@ -190,22 +190,22 @@ class DepthCommand(BatchCommand):
         from depthcli.data.formats.pictures import read_status
 
         clock = Clock()
-        disparity = item.load()
+        disparity = scene.load()
         height, width = disparity.shape
-        geometry = _geometry(config, item).for_size(width, height)
-        status = np.zeros(disparity.shape, np.uint8) if item.status is None else read_status(item.status)
-        _same_size(item.status, status, disparity)
+        geometry = _geometry(config, scene).for_size(width, height)
+        status = np.zeros(disparity.shape, np.uint8) if scene.status is None else read_status(scene.status)
+        _same_size(scene.status, status, disparity)
         cloud = None
         if config["ply"]:
-            if item.left is None:
-                raise InputError(f"{item.folder}: the left image has gone, no color for a point cloud; say --input")
-            cloud = color8(read_image(item.left))
-            _same_size(item.left, cloud, disparity)
+            if scene.left is None:
+                raise InputError(f"{scene.folder}: the left image has gone, no color for a point cloud; say --input")
+            cloud = color8(read_image(scene.left))
+            _same_size(scene.left, cloud, disparity)
         clock.stop("load")
-        kept = _mask(config["mask"] or "all", item, disparity, status)
+        kept = _mask(config["mask"] or "all", scene, disparity, status)
         depth = geometry.depth(np.where(kept, disparity, np.float32(np.nan)))
         clock.stop("depth")
-        in_cloud = _mask(config["mask"] or "measured", item, disparity, status)
+        in_cloud = _mask(config["mask"] or "measured", scene, disparity, status)
         points = None if cloud is None else (geometry.left, cloud, in_cloud)
         save_metric_depth(depth, status, folder, config["depth_scale"], points)
         clock.stop("save")
@@ -248,18 +248,18 @@ def _maps_of(run: Path, patterns: list[str]) -> dict[str, tuple[Path, Path | Non
     return {name: (run / name, sources.get(name)) for name in chosen}
 
 
-def _geometry(config: Mapping[str, Any], item: DisparityItem) -> PairGeometry:
+def _geometry(config: Mapping[str, Any], scene: DisparityScene) -> PairGeometry:
     from depthcli.core.cameras.stereo_rig import PairGeometry
     from depthcli.core.frames import Intrinsics
     from depthcli.data.formats.calibration import read_geometry
 
     if config["focal"] is not None:
-        height, width = item.load().shape
+        height, width = scene.load().shape
         camera = Intrinsics(config["focal"], config["focal"], (width - 1) / 2, (height - 1) / 2)
         return PairGeometry(camera, config["baseline"], config["doffs"] or 0.0)
-    if item.calibration is None:
-        raise InputError(f"{item.folder}: no calibration beside the images; say --calibration, or --focal, --baseline")
-    return read_geometry(item.calibration, item.cameras)
+    if scene.calibration is None:
+        raise InputError(f"{scene.folder}: no calibration beside the images; say --calibration, or --focal, --baseline")
+    return read_geometry(scene.calibration, scene.cameras)
 
 
 def _parse_mask(text: str | None) -> tuple[str, float, str]:
@@ -276,7 +276,7 @@ def _parse_mask(text: str | None) -> tuple[str, float, str]:
 
 
 def _mask(
-    text: str, item: DisparityItem, disparity: NDArray[np.float32], status: NDArray[np.uint8]
+    text: str, scene: DisparityScene, disparity: NDArray[np.float32], status: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
     """Which pixels; of the confident ones those above the quantile, ties included."""
     import numpy as np
@@ -291,14 +291,14 @@ def _mask(
     measured: NDArray[np.bool_] = known & ((status & Status.FILLED) == 0)
     if kind == "measured":
         return measured
-    there = ", ".join(item.confidence)
-    if not name and len(item.confidence) == 1:
+    there = ", ".join(scene.confidence)
+    if not name and len(scene.confidence) == 1:
         name = there
-    if name not in item.confidence:
+    if name not in scene.confidence:
         has = f"the run has: {there}" if there else "the run has none; see confidence: in the config"
-        raise InputError(f"{item.folder}: --mask {text}: which confidence map? {has}")
-    confidence = read_pfm(item.confidence[name])
-    _same_size(item.confidence[name], confidence, disparity)
+        raise InputError(f"{scene.folder}: --mask {text}: which confidence map? {has}")
+    confidence = read_pfm(scene.confidence[name])
+    _same_size(scene.confidence[name], confidence, disparity)
     measured &= np.isfinite(confidence)
     if measured.any():
         measured &= confidence >= np.quantile(confidence[measured], 1 - share, method="higher")

@@ -17,7 +17,7 @@ from depthcli.core.option import Option
 
 if TYPE_CHECKING:
     from depthcli.batch.reporter import Reporter
-    from depthcli.data.scenes import Item
+    from depthcli.data.scenes import Scene
     from depthcli.evaluation.protocols import Settings
     from depthcli.evaluation.results import EvaluationReport, Result
     from depthcli.report.page import Page
@@ -93,7 +93,7 @@ def evaluate(
     protocol: str | None = None,
     settings: Settings | None = None,
     reporter: Reporter | None = None,
-    kinds: Iterable[type[Item]] | None = None,
+    kinds: Iterable[type[Scene]] | None = None,
     page: Page | None = None,
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
@@ -136,7 +136,7 @@ def evaluate(
     if absent := [place for place in places if not (place.is_dir() or place.is_file())]:
         raise InputError(f"{absent[0]}: no such folder")
     judge = None if protocol is None else load(protocol)(settings)
-    items = _items(truth, kinds if judge is None else [judge.kind], layout, scenes, reporter)
+    items = _scenes(truth, kinds if judge is None else [judge.kind], layout, scenes, reporter)
     if not items:
         if judge is None:
             reporter.info(f"{truth}: in no scene's folder; scored as {_PLAIN} (--protocol says otherwise)")
@@ -184,14 +184,15 @@ def new_page(command: Command, values: Mapping[str, Any], output: Path | None) -
     return Page(output, command.line(values), parse_bytes(values["html_budget"], "--html-budget"))
 
 
-def _items(truth: Path, kinds: Any, layout: str | None, scenes: Sequence[str], reporter: Reporter) -> list[Item]:
+def _scenes(truth: Path, kinds: Any, layout: str | None, scenes: Sequence[str], reporter: Reporter) -> list[Scene]:
     """All scenes with ground truth, and those that cannot be used; of a file, the scene whose truth it is."""
-    from depthcli.data.walk import find_items, item_with_file
+    from depthcli.data.walk import discover_scenes, scene_with_file
 
     if truth.is_file():
-        holding = item_with_file(truth)
+        holding = scene_with_file(truth)
         return [] if holding is None else [holding]
-    found = [item for item in find_items(truth, kinds, layout, scenes, reporter.info) if item.problem or item.has_truth]
+    found = discover_scenes(truth, kinds, layout, scenes, reporter.info)
+    found = [item for item in found if item.problem or item.has_truth]
     if not any(item.has_truth and not item.problem for item in found):
         if found:
             raise InputError(found[0].problem)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from depthcli.commands._pairs import PairCommand, asked_range
 from depthcli.core.errors import InputError
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -26,17 +26,17 @@ class FuseCommand(PairCommand):
 
         return FuseConfig
 
-    def files(self, config: Any, item: StereoItem) -> dict[str, Path]:
+    def files(self, config: Any, scene: StereoScene) -> dict[str, Path]:
         """The pair, and the volumes made elsewhere."""
-        return super().files(config, item) | self._volumes(config, item)
+        return super().files(config, scene) | self._volumes(config, scene)
 
-    def match(self, config: Any, item: StereoItem, pair: StereoPair, top: int) -> StereoResult:
+    def match(self, config: Any, scene: StereoScene, pair: StereoPair, top: int) -> StereoResult:
         """Fuse, then finish as ``stereo`` does."""
         from depthcli.data.formats.cost_volume import read_cost_volume
 
-        if self._volumes(config, item) and asked_range(config, item)[0] != 0:
-            raise InputError(f"{item.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
-        volumes = {name: read_cost_volume(file) for name, file in self._volumes(config, item).items()}
+        if self._volumes(config, scene) and asked_range(config, scene)[0] != 0:
+            raise InputError(f"{scene.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
+        volumes = {name: read_cost_volume(file) for name, file in self._volumes(config, scene).items()}
         result: StereoResult = config(pair, top, volumes)
         return result
 
@@ -50,10 +50,10 @@ class FuseCommand(PairCommand):
         need: int = config.peak_bytes(shape, top)
         return need
 
-    def _volumes(self, config: Any, item: StereoItem) -> dict[str, Path]:
+    def _volumes(self, config: Any, scene: StereoScene) -> dict[str, Path]:
         names = {measure.volume for measure in config.measures if measure.volume is not None}
-        last = item.name.rpartition("/")[2]
-        return {name: item.left.parent / name.replace("{scene}", last) for name in sorted(names)}
+        last = scene.name.rpartition("/")[2]
+        return {name: scene.left.parent / name.replace("{scene}", last) for name in sorted(names)}
 
 
 COMMAND = FuseCommand()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from depthcli.commands._batch import DRY_RUN, HOW, INPUT, LAYOUT, NAME, OUTPUT, SCENES, BatchCommand, find_scenes
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,7 +34,7 @@ class RectifyCommand(BatchCommand):
     @property
     def options(self) -> tuple[Option, ...]:
         """The pairs, the cameras, and what the images shall show."""
-        images = tuple(option for option in StereoItem.options if option.name in ("left", "right"))
+        images = tuple(option for option in StereoScene.options if option.name in ("left", "right"))
         return (
             INPUT,
             *images,
@@ -67,17 +67,17 @@ class RectifyCommand(BatchCommand):
         if not (first.isdigit() and second.isdigit() and len(first + second) == 2 and first != second):
             raise ConfigError(f"--cameras: want two numbers such as 2,3 (got {values['cameras']!r})")
         config = {key: values[key] for key in ("uncalibrated", "unit", "fisheye", "alpha", "cameras")}
-        items = find_scenes((StereoItem,), values, reporter)
+        scenes = find_scenes((StereoScene,), values, reporter)
         self._calibration = tuple(Path(file) for file in files)
-        return self.run_on(config, items, values, reporter)
+        return self.run_on(config, scenes, values, reporter)
 
     _calibration: tuple[Path, ...] = ()
 
-    def files(self, config: Any, item: StereoItem) -> dict[str, Path]:
+    def files(self, config: Any, scene: StereoScene) -> dict[str, Path]:
         """The pair and the calibration."""
-        return item.input_files | {f"calibration_{k}": file for k, file in enumerate(self._calibration)}
+        return scene.input_files | {f"calibration_{k}": file for k, file in enumerate(self._calibration)}
 
-    def memory_of(self, config: Any, item: StereoItem) -> None:
+    def memory_of(self, config: Any, scene: StereoScene) -> None:
         """No estimate: little more than the images themselves; InputError where the calibration cannot be read."""
         if not config["uncalibrated"]:
             from depthcli.data.formats.stereo_rig import read_stereo_rig
@@ -95,7 +95,7 @@ class RectifyCommand(BatchCommand):
         overlap = Column("overlap", percent("overlap"))
         return (SIZE, pixels("row_error_before"), pixels("row_error"), overlap)
 
-    def compute(self, config: Any, item: StereoItem, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: Any, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Rectify one pair.
 
         Raises
@@ -113,7 +113,7 @@ class RectifyCommand(BatchCommand):
         from depthcli.data.formats.atomic import write_text
 
         clock = Clock()
-        left, right = item.load_views()
+        left, right = scene.load_views()
         clock.stop("load")
         points = _rectified.match_rows(left, right)
         clock.stop("key points")
@@ -121,7 +121,7 @@ class RectifyCommand(BatchCommand):
         views = found.images(left, right)
         rows, warnings = _rectified.row_errors(points, found)
         clock.stop("warp")
-        meta: dict[str, Any] = {"source": f"rectified by depthcli from {item.name}"}
+        meta: dict[str, Any] = {"source": f"rectified by depthcli from {scene.name}"}
         facts: dict[str, Any] = {"width": found.size[0], "height": found.size[1], **rows}
         facts["overlap"] = round(float(np.mean(views[2])), 6)
         same = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype

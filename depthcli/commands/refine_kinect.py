@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -28,10 +28,10 @@ _USUAL_SCALES = (1000.0, 5000.0, 256.0, 10_000.0, 100.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SequenceItem(Item):
+class SequenceScene(Scene):
     """The frames of a sequence, in order: what a method that carries state goes through as one."""
 
-    frames: tuple[RgbdItem, ...]
+    frames: tuple[RgbdScene, ...]
 
     @property
     def input_files(self) -> dict[str, Path]:
@@ -51,7 +51,7 @@ class SequenceItem(Item):
 class RefineKinectCommand(ConfigCommand):
     """Any pipeline of ``kinect/pipeline/``, frame by frame or along sequences."""
 
-    kinds: ClassVar[tuple[type[Item], ...]] = (RgbdItem,)
+    kinds: ClassVar[tuple[type[Scene], ...]] = (RgbdScene,)
 
     @property
     def options(self) -> tuple[Option, ...]:
@@ -70,29 +70,29 @@ class RefineKinectCommand(ConfigCommand):
         settings = [*(values["set"] or ()), *(["ply=true"] if values["ply"] else ())]
         return super().run({**values, "set": settings}, reporter)
 
-    def run_on(self, config: Any, items: list[Item], values: Mapping[str, Any], reporter: Reporter) -> int:
-        """As every batch; a method that carries state takes a sequence as one item."""
+    def run_on(self, config: Any, scenes: list[Scene], values: Mapping[str, Any], reporter: Reporter) -> int:
+        """As every batch; a method that carries state takes a sequence as one scene."""
         from depthcli.methods.kinect.pipeline import SequencePipeline
 
         if isinstance(config.pipeline, SequencePipeline):
-            items = _sequences(items)
-        return super().run_on(config, items, values, reporter)
+            scenes = _sequences(scenes)
+        return super().run_on(config, scenes, values, reporter)
 
-    def settings(self, config: Any, item: Item) -> dict[str, str]:
+    def settings(self, config: Any, scene: Scene) -> dict[str, str]:
         """What the layout says about the files."""
-        frames = item.frames if isinstance(item, SequenceItem) else (item,)
+        frames = scene.frames if isinstance(scene, SequenceScene) else (scene,)
         first = frames[0]
-        if not isinstance(first, RgbdItem):
+        if not isinstance(first, RgbdScene):
             return {}
         scale = config.depth_scale or first.depth_scale
         return {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
 
-    def memory_of(self, config: Any, item: Item) -> int | None:
+    def memory_of(self, config: Any, scene: Scene) -> int | None:
         """By the size of the color image, of a sequence of the first one."""
         from depthcli.batch.plan import shape_of
 
-        frame = item.frames[0] if isinstance(item, SequenceItem) else item
-        return config.pipeline.peak_bytes(shape_of(frame.color)) if isinstance(frame, RgbdItem) else None
+        frame = scene.frames[0] if isinstance(scene, SequenceScene) else scene
+        return config.pipeline.peak_bytes(shape_of(frame.color)) if isinstance(frame, RgbdScene) else None
 
     def columns(self) -> tuple[Column, ...]:
         """Size, and the shares of pixels that were kept, filled and corrected."""
@@ -107,7 +107,7 @@ class RefineKinectCommand(ConfigCommand):
 
         return DEPTH_STATUS_PALETTE
 
-    def compute(self, config: Any, item: Item, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: Any, scene: Scene, folder: Path, memory: int) -> Outcome:
         """Refine a frame, or a sequence from its first frame on.
 
         Raises
@@ -115,12 +115,12 @@ class RefineKinectCommand(ConfigCommand):
         InputError
             The files cannot be used, or ``memory`` bytes do not suffice.
         """
-        if isinstance(item, SequenceItem):
-            return self._sequence(config, item, folder, memory)
-        assert isinstance(item, RgbdItem)
-        return self._frame(config, item, folder, memory, lambda frame: config.pipeline(frame))
+        if isinstance(scene, SequenceScene):
+            return self._sequence(config, scene, folder, memory)
+        assert isinstance(scene, RgbdScene)
+        return self._frame(config, scene, folder, memory, lambda frame: config.pipeline(frame))
 
-    def _sequence(self, config: Any, item: SequenceItem, folder: Path, memory: int) -> Outcome:
+    def _sequence(self, config: Any, scene: SequenceScene, folder: Path, memory: int) -> Outcome:
         from depthcli.batch.runner import Outcome
 
         state: Any = None
@@ -133,7 +133,7 @@ class RefineKinectCommand(ConfigCommand):
 
         outcomes: list[Outcome] = []
         problems = []
-        for frame in item.frames:
+        for frame in scene.frames:
             target = folder / frame.name.rpartition("/")[2]
             try:
                 target.mkdir()
@@ -151,7 +151,7 @@ class RefineKinectCommand(ConfigCommand):
         warnings = [line for each in outcomes for line in each.warnings]
         return Outcome(facts, seconds, [*problems, *dict.fromkeys(warnings)])
 
-    def _frame(self, config: Any, item: RgbdItem, folder: Path, memory: int, refine: Any) -> Outcome:
+    def _frame(self, config: Any, scene: RgbdScene, folder: Path, memory: int, refine: Any) -> Outcome:
         import numpy as np
 
         from depthcli.batch.runner import Outcome
@@ -160,11 +160,11 @@ class RefineKinectCommand(ConfigCommand):
         from depthcli.core.result import Clock
 
         clock = Clock()
-        if config.depth_scale is not None and not item.raw:
-            item = replace(item, depth_scale=config.depth_scale)
-        frame = item.load()
+        if config.depth_scale is not None and not scene.raw:
+            scene = replace(scene, depth_scale=config.depth_scale)
+        frame = scene.load()
         if config.ply and frame.intrinsics is None:
-            raise InputError(f"{item.folder}: a point cloud wants the camera's intrinsics; say them in meta.json")
+            raise InputError(f"{scene.folder}: a point cloud wants the camera's intrinsics; say them in meta.json")
         _check_memory(config, frame, memory)
         clock.stop("load")
         result = refine(frame)
@@ -189,26 +189,26 @@ class RefineKinectCommand(ConfigCommand):
             **{name: float(value) for name, value in result.figures.items()},
         }
         cloud = (frame.intrinsics, frame.color) if config.ply and frame.intrinsics is not None else None
-        save_depth(result, folder, item.depth_scale, 3 if item.rotated else 0, cloud)
+        save_depth(result, folder, scene.depth_scale, 3 if scene.rotated else 0, cloud)
         clock.stop("save")
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
-        return Outcome(facts, seconds, [] if item.raw else _doubts(item, frame))
+        return Outcome(facts, seconds, [] if scene.raw else _doubts(scene, frame))
 
 
-def _sequences(items: list[Item]) -> list[Item]:
-    """Frames of one sequence as one item; frames that belong to none are sequences of their own."""
-    groups: dict[tuple[Path, str], list[RgbdItem]] = {}
-    found: list[Item] = []
-    for item in items:
-        if isinstance(item, RgbdItem) and not item.problem:
-            groups.setdefault((item.folder, item.sequence or item.name), []).append(item)
+def _sequences(scenes: list[Scene]) -> list[Scene]:
+    """Frames of one sequence as one scene; frames that belong to none are sequences of their own."""
+    groups: dict[tuple[Path, str], list[RgbdScene]] = {}
+    found: list[Scene] = []
+    for scene in scenes:
+        if isinstance(scene, RgbdScene) and not scene.problem:
+            groups.setdefault((scene.folder, scene.sequence or scene.name), []).append(scene)
         else:
-            found.append(item)
+            found.append(scene)
     for (folder, sequence), frames in groups.items():
         ordered = tuple(sorted(frames, key=lambda frame: frame.number))
         name = ordered[0].name.rpartition("/")[0] if ordered[0].sequence else ordered[0].name
-        found.append(SequenceItem(name=name or sequence.rpartition("/")[2], folder=folder, frames=ordered))
-    return sorted(found, key=lambda item: item.name)
+        found.append(SequenceScene(name=name or sequence.rpartition("/")[2], folder=folder, frames=ordered))
+    return sorted(found, key=lambda scene: scene.name)
 
 
 def _check_memory(config: Any, frame: RgbdFrame, memory: int) -> None:
@@ -222,7 +222,7 @@ def _check_memory(config: Any, frame: RgbdFrame, memory: int) -> None:
         )
 
 
-def _doubts(item: RgbdItem, frame: RgbdFrame) -> list[str]:
+def _doubts(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
     """Where the depth is no room's: the scale that would fit."""
     import numpy as np
 
@@ -230,16 +230,16 @@ def _doubts(item: RgbdItem, frame: RgbdFrame) -> list[str]:
 
     middle = float(np.nanmedian(frame.depth))
     low, high = _PLAUSIBLE
-    if low <= middle <= high and (item.rotated or item.depth.suffix in (".pfm", ".npy")):
+    if low <= middle <= high and (scene.rotated or scene.depth.suffix in (".pfm", ".npy")):
         return []
-    codes = None if item.depth.suffix in (".pfm", ".npy") else read_codes(item.depth)
-    if codes is not None and not item.rotated and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
-        return [f"{item.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
+    codes = None if scene.depth.suffix in (".pfm", ".npy") else read_codes(scene.depth)
+    if codes is not None and not scene.rotated and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
+        return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
     if low <= middle <= high:
         return []
-    fitting = [s for s in _USUAL_SCALES if low <= middle * item.depth_scale / s <= high and s != item.depth_scale]
+    fitting = [s for s in _USUAL_SCALES if low <= middle * scene.depth_scale / s <= high and s != scene.depth_scale]
     hint = f"; --depth-scale {fitting[0]:g} would fit" if fitting else ""
-    return [f"{item.depth}: the median depth is {middle:.3g} m at {item.depth_scale:g} codes a meter{hint}"]
+    return [f"{scene.depth}: the median depth is {middle:.3g} m at {scene.depth_scale:g} codes a meter{hint}"]
 
 
 COMMAND = RefineKinectCommand()

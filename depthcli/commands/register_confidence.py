@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.errors import InputError
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.volume_pair import VolumePairItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.volume_pair import VolumePairScene
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -25,7 +25,7 @@ _BORDER = 0.2  # share of best matches on the border of the search above which e
 class RegisterConfidenceCommand(ConfigCommand):
     """Searches around every voxel of a registered pair."""
 
-    kinds: ClassVar[tuple[type[Item], ...]] = (VolumePairItem,)
+    kinds: ClassVar[tuple[type[Scene], ...]] = (VolumePairScene,)
 
     def config_model(self) -> type[BaseModel]:
         """The method and the convention of displacement files."""
@@ -39,13 +39,13 @@ class RegisterConfidenceCommand(ConfigCommand):
         _forest(config)
         return config
 
-    def files(self, config: Any, item: VolumePairItem) -> dict[str, Path]:
+    def files(self, config: Any, scene: VolumePairScene) -> dict[str, Path]:
         """The pair's, and the forest's."""
-        return super().files(config, item) | ({"model": config.model} if config.model is not None else {})
+        return super().files(config, scene) | ({"model": config.model} if config.model is not None else {})
 
-    def memory_of(self, config: Any, item: VolumePairItem) -> int:
+    def memory_of(self, config: Any, scene: VolumePairScene) -> int:
         """By the header of the fixed volume."""
-        return _need(config, *item.size(config.max_voxels))
+        return _need(config, *scene.size(config.max_voxels))
 
     def columns(self) -> tuple[Column, ...]:
         """Size, side of a working voxel, mean expected error, share of best matches on the border."""
@@ -58,7 +58,7 @@ class RegisterConfidenceCommand(ConfigCommand):
             Column("border", percent("border")),
         )
 
-    def compute(self, config: Any, item: VolumePairItem, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: Any, scene: VolumePairScene, folder: Path, memory: int) -> Outcome:
         """Search one pair.
 
         Raises
@@ -73,8 +73,8 @@ class RegisterConfidenceCommand(ConfigCommand):
         from depthcli.data.formats.volume_files import written_suffix
 
         clock = Clock()
-        loaded = item.load(config.field, config.max_voxels)
-        points = item.landmarks(loaded.grid)
+        loaded = scene.load(config.field, config.max_voxels)
+        points = scene.landmarks(loaded.grid)
         need = _need(config, loaded.grid, loaded.pair.shape, loaded.pair.spacing)
         if need > memory:
             raise InputError(
@@ -85,9 +85,9 @@ class RegisterConfidenceCommand(ConfigCommand):
         result = config(loaded.pair, _forest(config))
         clock.stop("other")
         clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
-        known = points is not None and item.has_truth and item.error_true is None
-        error = item.truth(config.field).error if known else None
-        save_registration(result, loaded, points, error, folder, written_suffix(item.fixed))
+        known = points is not None and scene.has_truth and scene.error_true is None
+        error = scene.truth(config.field).error if known else None
+        save_registration(result, loaded, points, error, folder, written_suffix(scene.fixed))
         clock.stop("save")
         width, height, slices = loaded.grid.size
         facts = {"width": width, "height": height, "slices": slices, **result.figures}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from depthcli.commands._batch import DRY_RUN, HOW, OUTPUT, BatchCommand
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.data.generated.kinds import SampleItem, samples
+from depthcli.data.generated.kinds import SampleScene, samples
 
 if TYPE_CHECKING:
     from depthcli.batch.reporter import Reporter
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class SampleCommand(BatchCommand):
-    """The same loop as the other commands; its items come from the options, not from a folder."""
+    """The same loop as the other commands; its scenes come from the options, not from a folder."""
 
     @property
     def options(self) -> tuple[Option, ...]:
@@ -41,20 +41,20 @@ class SampleCommand(BatchCommand):
                 raise ConfigError(f"{option.flag} says nothing about {sample.name.replace('_', '-')} scenes")
         sample.check(values)
         own = {option.name: values[option.name] for option in sample.options}
-        config = {"sample": sample.name, **{key: value for key, value in own.items() if key not in sample.by_item}}
-        return self.run_on(config, list(sample.items(own)), values, reporter)
+        config = {"sample": sample.name, **{key: value for key, value in own.items() if key not in sample.by_scene}}
+        return self.run_on(config, list(sample.scenes(own)), values, reporter)
 
-    def settings(self, config: Any, item: SampleItem) -> dict[str, str]:
+    def settings(self, config: Any, scene: SampleScene) -> dict[str, str]:
         """What the scene is made from."""
-        return {key: str(value) for key, value in item.settings.items()}
+        return {key: str(value) for key, value in scene.settings.items()}
 
-    def compute(self, config: Any, item: SampleItem, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: Any, scene: SampleScene, folder: Path, memory: int) -> Outcome:
         """Generate one scene."""
         from depthcli.batch.runner import Outcome
         from depthcli.core.result import Clock
 
         clock = Clock()
-        facts = samples()[config["sample"]].make(config, item, folder)
+        facts = samples()[config["sample"]].make(config, scene, folder)
         clock.stop("make")
         return Outcome(facts, clock.seconds)
 

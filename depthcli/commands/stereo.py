@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from depthcli.commands._pairs import PairCommand
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -53,7 +53,7 @@ class StereoCommand(PairCommand):
         found: BaseModel = config.model_copy(update={"device": "cpu" if info is None else info.address})
         return found
 
-    def match(self, config: Any, item: StereoItem, pair: StereoPair, top: int) -> StereoResult:
+    def match(self, config: Any, scene: StereoScene, pair: StereoPair, top: int) -> StereoResult:
         """By the config's pipeline, or its twin for devices."""
         device, twin = _device(config)
         if device is None or twin is None:

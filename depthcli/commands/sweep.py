@@ -112,8 +112,8 @@ def _say_plan(
 
     rows = []
     for name, own in each.items():
-        items = command.find(own, reporter)
-        document = plan(command, configs[name], items, own["output"], command.memory_of, run_options(own))
+        scenes = command.find(own, reporter)
+        document = plan(command, configs[name], scenes, own["output"], command.memory_of, run_options(own))
         done = sum(row["status"] == DONE for row in document["scenes"])
         rows.append({"run": name, "scenes": len(document["scenes"]), "done": done, "refused": document["refused"]})
     if values["json"]:
@@ -130,10 +130,10 @@ def _say_plan(
 def _evaluate(
     sweep: SweepCommand, values: Mapping[str, Any], names: Sequence[str], reporter: Reporter
 ) -> EvaluationReport | None:
-    from depthcli.data.walk import find_items
+    from depthcli.data.walk import discover_scenes
 
-    items = find_items(values["input"], None, values["layout"], values["scenes"] or ["*"])
-    if not any(item.has_truth for item in items):
+    scenes = discover_scenes(values["input"], None, values["layout"], values["scenes"] or ["*"])
+    if not any(scene.has_truth for scene in scenes):
         reporter.info(f"{values['input']}: no ground truth there, the runs are not compared")
         return None
     target = values["output"] / "evaluation"

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.errors import InputError
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class TransparentCommand(ConfigCommand):
     """Any pipeline of ``transparent/pipeline/``."""
 
-    kinds: ClassVar[tuple[type[Item], ...]] = (RgbdItem,)
+    kinds: ClassVar[tuple[type[Scene], ...]] = (RgbdScene,)
 
     def config_model(self) -> type[BaseModel]:
         """A pipeline and the scale of the depth files."""
@@ -32,23 +32,23 @@ class TransparentCommand(ConfigCommand):
 
         return TransparentConfig
 
-    def files(self, config: Any, item: RgbdItem) -> dict[str, Path]:
+    def files(self, config: Any, scene: RgbdScene) -> dict[str, Path]:
         """The frame's files and the sparse depth's."""
         if config.stereo is not None:
-            return super().files(config, item)
-        sparse = {"sparse": item.sparse, "sparse_confidence": item.sparse_confidence}
-        return super().files(config, item) | {role: file for role, file in sparse.items() if file is not None}
+            return super().files(config, scene)
+        sparse = {"sparse": scene.sparse, "sparse_confidence": scene.sparse_confidence}
+        return super().files(config, scene) | {role: file for role, file in sparse.items() if file is not None}
 
-    def settings(self, config: Any, item: RgbdItem) -> dict[str, str]:
+    def settings(self, config: Any, scene: RgbdScene) -> dict[str, str]:
         """What the layout says about the files."""
-        said = {"depth_scale": str(config.depth_scale or item.depth_scale)}
-        return said | {"max_disparity": str(getattr(item, "max_disparity", None))}
+        said = {"depth_scale": str(config.depth_scale or scene.depth_scale)}
+        return said | {"max_disparity": str(getattr(scene, "max_disparity", None))}
 
-    def memory_of(self, config: Any, item: RgbdItem) -> int:
+    def memory_of(self, config: Any, scene: RgbdScene) -> int:
         """By the size of the color image; of what follows the search for sparse depth."""
         from depthcli.batch.plan import shape_of
 
-        need: int = config.pipeline.peak_bytes(shape_of(item.color))
+        need: int = config.pipeline.peak_bytes(shape_of(scene.color))
         return need
 
     def columns(self) -> tuple[Column, ...]:
@@ -71,7 +71,7 @@ class TransparentCommand(ConfigCommand):
         filled, replaced, sampled = DepthStatus.GAP_FILLED, DepthStatus.CORRECTED, DepthStatus.SAMPLED
         return (0, filled, replaced, filled | sampled, replaced | sampled, DepthStatus.EMPTY)
 
-    def compute(self, config: Any, item: RgbdItem, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: Any, scene: RgbdScene, folder: Path, memory: int) -> Outcome:
         """Dense depth of one frame.
 
         Raises
@@ -88,8 +88,8 @@ class TransparentCommand(ConfigCommand):
 
         clock = Clock()
         if config.depth_scale is not None:
-            item = replace(item, depth_scale=config.depth_scale)
-        frame, stereo = self._sparse(config, item, memory)
+            scene = replace(scene, depth_scale=config.depth_scale)
+        frame, stereo = self._sparse(config, scene, memory)
         clock.stop("load")
         result = config.pipeline(frame)
         result.seconds = stereo.seconds | result.seconds
@@ -116,34 +116,34 @@ class TransparentCommand(ConfigCommand):
             "density": round(result.depth.density, 6),
             **{name: float(value) for name, value in result.figures.items()},
         }
-        save_depth(result, folder, item.depth_scale, 3 if item.rotated else 0)
+        save_depth(result, folder, scene.depth_scale, 3 if scene.rotated else 0)
         clock.stop("save")
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
         return Outcome(facts, seconds)
 
-    def _sparse(self, config: Any, item: RgbdItem, memory: int) -> tuple[SparseFrame, Result]:
+    def _sparse(self, config: Any, scene: RgbdScene, memory: int) -> tuple[SparseFrame, Result]:
         """The frame with sparse depth, and what stereo has to say where it comes from there."""
         import numpy as np
 
         from depthcli.core.result import Clock, Result
-        from depthcli.data.scenes.rgb_ir import RgbIrItem
+        from depthcli.data.scenes.rgb_ir import RgbIrScene
 
         if config.stereo is None:
-            frame = item.load_sparse()
+            frame = scene.load_sparse()
             _check_memory(config, frame.shape, memory)
             return frame, Result()
-        if not isinstance(item, RgbIrItem):
-            raise InputError(f"{item.folder}: {item.name} has no infrared image (ir.*), which this config wants")
-        pair = item.load_pair()
+        if not isinstance(scene, RgbIrScene):
+            raise InputError(f"{scene.folder}: {scene.name} has no infrared image (ir.*), which this config wants")
+        pair = scene.load_pair()
         stereo = config.stereo
-        if stereo.max_disparity is None and item.max_disparity is not None:
-            stereo = stereo.model_copy(update={"max_disparity": item.max_disparity})
+        if stereo.max_disparity is None and scene.max_disparity is not None:
+            stereo = stereo.model_copy(update={"max_disparity": scene.max_disparity})
         height, width = pair.depth.shape
         _check_memory(config, (height, width), memory, stereo.peak_bytes((height, width)))
         clock = Clock()
         frame, figures = stereo(pair, clock)
         with np.errstate(invalid="ignore"):
-            codes = np.nan_to_num(np.rint(frame.sparse * item.depth_scale), nan=0.0)
+            codes = np.nan_to_num(np.rint(frame.sparse * scene.depth_scale), nan=0.0)
         pictures = {"stereo": np.where(codes <= 65535, codes, 0).astype(np.uint16)}
         confidence = {} if frame.sparse_confidence is None else {"stereo": frame.sparse_confidence}
         return frame, Result(seconds=clock.seconds, confidence=confidence, pictures=pictures, figures=figures)

@@ -47,7 +47,7 @@ def overlay(
     Parameters
     ----------
     config : what the file said
-    settings : ``a.b=value``; value is YAML, a number in the path is the index of a list item. A pair begins with the
+    settings : ``a.b=value``; value is YAML, a number in the path is the index of a list scene. A pair begins with the
         option that messages shall blame instead of ``--set``
     defaults : values of keys that the file leaves out, so that one key below them can be set
     """
@@ -144,7 +144,7 @@ def validate(model: type[_Model], config: ConfigData) -> _Model:
     try:
         value = model.model_validate(config.data)
     except ValidationError as error:
-        problems += [_explain(model, config, item) for item in error.errors(include_url=False)]
+        problems += [_explain(model, config, scene) for scene in error.errors(include_url=False)]
     if problems:
         raise ConfigError("\n".join(sorted(dict.fromkeys(problems), key=_line_number)))
     return value
@@ -208,7 +208,7 @@ def _assign(data: dict[str, Any], location: Location, defaults: Any) -> str:
             if not isinstance(part, int):
                 return f"{at} is a list of {len(here)}; want an index such as {at}.0 (got {part!r})"
             if part >= len(here):
-                return f"{at} has {len(here)} items; the last index is {len(here) - 1} (got {part})"
+                return f"{at} has {len(here)} scenes; the last index is {len(here) - 1} (got {part})"
         elif not isinstance(here, dict):
             return f"{at} is a single value, nothing can be set below it"
         if last:
@@ -230,13 +230,13 @@ def _assign(data: dict[str, Any], location: Location, defaults: Any) -> str:
     return ""
 
 
-def _explain(model: type[BaseModel], config: ConfigData, item: Any) -> str:
+def _explain(model: type[BaseModel], config: ConfigData, scene: Any) -> str:
     """One pydantic error as one line."""
-    kind: str = item["type"]
-    location = _resolve(model, config.data, tuple(item["loc"]), kind == "missing")
+    kind: str = scene["type"]
+    location = _resolve(model, config.data, tuple(scene["loc"]), kind == "missing")
     place = config.place(location)
     key = dotted(location)
-    got, hint = item.get("input"), ""
+    got, hint = scene.get("input"), ""
     known: list[str] = []
     if kind == "extra_forbidden":
         what = "no such key"
@@ -249,10 +249,10 @@ def _explain(model: type[BaseModel], config: ConfigData, item: Any) -> str:
     elif kind == "missing":
         what = "missing, and it has no default"
     elif kind in ("method_name", "method_type"):
-        what, _, hint = str(item["msg"]).partition(";")
+        what, _, hint = str(scene["msg"]).partition(";")
         hint = f";{hint}" if hint else ""
     else:
-        what = str(item["msg"]).removeprefix("Value error, ").removeprefix("Assertion failed, ")
+        what = str(scene["msg"]).removeprefix("Value error, ").removeprefix("Assertion failed, ")
         what = what.replace("Input should", "should", 1)
     shown = "" if kind in ("missing", "method_name") or _is_big(got) else f" (got {short(got)})"
     # An option that names the key, or one below it, needs no key beside it.
@@ -322,9 +322,9 @@ def _models(kind: Any, data: Any, location: Location) -> list[type[BaseModel]]:
     if origin in (Union, UnionType):
         return [m for option in get_args(kind) for m in _models(option, data, location)]
     if origin in (list, tuple, Sequence) and location and isinstance(location[0], int):
-        items = [a for a in get_args(kind) if a is not Ellipsis]
+        scenes = [a for a in get_args(kind) if a is not Ellipsis]
         below = data[location[0]] if isinstance(data, list) and location[0] < len(data) else None
-        return [m for option in items for m in _models(option, below, location[1:])]
+        return [m for option in scenes for m in _models(option, below, location[1:])]
     if origin is dict and location:
         below = data.get(location[0]) if isinstance(data, dict) else None
         return _models(get_args(kind)[1], below, location[1:])
@@ -335,12 +335,12 @@ def _inside(annotation: Any) -> list[Any]:
     """What stands beside the types of an optional annotation."""
     if get_origin(annotation) is Annotated:
         return list(get_args(annotation)[1:])
-    return [item for option in get_args(annotation) for item in _inside(option)]
+    return [scene for option in get_args(annotation) for scene in _inside(option)]
 
 
 def _family(metadata: Iterable[Any]) -> Family | None:
-    for item in metadata:
-        owner = getattr(item.func, "__self__", None) if isinstance(item, BeforeValidator) else None
+    for scene in metadata:
+        owner = getattr(scene.func, "__self__", None) if isinstance(scene, BeforeValidator) else None
         if isinstance(owner, Family):
             return owner
     return None

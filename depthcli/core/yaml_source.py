@@ -44,7 +44,7 @@ class ConfigData:
     ----------
     name : what messages call the file
     data : the root mapping
-    places : location of a key or item -> ``file:line``, or the option that set it
+    places : location of a key or scene -> ``file:line``, or the option that set it
     problems : what was wrong so far, ready to be shown
     """
 
@@ -112,7 +112,7 @@ def to_yaml(value: Any) -> str:
 
 class _Dumper(yaml.SafeDumper):
     def represent_sequence(self, tag: str, sequence: Any, flow_style: bool | None = None) -> yaml.SequenceNode:
-        short = all(not isinstance(item, dict | list) for item in sequence)
+        short = all(not isinstance(scene, dict | list) for scene in sequence)
         return super().represent_sequence(tag, sequence, flow_style=short)
 
     def represent_float(self, data: float) -> yaml.ScalarNode:
@@ -186,7 +186,7 @@ class Builder:
             if isinstance(node, yaml.MappingNode):
                 return self.mapping(node, location)
             if isinstance(node, yaml.SequenceNode):
-                return [self.item(child, (*location, i)) for i, child in enumerate(node.value)]
+                return [self.value(child, (*location, i)) for i, child in enumerate(node.value)]
             try:
                 return self.scalars.construct_object(node)
             except (ValueError, OverflowError, KeyError, yaml.YAMLError):
@@ -196,7 +196,7 @@ class Builder:
         finally:
             self.open.pop()
 
-    def item(self, node: yaml.Node, location: Location) -> Any:
+    def value(self, node: yaml.Node, location: Location) -> Any:
         self.places[location] = self.at(node)
         return self.build(node, location)
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import MAP_SUFFIXES, read_disparity
 from depthcli.data.formats.pictures import STATUS_PALETTE
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.stereo import StereoItem, StereoTruth
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.evaluation.pictures import LEGEND_TEXT, error_picture
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import MISSING_IS_BAD, Measure, Score, Tally
@@ -53,7 +53,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     """A protocol for (H, W) float32 disparity maps in pixels, NaN = no value."""
 
     unit = "px"
-    kind = StereoItem
+    kind = StereoScene
     places = ("{scene}/disp_left", "{scene}", "disp_0/{scene}", "low_res_two_view/{scene}")
     suffixes = MAP_SUFFIXES
     curve_masks: ClassVar[tuple[str, ...]] = ("nonocc", "all")
@@ -93,28 +93,28 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         """Masks of the evaluation, from what the files give: those of ``mask_order``, and any other."""
         return {**stored.masks, "all": stored.masks.get("all", ~np.isnan(stored.disparity))}
 
-    def truth(self, item: Item) -> DisparityTruth:
+    def truth(self, scene: Scene) -> DisparityTruth:
         """Ground truth with masks."""
-        item.check()
-        if not isinstance(item, StereoItem):
-            raise InputError(f"{item.folder}: {item.name} is no stereo pair, which {self.name} scores")
-        stored = item.truth()
+        scene.check()
+        if not isinstance(scene, StereoScene):
+            raise InputError(f"{scene.folder}: {scene.name} is no stereo pair, which {self.name} scores")
+        stored = scene.truth()
         if np.isnan(stored.disparity).all():
-            raise InputError(f"{item.disparity_left}: the ground truth has no known pixel")
+            raise InputError(f"{scene.disparity_left}: the ground truth has no known pixel")
         masks = self.masks(stored)
         return DisparityTruth(
             stored.disparity,
             {name: masks[name] for name in self.ordered(masks)},
             stored.noc,
             stored.scale,
-            item.max_disparity,
-            item.round_disparity,
+            scene.max_disparity,
+            scene.round_disparity,
         )
 
-    def single(self, truth: Path) -> Item:
+    def single(self, truth: Path) -> Scene:
         """A disparity map alone, without masks; integer codes have the scale of the settings."""
         scale = None if truth.suffix.lower() == ".pfm" else self.settings.scale
-        return StereoItem(
+        return StereoScene(
             name=truth.stem,
             folder=truth.parent,
             protocol=self.name,
@@ -138,7 +138,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         """The kit's names too."""
         return super().looked_for(names).replace("(looked for ", "(looked for SCENE/disp0METHOD.pfm, ")
 
-    def read(self, path: Path, item: Item, truth: DisparityTruth) -> Disparity:
+    def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
         """The map in pixels: a PFM as it is; 8-bit codes have the truth's scale where the settings have none."""
         codes = truth.scale if truth.scale is not None and truth.scale < 256 else None
         scale = None if path.suffix.lower() == ".pfm" else self.settings.scale

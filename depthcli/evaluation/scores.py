@@ -30,7 +30,7 @@ class Measure:
     unit : ``%``, ``px``, ``mm`` ... or empty
     threshold : in the protocol's unit, or None where the measure has none
     convention : what a missing value counts as
-    worst : what an item without a map counts as in a mean; None: the measure has no bound, and a mean over items
+    worst : what an scene without a map counts as in a mean; None: the measure has no bound, and a mean over scenes
         that lack a map is no number
     larger_is_better : a score of 1 beats one of 0
     label : heading of a table's column; made from metric and threshold where it is empty

@@ -13,7 +13,7 @@ from typing import Any
 
 from depthcli.core.errors import ConfigError, OutputError
 from depthcli.data.formats.atomic import write_text
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 from depthcli.evaluation import tables
 from depthcli.evaluation.matrix import Matrix, best_of, by_scene
 from depthcli.evaluation.protocols import Protocol
@@ -22,7 +22,7 @@ from depthcli.evaluation.results import EvaluationReport, Result, Section
 from depthcli.evaluation.summary import Comparison, compare
 from depthcli.report import colors
 from depthcli.report.plots import plots
-from depthcli.report.scenes import Scene, smaller
+from depthcli.report.scenes import ScenePage, smaller
 
 ASSETS = "assets"
 BUDGET = 50_000_000
@@ -59,12 +59,12 @@ class Page:
     def __init__(self, folder: Path, command: str = "", budget: int = BUDGET) -> None:
         self.folder, self.command, self.budget = folder, command, budget
         self._entries: list[_Entry] = []
-        self._scene: Scene | None = None
+        self._scene: ScenePage | None = None
 
-    def scene(self, judge: Protocol[Any, Any], item: Item, truth: Any) -> None:
+    def scene(self, judge: Protocol[Any, Any], scene: Scene, truth: Any) -> None:
         """The scene that the next maps belong to."""
         self._close()
-        self._scene = Scene.of(judge, item, truth)
+        self._scene = ScenePage.of(judge, scene, truth)
 
     def map(self, result: Result, path: Path, estimate: Any, truth: Any, confidences: dict[str, Any]) -> None:
         """One run's map of the scene."""

@@ -168,7 +168,7 @@ def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str) -> 
 
 def curve_plot(curves: Mapping[str, Sparsification], title: str, of: str) -> str:
     """Sparsification curves of one region with their bounds, the best first, as the text of an SVG file."""
-    ordered = sorted(curves.items(), key=lambda item: item[1].auc)
+    ordered = sorted(curves.items(), key=lambda scene: scene[1].auc)
     lines = [Line(f"{name} {c.auc:.4f}", c.percentages, c.errors) for name, c in ordered]
     some = ordered[0][1]
     lines.append(Line(f"optimal {some.optimal:.4f}", some.percentages, some.best, bound=True))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.data.formats.pictures import read_status, status_color, status_words
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene as InputScene
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.results import Result
 from depthcli.report import colors
@@ -35,7 +35,7 @@ class _Small:
 
 
 @dataclass
-class Scene:
+class ScenePage:
     """One scene, filled run by run.
 
     Attributes
@@ -56,7 +56,7 @@ class Scene:
     _small: dict[str, _Small] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, judge: Protocol[Any, Any], item: Item, truth: Any) -> Scene | None:
+    def of(cls, judge: Protocol[Any, Any], item: InputScene, truth: Any) -> ScenePage | None:
         """A scene without runs yet; None where there is nothing to look at."""
         found = _regions(judge, truth)
         if found is None:

@@ -20,7 +20,7 @@ from depthcli.batch.making import Task
 from depthcli.batch.reporter import Reporter
 from depthcli.batch.runner import Options
 from depthcli.cli import main
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes.stereo import StereoScene
 
 PRESET = "opencv-sgbm"
 SCENES = 48
@@ -138,7 +138,7 @@ class Lost:
     """A future whose workers died whenever it held one of ``deadly``."""
 
     def __init__(self, chunk: list[Task], deadly: set[str]) -> None:
-        self.chunk, self.bad = chunk, any(task.item.name in deadly for task in chunk)
+        self.chunk, self.bad = chunk, any(task.scene.name in deadly for task in chunk)
         self.status = "error" if self.bad else "finished"
 
     def done(self) -> bool:
@@ -148,7 +148,7 @@ class Lost:
         return KilledWorker()
 
     def result(self) -> tuple[list[dict[str, Any]], int, float]:
-        return [{"scene": task.item.name, "status": "done", "seconds": {"a": 0.01}} for task in self.chunk], 0, 0.0
+        return [{"scene": task.scene.name, "status": "done", "seconds": {"a": 0.01}} for task in self.chunk], 0, 0.0
 
 
 def test_a_scene_that_kills_its_workers_fails_alone(tmp_path: Path):
@@ -159,8 +159,8 @@ def test_a_scene_that_kills_its_workers_fails_alone(tmp_path: Path):
             self.sent.append(len(chunk))
             return Lost(chunk, {"b"})
 
-    items = [StereoItem(name=name, folder=tmp_path, left=tmp_path / f"{name}.png") for name in "abc"]
-    tasks = [Task(item, tmp_path, tmp_path, 0, "run", {}, "") for item in items]
+    scenes = [StereoScene(name=name, folder=tmp_path, left=tmp_path / f"{name}.png") for name in "abc"]
+    tasks = [Task(scene, tmp_path, tmp_path, 0, "run", {}, "") for scene in scenes]
     cluster = _Cluster(Client(), None, None, Options())
     cluster.submit(tasks)
     rows: dict[str, dict[str, Any]] = {}

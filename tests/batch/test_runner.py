@@ -15,11 +15,11 @@ from depthcli.batch import record, resources
 from depthcli.batch.making import Task, discard, run_one
 from depthcli.batch.record import RECORD_FILE
 from depthcli.batch.reporter import Reporter
-from depthcli.batch.runner import Options, Outcome, run_items
+from depthcli.batch.runner import Options, Outcome, run_scenes
 from depthcli.batch.tables import run_table
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
 from depthcli.core.result import Clock
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 
 class Config(BaseModel):
@@ -27,7 +27,7 @@ class Config(BaseModel):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Text(Item):
+class Text(Scene):
     file: Path
 
     @property
@@ -96,7 +96,7 @@ class Folder:
             scenes.append(Text(name=name, folder=file.parent, file=file))
         self.log.write_text("")
         config = Config(factor=factor)
-        rows = run_items(Repeat(self.log), config, scenes, self.output, Options(**options), self.reporter)
+        rows = run_scenes(Repeat(self.log), config, scenes, self.output, Options(**options), self.reporter)
         return {row["scene"]: row for row in rows}
 
     def computed(self) -> list[str]:
@@ -247,14 +247,14 @@ def test_inputs_are_never_written_over(folder: Folder):
     scene = Text(name="in", folder=folder.root / "in", file=folder.root / "in" / "x")
     scene.file.write_text("x")
     with pytest.raises(ConfigError, match="over its own input"):
-        run_items(Repeat(), Config(), [scene], folder.root, Options(), Reporter(-1))
+        run_scenes(Repeat(), Config(), [scene], folder.root, Options(), Reporter(-1))
 
 
 @pytest.mark.parametrize("name", ["", ".hidden", "..", "a/../b", "a//b"])
 def test_names_that_lead_astray_are_refused(folder: Folder, name: str):
     scene = Text(name=name, folder=folder.root, file=folder.root / "in" / "x")
     with pytest.raises(ConfigError, match="--name"):
-        run_items(Repeat(), Config(), [scene], folder.output, Options(), Reporter(-1))
+        run_scenes(Repeat(), Config(), [scene], folder.output, Options(), Reporter(-1))
 
 
 def test_another_input_of_the_same_name_is_refused(folder: Folder):
@@ -265,7 +265,7 @@ def test_another_input_of_the_same_name_is_refused(folder: Folder):
     scene = Text(name="a", folder=folder.root, file=other)
 
     def again(**options: Any) -> list[dict[str, Any]]:
-        return run_items(Repeat(), Config(), [scene], folder.output, Options(**options), Reporter(-1))
+        return run_scenes(Repeat(), Config(), [scene], folder.output, Options(**options), Reporter(-1))
 
     with pytest.raises(ConfigError, match=r"another 'a', made from .*in/a; this one is .*elsewhere"):
         again()
@@ -418,24 +418,24 @@ def test_of_many_items_the_table_shows_failures_and_totals():
 
 
 def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path: Path):
-    """A worker of a cluster may outlive its run: its half item must not pass for a whole one, nor remove another's."""
+    """A worker of a cluster may outlive its run: its half scene must not pass for a whole one, nor remove another's."""
     made = dict.fromkeys(("a.txt", "b.txt"), "whole")
     gone = []
 
     class Slow(Repeat):
-        def compute(self, config, item, folder, memory):
+        def compute(self, config, scene, folder, memory):
             for number, (name, text) in enumerate(made.items()):
                 if number == 1 and not gone:
                     gone.append(folder)
-                    discard(folder.parent)  # the run ends, and the next one makes the item
+                    discard(folder.parent)  # the run ends, and the next one makes the scene
                     assert run_one(task(tmp_path / "next"), self, config, memory)["status"] == "done"
                 folder.mkdir(parents=True, exist_ok=True)  # as the writers of files do
                 (folder / name).write_text(text)
             return Outcome()
 
     def task(place: Path) -> Task:
-        item = Text(name="item", folder=tmp_path, file=tmp_path / "item.txt")
-        return Task(item, tmp_path / "run", place, 0, "run", {}, "")
+        scene = Text(name="item", folder=tmp_path, file=tmp_path / "item.txt")
+        return Task(scene, tmp_path / "run", place, 0, "run", {}, "")
 
     row = run_one(task(tmp_path / "making"), Slow(), None, 1 << 30)
     assert row["status"] == "failed"

@@ -22,7 +22,7 @@ from depthcli.cli import main
 from depthcli.commands.stereo import COMMAND as STEREO
 from depthcli.core.errors import ConfigError
 from depthcli.data.formats.images import write_png
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes.stereo import StereoScene
 from depthcli.methods.stereo.config import StereoConfig
 
 FAST = "opencv-bm"
@@ -73,42 +73,42 @@ def test_shards_are_balanced_by_pixels_and_disparities(tmp_path: Path):
     """A large flat image takes longer than a small one of noise, whatever their files take."""
     rng = np.random.default_rng(0)
     config = StereoConfig.model_validate({"pipeline": "opencv-bm"})
-    items = []
+    scenes = []
     for number in range(24):
         large = number % 4 == 0
         image = np.zeros((80, 120), np.uint8) if large else rng.integers(0, 256, (20, 30)).astype(np.uint8)
         file = tmp_path / f"{number:02}.png"
         write_png(file, image)
-        items.append(StereoItem(name=file.stem, folder=tmp_path, left=file, max_disparity=40 if large else 10))
-    assert items[0].left.stat().st_size < items[1].left.stat().st_size
+        scenes.append(StereoScene(name=file.stem, folder=tmp_path, left=file, max_disparity=40 if large else 10))
+    assert scenes[0].left.stat().st_size < scenes[1].left.stat().st_size
 
-    def effort(item: StereoItem) -> int | None:
-        return STEREO.effort(config, item)
+    def effort(scene: StereoScene) -> int | None:
+        return STEREO.effort(config, scene)
 
-    assert [effort(item) for item in items[:2]] == [80 * 120 * 41, 20 * 30 * 11]
-    parts = [Shard(index, 3).of(items, effort) for index in (1, 2, 3)]
-    assert sorted(item.name for part in parts for item in part) == [item.name for item in items]
-    assert [sum(item.max_disparity == 40 for item in part) for part in parts] == [2, 2, 2]
+    assert [effort(scene) for scene in scenes[:2]] == [80 * 120 * 41, 20 * 30 * 11]
+    parts = [Shard(index, 3).of(scenes, effort) for index in (1, 2, 3)]
+    assert sorted(scene.name for part in parts for scene in part) == [scene.name for scene in scenes]
+    assert [sum(scene.max_disparity == 40 for scene in part) for part in parts] == [2, 2, 2]
     wide = config.model_copy(update={"max_disparity": 10})
-    assert STEREO.effort(wide, items[0]) == 80 * 120 * 11
+    assert STEREO.effort(wide, scenes[0]) == 80 * 120 * 11
     # Of one file the header does not tell: all go by their files' sizes, alike in every process.
-    items[5].left.write_bytes(b"no image")
-    assert effort(items[5]) is None
-    assert [Shard(k, 3).of(items, effort) for k in (1, 2, 3)] == [Shard(k, 3).of(items) for k in (1, 2, 3)]
+    scenes[5].left.write_bytes(b"no image")
+    assert effort(scenes[5]) is None
+    assert [Shard(k, 3).of(scenes, effort) for k in (1, 2, 3)] == [Shard(k, 3).of(scenes) for k in (1, 2, 3)]
 
 
 def test_shards_are_apart_complete_and_balanced(tmp_path: Path):
-    items = []
+    scenes = []
     for number in range(48):
         file = tmp_path / f"{number:02}.png"
         file.write_bytes(b"x" * (1000 if number % 4 == 0 else 10))  # a plain division gives one of four all large ones
-        items.append(StereoItem(name=file.stem, folder=tmp_path, left=file))
-    parts = [Shard(index, 4).of(items) for index in range(1, 5)]
-    assert sorted(item.name for part in parts for item in part) == [item.name for item in items]
-    loads = [sum(item.left.stat().st_size for item in part) for part in parts]
+        scenes.append(StereoScene(name=file.stem, folder=tmp_path, left=file))
+    parts = [Shard(index, 4).of(scenes) for index in range(1, 5)]
+    assert sorted(scene.name for part in parts for scene in part) == [scene.name for scene in scenes]
+    loads = [sum(scene.left.stat().st_size for scene in part) for part in parts]
     assert max(loads) < 1.3 * min(loads)
-    assert Shard(2, 4).of(items[::-1]) == parts[1]
-    assert [len(Shard(index, 50).of(items)) for index in range(1, 51)].count(0) == 2
+    assert Shard(2, 4).of(scenes[::-1]) == parts[1]
+    assert [len(Shard(index, 50).of(scenes)) for index in range(1, 51)].count(0) == 2
 
 
 def test_processes_side_by_side_make_what_one_makes(made_scenes: Path, whole: Path, tmp_path: Path):

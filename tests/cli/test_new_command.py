@@ -36,11 +36,11 @@ class InvertConfig(BaseModel):
 from dataclasses import dataclass
 from pathlib import Path
 
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlainItem(Item):
+class PlainScene(Scene):
     """A depth map and, where known, its inverse."""
 
     depth: Path
@@ -66,22 +66,22 @@ class PlainItem(Item):
         return read_pfm(self.inverse)
 ''',
     "data/layouts/plain.py": '''
-from depthcli.data.scenes.plain import PlainItem
+from depthcli.data.scenes.plain import PlainScene
 from depthcli.data.layouts import Folder, Layout
 
 
 class Plain(Layout):
     """``plain.pfm`` and ``plain_inverse.pfm``."""
 
-    kind = PlainItem
+    kind = PlainScene
     wants = "`plain.pfm`, `plain_inverse.pfm`"
 
-    def items(self, folder: Folder):
+    def scenes(self, folder: Folder):
         depth = folder.one("plain", (".pfm",))
         if depth is None:
             return []
         inverse = folder.one("plain_inverse", (".pfm",))
-        return [PlainItem(name=folder.name, folder=folder.path, layout=self.name, protocol="inverse", depth=depth,
+        return [PlainScene(name=folder.name, folder=folder.path, layout=self.name, protocol="inverse", depth=depth,
                           inverse=inverse)]
 ''',
     "evaluation/protocols/inverse.py": '''
@@ -90,7 +90,7 @@ import numpy as np
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Tally
 from depthcli.data.formats.disparity import read_pfm
-from depthcli.data.scenes.plain import PlainItem
+from depthcli.data.scenes.plain import PlainScene
 
 
 class Inverse(Protocol):
@@ -98,15 +98,15 @@ class Inverse(Protocol):
 
     title = "Inverse depth: mean error"
     unit = "1/m"
-    kind = PlainItem
+    kind = PlainScene
     places = ("{scene}/inverse",)
     suffixes = (".pfm",)
     headline = Measure("mean", "1/m", convention=ESTIMATED_ONLY)
 
-    def truth(self, item):
-        return item.truth()
+    def truth(self, scene):
+        return scene.truth()
 
-    def read(self, path, item, truth):
+    def read(self, path, scene, truth):
         return read_pfm(path)
 
     def nothing(self, truth):
@@ -127,12 +127,12 @@ class Inverse(Protocol):
 ''',
     "commands/invert.py": '''"""Turn depth maps upside down."""
 
-from depthcli.data.scenes.plain import PlainItem
+from depthcli.data.scenes.plain import PlainScene
 from depthcli.commands._batch import ConfigCommand
 
 
 class InvertCommand(ConfigCommand):
-    kinds = (PlainItem,)
+    kinds = (PlainScene,)
 
     def config_model(self):
         from depthcli.inversion.config import InvertConfig
@@ -144,11 +144,11 @@ class InvertCommand(ConfigCommand):
 
         return (SIZE,)
 
-    def compute(self, config, item, folder, memory):
+    def compute(self, config, scene, folder, memory):
         from depthcli.batch.runner import Outcome
         from depthcli.data.formats.disparity import write_pfm
 
-        depth = item.load()
+        depth = scene.load()
         write_pfm(folder / "inverse.pfm", depth**-config.power)
         return Outcome({"width": depth.shape[1], "height": depth.shape[0]}, {"invert": 0.0})
 
@@ -161,7 +161,7 @@ COMMAND = InvertCommand()
 
 @pytest.fixture(scope="module")
 def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the package with the toy's files in it, and two items."""
+    """A copy of the package with the toy's files in it, and two scenes."""
     root = tmp_path_factory.mktemp("house")
     source = Path(depthcli.__file__).parent
     shutil.copytree(source, root / "depthcli", ignore=shutil.ignore_patterns("__pycache__"))

@@ -13,8 +13,8 @@ import pytest
 from depthcli.cli import main
 from depthcli.data.formats.images import read_image
 from depthcli.data.generated.stereo_scenes import Radiometry, make_scene
-from depthcli.data.scenes.stereo import StereoItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.walk import discover_scenes
 
 SMALL = ("--width", "64", "--height", "48", "--max-disparity", "10")
 
@@ -28,18 +28,18 @@ def _bytes(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(files)}
 
 
-def items(folder: Path) -> dict[str, StereoItem]:
+def scenes(folder: Path) -> dict[str, StereoScene]:
     found = {}
-    for item in find_items(folder, (StereoItem,)):
-        assert isinstance(item, StereoItem)
-        found[item.name] = item
+    for scene in discover_scenes(folder, (StereoScene,)):
+        assert isinstance(scene, StereoScene)
+        found[scene.name] = scene
     return found
 
 
 def test_scenes_are_what_the_generator_made(tmp_path: Path):
     assert sample(tmp_path, "-n", "5", "--noise", "2", "--radiometric", "0.5") == 0
-    assert sorted(items(tmp_path)) == ["curved_0", "foreground_0", "planes_0", "planes_1", "repetitive_0"]
-    stored = items(tmp_path)["planes_1"]
+    assert sorted(scenes(tmp_path)) == ["curved_0", "foreground_0", "planes_0", "planes_1", "repetitive_0"]
+    stored = scenes(tmp_path)["planes_1"]
     made = make_scene("planes", 1, 64, 48, 10, noise=2.0, radiometry=Radiometry.of_strength(0.5))
     pair, truth = stored.load(), stored.truth()
     np.testing.assert_array_equal(pair.left, made.left)
@@ -58,7 +58,7 @@ def test_scenes_are_what_the_generator_made(tmp_path: Path):
 
 def test_streets_are_made_where_they_are_asked_for(tmp_path: Path):
     assert sample(tmp_path, "-n", "2", "--kind", "street", "--kind", "planes") == 0
-    assert sorted(items(tmp_path)) == ["planes_0", "street_0"]
+    assert sorted(scenes(tmp_path)) == ["planes_0", "street_0"]
 
 
 def test_same_options_same_bytes_and_a_second_run_keeps_them(tmp_path: Path):
@@ -102,8 +102,8 @@ def test_cross_modal_keeps_the_truth(tmp_path: Path, capsys: pytest.CaptureFixtu
     (tmp_path / "in" / "curved_0" / "right.png").write_bytes(b"not a picture")
     assert sample(tmp_path / "out", "--cross-modal", "--from", tmp_path / "in", "--speckles", "0.01") == 3
     assert "right.png" in capsys.readouterr().err
-    before, after = (items(tmp_path / folder)["planes_0"] for folder in ("in", "out"))
-    assert sorted(items(tmp_path / "out")) == ["foreground_0", "planes_0", "repetitive_0"]
+    before, after = (scenes(tmp_path / folder)["planes_0"] for folder in ("in", "out"))
+    assert sorted(scenes(tmp_path / "out")) == ["foreground_0", "planes_0", "repetitive_0"]
     np.testing.assert_array_equal(before.truth().disparity, after.truth().disparity)
     np.testing.assert_array_equal(before.truth().masks["nonocc"], after.truth().masks["nonocc"])
     assert after.max_disparity == 10

@@ -19,7 +19,7 @@ from depthcli.commands.evaluate import COMMAND, evaluate
 from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import read_disparity, write_disparity_png, write_pfm
 from depthcli.data.formats.images import read_image, write_png
-from depthcli.data.walk import find_items
+from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.disparity import DisparityProtocol
 from depthcli.evaluation.protocols import Settings
@@ -51,7 +51,7 @@ def truth(tmp_path: Path) -> Path:
 
 
 def exact(truth: Path, name: str = "a") -> np.ndarray:
-    return find_items(truth, patterns=[name])[0].truth().disparity
+    return discover_scenes(truth, patterns=[name])[0].truth().disparity
 
 
 def run_of(folder: Path, maps: dict[str, np.ndarray]) -> Path:
@@ -260,10 +260,10 @@ def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
 def test_real_scenes_truth_is_zero_and_two_pixels_off_is_hundred(tmp_path: Path):
     """One folder of every kind; the figures of every mask and threshold below two pixels."""
     wanted = {"Venus": "middlebury_v2", "middlebury_v3/Piano": "middlebury_v3", "2012_000070_10": "kitti_2012"}
-    for item in find_items(DATA, patterns=list(wanted)):
-        disparity = item.truth().disparity
-        write_pfm(tmp_path / "truth" / item.name / "disp_left.pfm", disparity)
-        write_pfm(tmp_path / "shifted" / item.name / "disp_left.pfm", disparity - np.float32(2.75))
+    for scene in discover_scenes(DATA, patterns=list(wanted)):
+        disparity = scene.truth().disparity
+        write_pfm(tmp_path / "truth" / scene.name / "disp_left.pfm", disparity)
+        write_pfm(tmp_path / "shifted" / scene.name / "disp_left.pfm", disparity - np.float32(2.75))
     for pattern, protocol in wanted.items():
         runs = [tmp_path / "truth", tmp_path / "shifted"]
         report = evaluate(runs, DATA, tmp_path / "out", [pattern], protocol=protocol)

@@ -16,14 +16,14 @@ FAMILIES = (
     "methods.stereo.cost", "methods.stereo.aggregation", "methods.stereo.optimization", "methods.stereo.refinement",
     "methods.stereo.pipeline", "algorithms.keypoints", "algorithms.segmentation",
 )  # fmt: skip
-METHODS = [load for each in FAMILIES for load in map(Family.of(f"depthcli.{each}").load, Family.of(f"depthcli.{each}").names())]
+METHODS = [f.load(n) for f in (Family.of(f"depthcli.{each}") for each in FAMILIES) for n in f.names()]
 MODELS: list[type[BaseModel]] = [*METHODS, FuseConfig, StereoConfig]
 
 
 def unbounded(schema: Any, path: str) -> Iterator[str]:
     if isinstance(schema, list):
-        for item in schema:
-            yield from unbounded(item, path)
+        for scene in schema:
+            yield from unbounded(scene, path)
     if not isinstance(schema, dict):
         return
     if schema.get("type") in ("integer", "number") and "enum" not in schema and "const" not in schema:

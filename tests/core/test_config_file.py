@@ -142,7 +142,7 @@ def test_set_reaches_below_a_default():
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("parts.5=census", "--set parts.5: parts has 1 items; the last index is 0 (got 5)"),
+        ("parts.5=census", "--set parts.5: parts has 1 scenes; the last index is 0 (got 5)"),
         ("parts.x=census", "--set parts.x: parts is a list of 1; want an index such as parts.0 (got 'x')"),
         ("width.x=3", "--set width.x: width is a single value, nothing can be set below it"),
         ("width", "--set width: want KEY=VALUE, such as --set cost.window=[9,7]"),

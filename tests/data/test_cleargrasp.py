@@ -9,15 +9,15 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.depth import write_depth_png
 from depthcli.data.formats.disparity import write_pfm
 from depthcli.data.formats.images import write_png
-from depthcli.data.scenes.rgbd import RgbdItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.rgbd import RgbdScene
+from depthcli.data.walk import discover_scenes
 from tests.scenes import DATA
 
 
 def only(folder):
-    (item,) = find_items(folder, (RgbdItem,))
-    assert isinstance(item, RgbdItem)
-    return item
+    (scene,) = discover_scenes(folder, (RgbdScene,))
+    assert isinstance(scene, RgbdScene)
+    return scene
 
 
 @pytest.fixture
@@ -58,11 +58,11 @@ def test_cleargrasp(tmp_path, depth, real):
     write_depth_png(tmp_path / ("depth_opaque_gt_mm.png" if real else "depth_gt_mm.png"), depth)
     if real:
         write_depth_png(tmp_path / "depth_sensor_mm.png", 2 * depth)
-    item = only(tmp_path)
-    assert (item.layout, item.protocol, item.has_truth) == ("cleargrasp", "depth", True)
-    np.testing.assert_allclose(item.load().depth, 2 * depth if real else np.where(mask, np.nan, depth))
-    np.testing.assert_allclose(item.truth().depth, depth)
-    np.testing.assert_array_equal(item.truth().masks["transparent"], mask)
+    scene = only(tmp_path)
+    assert (scene.layout, scene.protocol, scene.has_truth) == ("cleargrasp", "depth", True)
+    np.testing.assert_allclose(scene.load().depth, 2 * depth if real else np.where(mask, np.nan, depth))
+    np.testing.assert_allclose(scene.truth().depth, depth)
+    np.testing.assert_array_equal(scene.truth().masks["transparent"], mask)
 
 
 def test_cleargrasp_without_the_sensor_s_depth_is_a_row_with_its_reason(tmp_path, depth):
@@ -76,10 +76,10 @@ def test_cleargrasp_without_the_sensor_s_depth_is_a_row_with_its_reason(tmp_path
 def test_the_shared_folders_are_recognized_as_they_lie_there():
     if not (DATA / "transparent").is_dir():
         pytest.skip("transparent is not in ../shared/data")
-    items = find_items(DATA / "transparent", (RgbdItem,))
-    assert [item.layout for item in items] == ["cleargrasp"] * 5
-    for item in items:
-        frame, truth = item.load(), item.truth()
+    scenes = discover_scenes(DATA / "transparent", (RgbdScene,))
+    assert [scene.layout for scene in scenes] == ["cleargrasp"] * 5
+    for scene in scenes:
+        frame, truth = scene.load(), scene.truth()
         inside = truth.masks["transparent"]
         assert np.isfinite(frame.depth[~inside]).mean() > 0.5
-        assert np.isfinite(frame.depth[inside]).mean() < (0.75 if "real" in item.name else 1e-9)
+        assert np.isfinite(frame.depth[inside]).mean() < (0.75 if "real" in scene.name else 1e-9)

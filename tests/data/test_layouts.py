@@ -12,9 +12,9 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import write_disparity_png, write_pfm
 from depthcli.data.formats.images import write_png
 from depthcli.data.layouts import layouts
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.stereo import StereoItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.walk import discover_scenes
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real scenes of ../shared/data are not here")
@@ -25,8 +25,8 @@ TRUTH = np.full((6, 8), 2, np.float32)
 TRUTH[0] = np.nan
 
 
-def find(folder: Path, layout: str | None = None, pattern: str = "*", warn=lambda line: None) -> list[StereoItem]:
-    return find_items(folder, (StereoItem,), layout, [pattern], warn)
+def find(folder: Path, layout: str | None = None, pattern: str = "*", warn=lambda line: None) -> list[StereoScene]:
+    return discover_scenes(folder, (StereoScene,), layout, [pattern], warn)
 
 
 def own(folder: Path, meta: object = None, masks: bool = True) -> Path:
@@ -130,9 +130,9 @@ def test_a_scene_too_deep_is_told(tmp_path: Path):
 def test_several_patterns(tmp_path: Path):
     for name in ("a", "b", "c"):
         own(tmp_path / name)
-    assert [s.name for s in find_items(tmp_path, (StereoItem,), None, ["c", "a"])] == ["a", "c"]
+    assert [s.name for s in discover_scenes(tmp_path, (StereoScene,), None, ["c", "a"])] == ["a", "c"]
     with pytest.raises(InputError, match="no scene matches 'x'"):
-        find_items(tmp_path, (StereoItem,), None, ["a", "x"])
+        discover_scenes(tmp_path, (StereoScene,), None, ["a", "x"])
 
 
 def test_listing_opens_no_image(tmp_path: Path):
@@ -147,7 +147,7 @@ def test_listing_opens_no_image(tmp_path: Path):
 
 def test_every_layout_says_what_it_wants():
     assert [each.name for each in layouts()] == sorted(each.name for each in layouts())
-    assert all(each.wants and issubclass(each.kind, Item) for each in layouts())
+    assert all(each.wants and issubclass(each.kind, Scene) for each in layouts())
 
 
 @pytest.mark.parametrize(("stems", "truth"), [

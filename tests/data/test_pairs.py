@@ -13,9 +13,9 @@ from depthcli.cli import main
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.data.formats.images import write_png
 from depthcli.data.pairs import match_patterns, read_table
-from depthcli.data.scenes.stereo import StereoItem
-from depthcli.data.scenes.video import VideoItem, video_items
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.scenes.video import VideoScene, video_scenes
+from depthcli.data.walk import discover_scenes
 
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
 
@@ -86,7 +86,7 @@ def test_tables(tmp_path: Path):
         ("a", tmp_path / "a.png", tmp_path / "b.png"), ("b", tmp_path / "sub dir/b.png", tmp_path / "c.png"),
     ]  # fmt: skip
     table.write_text("right,left,max_disparity,name,calibration\nb.png,a.png,40,one,calib.txt\nc.png,a.png,,two,\n")
-    one, two = StereoItem.of_table(table)
+    one, two = StereoScene.of_table(table)
     assert (one.name, one.left.name, one.max_disparity, one.calibration) == ("one", "a.png", 40, tmp_path / "calib.txt")
     assert (two.name, two.max_disparity, two.calibration) == ("two", None, None)
     table.write_text("a.png,b.png\na.png,c.png\n")
@@ -114,14 +114,14 @@ def video(path: Path, shift: int, count: int = 5) -> Path:
 
 def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     left, right = video(tmp_path / "l.avi", 0), video(tmp_path / "r.avi", 6)
-    items = video_items(left, right)
-    assert [item.name for item in items] == [f"{k:06}" for k in range(5)]
+    scenes = video_scenes(left, right)
+    assert [scene.name for scene in scenes] == [f"{k:06}" for k in range(5)]
     reader = cv2.VideoCapture(str(left))
     frames = [reader.read()[1][..., ::-1] for _ in range(5)]
     for number in (0, 1, 3, 2, 4):  # in any order
-        item = items[number]
-        assert isinstance(item, VideoItem)
-        np.testing.assert_array_equal(item.load_views()[0], frames[number])
+        scene = scenes[number]
+        assert isinstance(scene, VideoScene)
+        np.testing.assert_array_equal(scene.load_views()[0], frames[number])
     pair = ("--left", left, "--right", right, "--max-disparity", "12")
     assert run("stereo", "opencv-bm", *pair, "-o", tmp_path / "run", "-q") == 0
     assert (tmp_path / "run/000004/disp_left.pfm").is_file()
@@ -134,8 +134,8 @@ def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "bad.avi: no video that can be decoded here" in capsys.readouterr().err
 
 
-def find(folder: Path) -> dict[str, StereoItem]:
-    return {item.name: item for item in find_items(folder, (StereoItem,))}  # type: ignore[misc]
+def find(folder: Path) -> dict[str, StereoScene]:
+    return {scene.name: scene for scene in discover_scenes(folder, (StereoScene,))}  # type: ignore[misc]
 
 
 def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
@@ -143,15 +143,15 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
     put(tmp_path / "views/right", "0001.png", "0003.png")
     (tmp_path / "views/calib.txt").write_text("baseline=100\n")
     (tmp_path / "views/meta.json").write_text(json.dumps({"max_disparity": 9, "min_disparity": -3}))
-    items = find(tmp_path / "views")
-    assert sorted(items) == ["0001", "0002", "0003"]
-    assert items["0001"].load().shape == (6, 8)
-    assert (items["0001"].max_disparity, items["0001"].min_disparity) == (9, -3)
-    assert items["0001"].calibration == tmp_path / "views/calib.txt"
-    assert "no right one" in items["0002"].problem and "no left one" in items["0003"].problem
+    scenes = find(tmp_path / "views")
+    assert sorted(scenes) == ["0001", "0002", "0003"]
+    assert scenes["0001"].load().shape == (6, 8)
+    assert (scenes["0001"].max_disparity, scenes["0001"].min_disparity) == (9, -3)
+    assert scenes["0001"].calibration == tmp_path / "views/calib.txt"
+    assert "no right one" in scenes["0002"].problem and "no left one" in scenes["0003"].problem
     put(tmp_path / "pairs", "0001_L.png", "0001_R.png", "0002_L.png", "notes.png")
-    items = find(tmp_path / "pairs")
-    assert {name: bool(item.problem) for name, item in items.items()} == {"0001": False, "0002": True}
+    scenes = find(tmp_path / "pairs")
+    assert {name: bool(scene.problem) for name, scene in scenes.items()} == {"0001": False, "0002": True}
     put(tmp_path / "starts", "left_a.png", "right_a.png")
     assert find(tmp_path / "starts")["a"].right == tmp_path / "starts/right_a.png"
     for view in ("image_0", "image_1"):
@@ -159,11 +159,11 @@ def test_layouts_of_many_pairs_in_a_folder(tmp_path: Path):
     put(tmp_path / "sequences/01/image_2", "000000.png")
     put(tmp_path / "sequences/01/image_3", "000000.png")
     (tmp_path / "sequences/00/calib.txt").write_text("P0: 1\n")
-    items = find(tmp_path / "sequences")
-    assert sorted(items) == ["00/000000", "00/000001", "01/000000"]
-    assert items["00/000001"].cameras == (0, 1)
-    assert items["01/000000"].cameras == (2, 3)
-    assert {item.layout for item in items.values()} == {"kitti-odometry"}
+    scenes = find(tmp_path / "sequences")
+    assert sorted(scenes) == ["00/000000", "00/000001", "01/000000"]
+    assert scenes["00/000001"].cameras == (0, 1)
+    assert scenes["01/000000"].cameras == (2, 3)
+    assert {scene.layout for scene in scenes.values()} == {"kitti-odometry"}
 
 
 def test_what_a_run_or_a_scene_holds_are_no_pairs(tmp_path: Path):
@@ -176,7 +176,7 @@ def test_what_a_run_or_a_scene_holds_are_no_pairs(tmp_path: Path):
         "disp_left.png",
         "disp_right.png",
     )
-    assert [item.layout for item in find(tmp_path / "a").values()] == ["scenes"]
+    assert [scene.layout for scene in find(tmp_path / "a").values()] == ["scenes"]
     put(tmp_path / "b", "disp_left.png", "disp_right.png")
     with pytest.raises(InputError, match="no scenes found"):
         find(tmp_path / "b")

@@ -13,9 +13,9 @@ from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import write_pfm
 from depthcli.data.formats.images import write_png
-from depthcli.data.scenes.rgb_ir import RgbIrItem
-from depthcli.data.scenes.rgbd import RgbdItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.rgb_ir import RgbIrScene
+from depthcli.data.scenes.rgbd import RgbdScene
+from depthcli.data.walk import discover_scenes
 
 K = [[190.0, 0, 20], [0, 190, 15], [0, 0, 1]]
 RIG = {
@@ -36,16 +36,16 @@ def write(folder, calibration=RIG, infrared=(28, 36), dtype=np.uint8):
 
 
 def only(folder):
-    (item,) = find_items(folder, (RgbdItem,))
-    assert isinstance(item, RgbIrItem)
-    return item
+    (scene,) = discover_scenes(folder, (RgbdScene,))
+    assert isinstance(scene, RgbIrScene)
+    return scene
 
 
 def test_a_rig_and_a_rectified_pair(tmp_path):
     write(tmp_path)
-    item = only(tmp_path)
-    frame = item.load_pair()
-    assert item.layout == "rgb-ir"
+    scene = only(tmp_path)
+    frame = scene.load_pair()
+    assert scene.layout == "rgb-ir"
     assert isinstance(frame.rig, Rig)
     assert frame.infrared.shape == (28, 36)
     assert frame.rig.color.distortion[0] == 0.1

@@ -14,8 +14,8 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import write_pfm
 from depthcli.data.formats.images import read_grey, write_png
 from depthcli.data.formats.kinect import read_kinect_calibration, read_kinect_raw
-from depthcli.data.scenes.rgbd import RgbdItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.rgbd import RgbdScene
+from depthcli.data.walk import discover_scenes
 from tests.scenes import DATA
 
 COLOR = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
@@ -23,11 +23,11 @@ DEPTH = np.full((6, 8), 2000, np.uint16)
 DEPTH[0] = 0
 
 
-def find(folder: Path, layout: str | None = None) -> list[RgbdItem]:
+def find(folder: Path, layout: str | None = None) -> list[RgbdScene]:
     found = []
-    for item in find_items(folder, (RgbdItem,), layout):
-        assert isinstance(item, RgbdItem)
-        found.append(item)
+    for scene in discover_scenes(folder, (RgbdScene,), layout):
+        assert isinstance(scene, RgbdScene)
+        found.append(scene)
     return found
 
 
@@ -38,22 +38,22 @@ def test_our_layout(tmp_path: Path):
     write_png(tmp_path / "a" / "mask_gap.png", DEPTH == 0)
     meta = {"depth_scale": 2000, "intrinsics": {"fx": 500, "fy": 510, "cx": 4, "cy": 3}, "fb": 40}
     (tmp_path / "a" / "meta.json").write_text(json.dumps(meta))
-    (item,) = find(tmp_path)
-    assert (item.name, item.layout, item.protocol, item.has_truth) == ("a", "rgbd", "depth", True)
-    frame, truth = item.load(), item.truth()
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout, scene.protocol, scene.has_truth) == ("a", "rgbd", "depth", True)
+    frame, truth = scene.load(), scene.truth()
     assert np.isnan(frame.depth[0]).all()
     assert (frame.depth[1:] == 1).all()
     assert (frame.fb, frame.intrinsics.fy if frame.intrinsics else None) == (40, 510)
     assert (truth.depth[1:] == 2).all()
     np.testing.assert_array_equal(truth.masks["gap"], DEPTH == 0)
-    np.testing.assert_array_equal(replace(item, depth_scale=1000).load().depth[1:], 2)
+    np.testing.assert_array_equal(replace(scene, depth_scale=1000).load().depth[1:], 2)
 
 
 def test_meters_and_a_missing_fb(tmp_path: Path):
     write_png(tmp_path / "color.png", COLOR[..., 0])
     write_pfm(tmp_path / "depth.pfm", np.where(DEPTH > 0, np.float32(1.5), np.float32(np.nan)))
-    (item,) = find(tmp_path)
-    frame = item.load()
+    (scene,) = find(tmp_path)
+    frame = scene.load()
     assert (frame.depth[1:] == 1.5).all()
     assert frame.color.shape == (6, 8, 3)
     assert frame.fb == pytest.approx(43.5)
@@ -66,13 +66,13 @@ def test_sequences_are_frames_by_number(tmp_path: Path, split: bool):
         if number != 1:
             write_png(tmp_path / "s" / f"{where[0]}{number:05d}.png", COLOR)
         write_png(tmp_path / "s" / f"{where[1]}{number:05d}.png", DEPTH)
-    items = find(tmp_path)
-    assert [(i.name, i.sequence, i.number, bool(i.problem)) for i in items] == [
+    scenes = find(tmp_path)
+    assert [(i.name, i.sequence, i.number, bool(i.problem)) for i in scenes] == [
         ("s/00000", "s", 0, False), ("s/00001", "s", 1, True), ("s/00003", "s", 3, False),
     ]  # fmt: skip
     with pytest.raises(InputError, match="a frame without its color"):
-        items[1].load()
-    assert items[2].load().shape == (6, 8)
+        scenes[1].load()
+    assert scenes[2].load().shape == (6, 8)
 
 
 def test_tum_pairs_by_time(tmp_path: Path):
@@ -88,7 +88,7 @@ def test_tum_pairs_by_time(tmp_path: Path):
     (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png 2.001 depth/a.png\n")
     assert [i.problem for i in find(tmp_path)] == [""]
     (tmp_path / "t" / "associations.txt").write_text("2.0 rgb/2.png nonsense\n")
-    (broken,) = find_items(tmp_path, (RgbdItem,))
+    (broken,) = discover_scenes(tmp_path, (RgbdScene,))
     assert "associations.txt:1: want time file time file" in broken.problem
 
 
@@ -97,9 +97,9 @@ def test_sun_rotates_its_bits(tmp_path: Path):
     codes = (DEPTH << np.uint16(3)) | (DEPTH >> np.uint16(13))
     write_png(tmp_path / "s" / "depth" / "y.png", codes)
     (tmp_path / "s" / "intrinsics.txt").write_text("500 0 4\n0 510 3\n0 0 1\n")
-    (item,) = find(tmp_path)
-    assert item.layout == "sun-rgbd"
-    assert (item.load().depth[1:] == 2).all()
+    (scene,) = find(tmp_path)
+    assert scene.layout == "sun-rgbd"
+    assert (scene.load().depth[1:] == 2).all()
 
 
 @pytest.mark.parametrize(("file", "said"), [("color.png", "no color"), ("depth.png", "no depth")])
@@ -107,9 +107,9 @@ def test_half_a_frame_is_a_row_with_its_reason(tmp_path: Path, file: str, said: 
     write_png(tmp_path / "a" / "color.png", COLOR)
     write_png(tmp_path / "a" / "depth.png", DEPTH)
     (tmp_path / "a" / file).unlink()
-    (item,) = find(tmp_path)
+    (scene,) = find(tmp_path)
     with pytest.raises(InputError, match=said):
-        item.load()
+        scene.load()
 
 
 def test_frames_that_cannot_be_used(tmp_path: Path):
@@ -160,9 +160,9 @@ class TestRealFrames:
     def test_every_folder_runs_as_it_lies_there(self):
         folders = ("rgbd_nyu", "rgbd_primesense", "rgbd_sun", "rgbd_tum", "kinect_v1_raw")
         for folder in folders:
-            for item in find(DATA / folder):
-                frame = item.load()
-                assert 0.5 < np.isfinite(frame.depth).mean() < 0.95, item.name
+            for scene in find(DATA / folder):
+                frame = scene.load()
+                assert 0.5 < np.isfinite(frame.depth).mean() < 0.95, scene.name
 
     def test_raw_depth_lies_on_the_checkerboards(self):
         """Within 1.2 mm of the residual that the set's own calibration has."""

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.data.formats.disparity import read_disparity, write_pfm
-from depthcli.data.scenes.stereo import StereoItem, StereoTruth
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.stereo import StereoScene, StereoTruth
+from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.disparity import DisparityProtocol, DisparityTruth, scale_warning
 from depthcli.evaluation.protocols import Settings
@@ -218,9 +218,9 @@ def test_v3_refuses_what_is_no_exact_half_or_quarter(shape):
 )  # fmt: skip
 def test_v3_thresholds_are_those_of_the_full_size(tmp_path, name, width, asked, factor):
     write_pfm(tmp_path / "disp0GT.pfm", np.full((1, width), 20, np.float32))
-    item = StereoItem(name=name, folder=tmp_path, left=tmp_path, disparity_left=tmp_path / "disp0GT.pfm")
+    scene = StereoScene(name=name, folder=tmp_path, left=tmp_path, disparity_left=tmp_path / "disp0GT.pfm")
     judge = make("middlebury_v3", resolution=asked)
-    truth = judge.truth(item)
+    truth = judge.truth(scene)
     assert truth.factor == factor
     for off, expected in ((2.0, 0), (2.25, 100)):
         scores = judge.scores(truth.disparity + np.float32(off / factor), truth)
@@ -395,9 +395,9 @@ def disturbed(truth: np.ndarray, holes: bool) -> np.ndarray:
 )
 def test_numbers_of_evaldisp(holes, nonocc, everything):
     """SDK 1.6: ``evaldisp`` with 0.5 px and the mask, with 1.0 px and without it; 70 disparities, not rounded."""
-    (item,) = find_items(DATA / "middlebury_v3", patterns=["Motorcycle"])
+    (scene,) = discover_scenes(DATA / "middlebury_v3", patterns=["Motorcycle"])
     judge = make("middlebury_v3")
-    truth = judge.truth(item)
+    truth = judge.truth(scene)
     scores = judge.scores(disturbed(truth.disparity, holes), truth)
     for mask, t, printed in (("nonocc", 2.0, nonocc), ("all", 4.0, everything)):
         keys = (("bad", t), ("invalid", None), ("totbad", t), ("avgerr", None))
@@ -415,9 +415,9 @@ def test_numbers_of_evaldisp(holes, nonocc, everything):
     ],
 )
 def test_numbers_of_the_eth3d_program(holes, mask, printed):
-    (item,) = find_items(DATA / "middlebury_v3", patterns=["Motorcycle"])
+    (scene,) = discover_scenes(DATA / "middlebury_v3", patterns=["Motorcycle"])
     judge = make("eth3d")
-    truth = judge.truth(item)
+    truth = judge.truth(scene)
     scores = judge.scores(disturbed(truth.disparity, holes), truth)
     shares = [("coverage", None), *(("bad", t) for t in (0.5, 1.0, 2.0, 4.0))]
     pixels = ["avgerr", "rms", "A50", "A90", "A95", "A99"]
@@ -486,10 +486,10 @@ def _kitti_frames(judge: Any, holes: bool) -> list[Result]:
 ])  # fmt: skip
 def test_figures_of_the_kitti_pairs(pair, d1, three, end_point):
     """The D1, > 3 px and end-point errors that DATA.md gives for a real network's maps."""
-    (item,) = find_items(DATA / "kitti_eval_pairs", patterns=[pair])
+    (scene,) = discover_scenes(DATA / "kitti_eval_pairs", patterns=[pair])
     judge = make("kitti_2015")
-    truth = judge.truth(item)
-    scores = judge.scores(judge.read(DATA / "kitti_eval_pairs" / pair / "disp_est.png", item, truth), truth)
+    truth = judge.truth(scene)
+    scores = judge.scores(judge.read(DATA / "kitti_eval_pairs" / pair / "disp_est.png", scene, truth), truth)
     assert pick(scores, "D1", 3.0, ESTIMATED_ONLY).value == pytest.approx(d1, abs=0.005)
     assert pick(scores, "out", 3.0, ESTIMATED_ONLY).value == pytest.approx(three, abs=0.005)
     assert pick(scores, "avgerr", None, ESTIMATED_ONLY).value == pytest.approx(end_point, abs=0.0005)

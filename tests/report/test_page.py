@@ -19,9 +19,9 @@ from depthcli.cli import main
 from depthcli.commands.evaluate import evaluate
 from depthcli.data.formats.disparity import read_disparity
 from depthcli.data.formats.volumes import Grid, read_volume
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import RegistrationTruth
-from depthcli.data.walk import BrokenItem
+from depthcli.data.walk import BrokenScene
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.results import EvaluationReport, Result
@@ -230,13 +230,13 @@ def test_packing(low: float, high: float):
 class Boxes(Protocol[Any, Any]):
     """Volumes without a single number a voxel to show: errors alone."""
 
-    title, unit, kind, places = "boxes", "mm", Item, ("{scene}",)
+    title, unit, kind, places = "boxes", "mm", Scene, ("{scene}",)
     headline = Measure("mean", "mm")
 
-    def truth(self, item: Item) -> Any:
+    def truth(self, item: Scene) -> Any:
         return np.zeros((4, 6, 8))
 
-    def read(self, path: Path, item: Item, truth: Any) -> Any:
+    def read(self, path: Path, item: Scene, truth: Any) -> Any:
         raise NotImplementedError
 
     def nothing(self, truth: Any) -> Any:
@@ -256,7 +256,7 @@ class Boxes(Protocol[Any, Any]):
 
 
 def test_volumes_show_slices_of_their_errors(tmp_path: Path):
-    judge, item, page = Boxes(), BrokenItem(name="box", folder=tmp_path), Page(tmp_path)
+    judge, item, page = Boxes(), BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
     volume = np.arange(4 * 6 * 8, dtype=float).reshape(4, 6, 8)
     page.scene(judge, item, judge.truth(item))
     result = Result("run", "box", "set", judge.name, scores=tuple(judge.scores(volume, judge.truth(item))))
@@ -281,7 +281,7 @@ class Points(Boxes):
     places_of[1:3, 2:, ::2] = True
     on_grid = True
 
-    def truth(self, item: Item) -> Any:
+    def truth(self, item: Scene) -> Any:
         return np.zeros(np.count_nonzero(self.places_of))
 
     def laid_out(self, points: Any, truth: Any) -> Any:
@@ -294,7 +294,7 @@ class Points(Boxes):
 
 @pytest.mark.parametrize("on_grid", [True, False])
 def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
-    judge, item, page = Points(), BrokenItem(name="box", folder=tmp_path), Page(tmp_path)
+    judge, item, page = Points(), BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
     judge.on_grid = on_grid
     truth = judge.truth(item)
     points = np.arange(truth.size, dtype=float) * 4

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from depthcli.commands.evaluate import evaluate
-from depthcli.data.scenes.stereo import StereoItem, StereoTruth
+from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.disparity import DisparityTruth
 from depthcli.evaluation.protocols import Settings, load, names
@@ -57,7 +57,7 @@ def test_curves_are_written_the_same_twice(made: Path, tmp_path: Path, scenes: P
         assert (made / file).read_bytes() == (tmp_path / "again" / file).read_bytes()
 
 
-STEREO = [name for name in names() if load(name).kind is StereoItem]
+STEREO = [name for name in names() if load(name).kind is StereoScene]
 
 
 @pytest.mark.parametrize("threshold", [None, 5.0])

@@ -29,7 +29,7 @@ class Forest:
     ----------
     measures : names of the columns that ``feature`` counts
     settings : how they are made: what a config must say for the forest to fit it
-    trained_on : names of the items
+    trained_on : names of the scenes
     roots : (T,) int32, first node of every tree
     feature : (N,) int32, column that a node looks at; -1: a leaf
     threshold : (N,) float64; ``left`` where the column is at most that, else ``right``, (N,) int32, larger than N's own

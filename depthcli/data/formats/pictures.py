@@ -106,7 +106,7 @@ def status_color(value: int, palette: Palette) -> tuple[int, int, int]:
 
 @cache
 def _all_colors(entries: tuple[tuple[int, tuple[str, tuple[int, int, int]]], ...]) -> bytes:
-    """Colors of all 256 values, of a palette's items: made once, not for each of many small maps."""
+    """Colors of all 256 values, of a palette's scenes: made once, not for each of many small maps."""
     palette = dict(entries)
     return bytes(channel for value in range(256) for channel in status_color(value, palette))
 

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 from depthcli.core.errors import InputError
 from depthcli.data.formats.files import read_bytes
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 
 class Folder:
@@ -23,8 +23,8 @@ class Folder:
     Attributes
     ----------
     path : where it is
-    name : name of an item that is the folder itself
-    prefix : what the names of items inside begin with
+    name : name of an scene that is the folder itself
+    prefix : what the names of scenes inside begin with
     asked : the layout that the user named, or empty
     """
 
@@ -111,9 +111,9 @@ class Folder:
 class Layout(ABC):
     """One way to lay out a folder; subclasses are found by their file."""
 
-    kind: ClassVar[type[Item]]
+    kind: ClassVar[type[Scene]]
     wants: ClassVar[str]
-    """The files of an item, in a line for messages and the manual."""
+    """The files of an scene, in a line for messages and the manual."""
 
     @property
     def name(self) -> str:
@@ -121,8 +121,8 @@ class Layout(ABC):
         return type(self).__module__.rpartition(".")[2].replace("_", "-")
 
     @abstractmethod
-    def items(self, folder: Folder) -> list[Item]:
-        """The items that ``folder`` itself holds; none where it is not of this layout.
+    def scenes(self, folder: Folder) -> list[Scene]:
+        """The scenes that ``folder`` itself holds; none where it is not of this layout.
 
         Raises
         ------

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from depthcli.data.layouts import Folder, Layout
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.rgbd import RgbdScene
 
 _SUFFIXES = (".png",)
 _COLOR = (".jpg", ".png")
@@ -16,13 +16,13 @@ class Cleargrasp(Layout):
     A rendered scene has its true depth alone: the sensor is made not to see the objects.
     """
 
-    kind = RgbdItem
+    kind = RgbdScene
     wants = (
         "`rgb_transparent.*`, `depth_sensor_mm.png`, `depth_opaque_gt_mm.png`, or `rgb.*`, `depth_gt_mm.png`; "
         "`mask_transparent.png`"
     )
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         mask = folder.one("mask_transparent", _SUFFIXES)
         real = folder.one("rgb_transparent", _COLOR)
         color = real or folder.one("rgb", _COLOR)
@@ -31,7 +31,7 @@ class Cleargrasp(Layout):
         if color is None or mask is None or (depth is None and truth is None):
             return []
         return [
-            RgbdItem(
+            RgbdScene(
                 name=folder.name,
                 folder=folder.path,
                 layout=self.name,

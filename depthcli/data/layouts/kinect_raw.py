@@ -6,20 +6,20 @@ from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.layouts.rgbd import frame
 from depthcli.data.layouts.rgbd_sequence import numbered
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.rgbd import RgbdScene
 
 
 class KinectRaw(Layout):
     """Codes 0..2047 in the depth camera's frame, which are triangulated and registered to the color camera."""
 
-    kind = RgbdItem
+    kind = RgbdScene
     wants = (
         "`color.*` and `disparity*.*`, or `color_0000.*` and `disparity_0000.*`; `calib.json` with `dc_beta.npy` after "
         "Herrera et al., else a typical calibration"
     )
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         calibration = folder.path / "calib.json" if folder.has("calib.json") else None
         single = folder.starting("disparity", IMAGE_SUFFIXES)
         if not single:
@@ -29,7 +29,7 @@ class KinectRaw(Layout):
             depth = next(iter(single.values()))
             return [frame(folder, folder.name, color, depth, "", self.name, raw=True, calibration=calibration)]
         colors, depths = (numbered(folder, start, IMAGE_SUFFIXES) for start in ("color_", "disparity_"))
-        found: list[Item] = []
+        found: list[Scene] = []
         for number, depth in sorted(depths.items()):
             digits = depth.stem.rpartition("_")[2]
             problem = "" if number in colors else f"{depth}: a frame without its color"

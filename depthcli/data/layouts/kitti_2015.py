@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import ClassVar
 
 from depthcli.data.layouts import Folder, Layout
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoScene
 
 _KITTI_SCALE = 256.0
 _RANGE = 255  # the largest disparity a file can hold: the frames come without a range of their own
@@ -16,23 +16,23 @@ _RANGE = 255  # the largest disparity a file can hold: the frames come without a
 class Kitti2015(Layout):
     """One folder a view and one a kind of truth; a frame has the same name in each."""
 
-    kind = StereoItem
+    kind = StereoScene
     wants = "`image_2`, `image_3`, `disp_noc_0`, `disp_occ_0`, `obj_map`, `calib_cam_to_cam`"
     protocol: ClassVar[str] = "kitti_2015"
     views: ClassVar[tuple[tuple[str, str], ...]] = (("image_2", "image_3"),)
     truths: ClassVar[tuple[str, str, str]] = ("disp_occ_0", "disp_noc_0", "obj_map")
     calibrations: ClassVar[str] = "calib_cam_to_cam"
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         views = next((pair for pair in self.views if folder.has(pair[0])), None)
         if views is None:
             return []
-        found: list[Item] = []
+        found: list[Scene] = []
         for left in sorted(folder.path.joinpath(views[0]).glob("*_10.png")):
             right, occ, noc, objects = (_beside(folder, where, left) for where in (views[1], *self.truths))
             frame = left.with_name(left.stem.partition("_")[0] + ".txt")
             found.append(
-                StereoItem(
+                StereoScene(
                     name=folder.prefix + left.stem,
                     folder=folder.path,
                     layout=self.name,

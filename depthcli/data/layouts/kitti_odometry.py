@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.layouts.views import view_images
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoScene
 
 _VIEWS = (("image_2", "image_3"), ("image_0", "image_1"))
 _RANGE = 255  # as of the other KITTI sets, which come without a range of their own
@@ -14,10 +14,10 @@ _RANGE = 255  # as of the other KITTI sets, which come without a range of their 
 class KittiOdometry(Layout):
     """A folder a sequence; color where there is color."""
 
-    kind = StereoItem
+    kind = StereoScene
     wants = "`image_2`, `image_3` or `image_0`, `image_1` with `000000.png`; `calib.txt`"
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         for left_view, right_view in _VIEWS:
             if not folder.has(left_view, right_view):
                 continue
@@ -25,7 +25,7 @@ class KittiOdometry(Layout):
             frames = sorted(name for name in {**left, **right} if name.isdigit())
             if frames:
                 return [
-                    StereoItem(
+                    StereoScene(
                         name=folder.prefix + name,
                         folder=folder.path,
                         layout=self.name,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from depthcli.data.formats.disparity import MAP_SUFFIXES
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoScene
 
 # Scale of the ground truth and search range of the data sets of the taxonomy paper, which come without a
 # file that says them (vision.middlebury.edu/stereo/data/scenes2001, scenes2003).
@@ -32,13 +32,13 @@ _VIEWS = (
 class MiddleburyV2(Layout):
     """Pairs of the second evaluation and of the 2005 and 2006 sets."""
 
-    kind = StereoItem
+    kind = StereoScene
     wants = (
         "`im2`/`im6`, `imL`/`imR` or `view1`/`view5` with `disp2`/`disp6`, `groundtruth` or `disp1`/`disp5`, and "
         "`nonocc`, `all`, `disc` where there are masks; the 2001, 2003, 2005 and 2006 sets"
     )
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         for left_stem, right_stem, truths in _VIEWS:
             left, right = folder.one(left_stem, IMAGE_SUFFIXES), folder.one(right_stem, IMAGE_SUFFIXES)
             if left is None or (right is None and folder.one(truths[0][0], MAP_SUFFIXES) is None):
@@ -55,7 +55,7 @@ class MiddleburyV2(Layout):
             found = {m: folder.one(m, IMAGE_SUFFIXES) or folder.one(f"mask_{m}", IMAGE_SUFFIXES)
                      for m in ("nonocc", "all", "disc")}  # fmt: skip
             return [
-                StereoItem(
+                StereoScene(
                     name=folder.name,
                     folder=folder.path,
                     layout=self.name,

@@ -8,14 +8,14 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.files import read_bytes
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoScene
 
 
 class MiddleburyV3(Layout):
     """``im0`` and ``im1`` with a ``calib.txt``."""
 
-    kind = StereoItem
+    kind = StereoScene
     wants = "`im0`, `im1`, `calib.txt`, `disp0GT.pfm`, `mask0nocc.png`"
     protocol = "middlebury_v3"
 
@@ -23,7 +23,7 @@ class MiddleburyV3(Layout):
         """True where the folder is of this layout and not of a related one."""
         return not folder.has("cameras.txt", "images.txt")
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         left, right = folder.one("im0", IMAGE_SUFFIXES), folder.one("im1", IMAGE_SUFFIXES)
         if left is None or not self.fits(folder):
             return []
@@ -34,7 +34,7 @@ class MiddleburyV3(Layout):
             top = None
         mask = folder.one("mask0nocc", IMAGE_SUFFIXES)
         return [
-            StereoItem(
+            StereoScene(
                 name=folder.name,
                 folder=folder.path,
                 layout=self.name,

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
-from depthcli.data.layouts.views import pair_items
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.layouts.views import pair_scenes
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoScene
 
 _ENDS = (("_L", "_R"), ("_l", "_r"), ("_left", "_right"), ("-left", "-right"), ("_Left", "_Right"))
 _STARTS = (("left_", "right_"), ("left-", "right-"), ("L_", "R_"), ("l_", "r_"), ("Left_", "Right_"))
@@ -19,13 +19,13 @@ _NO_IMAGES = ("disp", "mask", "confidence")
 class Pairs(Layout):
     """Many pairs side by side: ``0001_L.png`` and ``0001_R.png``."""
 
-    kind = StereoItem
+    kind = StereoScene
     wants = (
         "`NAME_L.*`/`NAME_R.*`, `NAME_left.*`/`NAME_right.*` or `left_NAME.*`/`right_NAME.*`; where known `calib.txt` "
         "and `meta.json` of all pairs"
     )
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         if folder.one("left", IMAGE_SUFFIXES) or folder.one("right", IMAGE_SUFFIXES):  # of scenes
             return []
         images = {Path(name).stem: name for name in sorted(folder.names) if name.lower().endswith(IMAGE_SUFFIXES)}
@@ -41,5 +41,5 @@ class Pairs(Layout):
                     if cut(stem) not in ("", stem) and not cut(stem).startswith(_NO_IMAGES)
                 })  # fmt: skip
             if set(sides[0]) & set(sides[1]):
-                return pair_items(folder, self.name, sides[0], sides[1])
+                return pair_scenes(folder, self.name, sides[0], sides[1])
         return []

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from depthcli.core.errors import InputError
 from depthcli.data.layouts import Folder, Layout
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.volume_pair import VolumePairItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.volume_pair import VolumePairScene
 
 _VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img", ".png", ".jpg", ".jpeg")
 _FIELDS = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")
@@ -18,14 +18,14 @@ _POINTS = (".csv", ".txt", ".pts")
 class Registration(Layout):
     """A folder a pair, everything under a name that says what it is."""
 
-    kind = VolumePairItem
+    kind = VolumePairScene
     wants = (
         "`fixed.*` and `moving_warped.*`, or `moving.*` with `displacement.*` or `transform.*` (NIfTI, MHA/MHD, NRRD, "
         "DIR-Lab `.img`, PNG, JPEG); where known `mask.*`, `landmarks_fixed.csv` with `landmarks_moving.csv` (x, y, z "
         "in mm), `error_true.*` (mm)"
     )
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         fixed = _one(folder, "fixed", _VOLUMES)
         warped = _one(folder, "moving_warped", _VOLUMES)
         moving = _one(folder, "moving", _VOLUMES)
@@ -40,7 +40,7 @@ class Registration(Layout):
         elif warped is None and displacement is None and transform is None:
             problem = f"{folder.path}: moving.* wants displacement.* or transform.* beside it"
         return [
-            VolumePairItem(
+            VolumePairScene(
                 name=folder.name, folder=folder.path, layout=self.name, protocol="registration", problem=problem,
                 fixed=fixed or folder.path / "fixed.mha", moving_warped=warped, moving=moving, transform=transform,
                 displacement=displacement, mask=_one(folder, "mask", _VOLUMES),

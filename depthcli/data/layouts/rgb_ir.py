@@ -7,30 +7,30 @@ import dataclasses
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.layouts.rgbd import Rgbd
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.rgb_ir import RgbIrItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.rgb_ir import RgbIrScene
 
 
 class RgbIr(Layout):
     """As ``rgbd``, with an infrared image and the calibration of both cameras."""
 
-    kind = RgbIrItem
+    kind = RgbIrScene
     wants = (
         "as `rgbd`, with `ir.*` (8 or 16 bit) and `calib.json` or OpenCV's `calib.yml` (M1 D1 M2 D2 R T); calib.json "
         "has `color`, `infrared` (K, distortion, size), R and t, or `rectified`: true and `fb`; where known "
         "`ir_noprojector.*`"
     )
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         infrared = folder.one("ir", IMAGE_SUFFIXES)
         if infrared is None:
             return []
-        found: list[Item] = []
-        for item in Rgbd().frames(folder):
-            known = {field.name: getattr(item, field.name) for field in dataclasses.fields(item)}
+        found: list[Scene] = []
+        for scene in Rgbd().frames(folder):
+            known = {field.name: getattr(scene, field.name) for field in dataclasses.fields(scene)}
             calibration = folder.one("calib", (".json", ".yml", ".yaml"))
             known |= {"layout": self.name, "calibration": calibration}
             plain = folder.one("ir_noprojector", IMAGE_SUFFIXES)
             top = folder.whole(folder.meta(), "max_disparity")
-            found.append(RgbIrItem(**known, infrared=infrared, infrared_plain=plain, max_disparity=top))
+            found.append(RgbIrScene(**known, infrared=infrared, infrared_plain=plain, max_disparity=top))
         return found

@@ -8,8 +8,8 @@ from typing import Any
 from depthcli.core.errors import InputError
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.rgbd import RgbdScene
 
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
 
@@ -17,19 +17,19 @@ DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
 class Rgbd(Layout):
     """A folder a frame, everything under a name that says what it is."""
 
-    kind = RgbdItem
+    kind = RgbdScene
     wants = (
         "`color.*`, `depth.*`; where known `depth_true.*`, `mask_<name>.*` (255 = evaluate), `sparse.*` (a second "
         "depth map, known at some pixels) with `sparse_confidence.*`, `meta.json` "
         "(`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, cy; `fb`)"
     )
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         if folder.one("ir", IMAGE_SUFFIXES):  # of rgb-ir
             return []
         return list(self.frames(folder))
 
-    def frames(self, folder: Folder) -> list[RgbdItem]:
+    def frames(self, folder: Folder) -> list[RgbdScene]:
         """The frame in ``folder``, if it has one, whatever else lies there."""
         color = folder.one("color", IMAGE_SUFFIXES)
         depth = folder.one("depth", DEPTH_SUFFIXES) or folder.one("depth_raw", DEPTH_SUFFIXES)
@@ -44,8 +44,8 @@ class Rgbd(Layout):
         return [frame(folder, folder.name, color, depth, problem, self.name, **sparse)]
 
 
-def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, layout: str, **more: Any) -> RgbdItem:
-    """The item of one frame, with what meta.json says of the folder."""
+def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, layout: str, **more: Any) -> RgbdScene:
+    """The scene of one frame, with what meta.json says of the folder."""
     meta = folder.meta()
     number = name.rpartition("/")[2]
     end = f"_{number}" if folder.one(f"depth_true_{number}", DEPTH_SUFFIXES) else ""
@@ -60,7 +60,7 @@ def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, lay
         **({} if scale is None else {"depth_scale": scale}),
         **more,
     }
-    return RgbdItem(name=name, folder=folder.path, layout=layout, problem=problem, color=color, depth=depth, **values)
+    return RgbdScene(name=name, folder=folder.path, layout=layout, problem=problem, color=color, depth=depth, **values)
 
 
 def intrinsics(folder: Folder, meta: dict[str, Any]) -> tuple[float, float, float, float] | None:

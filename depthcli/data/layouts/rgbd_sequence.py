@@ -9,8 +9,8 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.layouts.rgbd import DEPTH_SUFFIXES, frame
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.rgbd import RgbdScene
 
 _NUMBER = re.compile(r"(\d+)$")
 
@@ -18,10 +18,10 @@ _NUMBER = re.compile(r"(\d+)$")
 class RgbdSequence(Layout):
     """A folder a sequence; color and depth of one number belong together."""
 
-    kind = RgbdItem
+    kind = RgbdScene
     wants = "`color_00000.*` and `depth_00000.*`, or `color/` and `depth/` with numbered files; `meta.json` as `rgbd`"
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         if folder.has("color", "depth"):
             colors = numbered(Folder(folder.path / "color", "", ""), "", IMAGE_SUFFIXES)
             depths = numbered(Folder(folder.path / "depth", "", ""), "", DEPTH_SUFFIXES)
@@ -30,7 +30,7 @@ class RgbdSequence(Layout):
             depths = {n: f for n, f in numbered(folder, "depth_", DEPTH_SUFFIXES).items() if "true" not in f.stem}
         if not colors or not depths:
             return []
-        found: list[Item] = []
+        found: list[Scene] = []
         for number in sorted({**colors, **depths}):
             color, depth = colors.get(number), depths.get(number)
             there = color or depth

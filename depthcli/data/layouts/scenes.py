@@ -6,20 +6,20 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import MAP_SUFFIXES
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoScene
 
 
 class Scenes(Layout):
     """A folder a scene, everything under a name that says what it is."""
 
-    kind = StereoItem
+    kind = StereoScene
     wants = (
         "`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), `calib.txt` "
         "(as `middlebury-v3`), `meta.json` (`max_disparity`, `min_disparity`, `disp_scale`, `protocol`)"
     )
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         left, right = (folder.one(stem, IMAGE_SUFFIXES) for stem in ("left", "right"))
         truth = folder.one("disp_left", MAP_SUFFIXES)
         if left is None and right is None:
@@ -33,7 +33,7 @@ class Scenes(Layout):
             raise InputError(f"{folder.path / 'meta.json'}: max_disparity: want a number above {low} (got {top})")
         masks = folder.starting("mask_", IMAGE_SUFFIXES)
         return [
-            StereoItem(
+            StereoScene(
                 name=folder.name,
                 folder=folder.path,
                 layout=self.name,

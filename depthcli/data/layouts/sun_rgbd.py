@@ -9,17 +9,17 @@ from depthcli.data.formats.files import read_bytes
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.layouts.rgbd import frame
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.rgbd import RgbdScene
 
 
 class SunRgbd(Layout):
     """Millimeters whose 16 bits are rotated left by 3."""
 
-    kind = RgbdItem
+    kind = RgbdScene
     wants = "`image/`, `depth/` and `intrinsics.txt`; with `--layout sun-rgbd` also `color.*`, `depth.*`"
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         if folder.has("image", "depth", "intrinsics.txt"):
             color, depth = (_only(folder.path / where) for where in ("image", "depth"))
             fx, _, cx, _, fy, cy = _matrix(folder.path / "intrinsics.txt")

@@ -8,8 +8,8 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.files import read_bytes
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.layouts.rgbd import frame
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.rgbd import RgbdScene
 
 _SCALE = 5000.0
 _MOST_APART = 0.02  # seconds, as the benchmark's associate.py
@@ -18,10 +18,10 @@ _MOST_APART = 0.02  # seconds, as the benchmark's associate.py
 class Tum(Layout):
     """Color and depth with a time each, paired by ``associations.txt`` or by the nearest time."""
 
-    kind = RgbdItem
+    kind = RgbdScene
     wants = "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter"
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         if not folder.has("rgb", "depth") or not (folder.has("associations.txt") or folder.has("rgb.txt", "depth.txt")):
             return []
         if folder.has("associations.txt"):
@@ -30,7 +30,7 @@ class Tum(Layout):
                 pairs = [(c, d, a, b) for a, b, c, d in pairs]
         else:
             pairs = _nearest(folder)
-        found: list[Item] = []
+        found: list[Scene] = []
         for number, (time, color, depth_time, depth) in enumerate(pairs):
             apart = abs(time - depth_time)
             problem = ""

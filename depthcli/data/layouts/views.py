@@ -8,8 +8,8 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import MAP_SUFFIXES
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoScene
 
 _VIEWS = (
     ("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"), ("image_left", "image_right"),
@@ -20,38 +20,38 @@ _VIEWS = (
 class Views(Layout):
     """The two images of a pair have one name, in two folders."""
 
-    kind = StereoItem
+    kind = StereoScene
     wants = (
         "`left/NAME.*`, `right/NAME.*` (also `image_left`, `cam0`, `cam0/data`); where known `disp_left/NAME.*`, and "
         "`calib.txt`, `meta.json` of all pairs"
     )
 
-    def items(self, folder: Folder) -> list[Item]:
+    def scenes(self, folder: Folder) -> list[Scene]:
         for left, right in _VIEWS:
             if folder.has(left.partition("/")[0], right.partition("/")[0]):
                 sides = [view_images(folder.path / side, IMAGE_SUFFIXES) for side in (left, right)]
                 if set(sides[0]) & set(sides[1]):
                     truth = view_images(folder.path / "disp_left", MAP_SUFFIXES) if folder.has("disp_left") else {}
-                    return pair_items(folder, self.name, sides[0], sides[1], truth)
+                    return pair_scenes(folder, self.name, sides[0], sides[1], truth)
         return []
 
 
-def pair_items(
+def pair_scenes(
     folder: Folder, layout: str, left: dict[str, Path], right: dict[str, Path], truth: dict[str, Path] | None = None
-) -> list[Item]:
-    """An item for every name of either view; the folder's meta.json and calib.txt are those of all."""
+) -> list[Scene]:
+    """An scene for every name of either view; the folder's meta.json and calib.txt are those of all."""
     meta = folder.meta()
     low, top = folder.integer(meta, "min_disparity") or 0, folder.integer(meta, "max_disparity")
     if top is not None and top <= low:
         raise InputError(f"{folder.path / 'meta.json'}: max_disparity: want a number above {low} (got {top})")
-    found: list[Item] = []
+    found: list[Scene] = []
     for name in sorted({**left, **right}):
         one, other = left.get(name), right.get(name)
         problem = ""
         if one is None or other is None:
             problem = f"{one or other}: only one image of the pair, no {'right' if one else 'left'} one"
         found.append(
-            StereoItem(
+            StereoScene(
                 name=folder.prefix + name,
                 folder=folder.path,
                 layout=layout,

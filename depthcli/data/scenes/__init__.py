@@ -1,6 +1,6 @@
-"""Items: what a command works on one at a time, one file a kind of input.
+"""Scenes: what a command works on one at a time, one file a kind of input.
 
-An item knows its files and how to load them; it opens none of them before it is asked to.
+An scene knows its files and how to load them; it opens none of them before it is asked to.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from depthcli.core.option import Option
 
 
 @dataclass(frozen=True, kw_only=True)
-class Item(ABC):
+class Scene(ABC):
     """Base of all kinds.
 
     Attributes
     ----------
-    name : unique in its listing, with ``/`` where the item lies in a data set's folder
+    name : unique in its listing, with ``/`` where the scene lies in a data set's folder
     folder : the folder it was found in
     layout : name of the layout that found it; empty for files named on the command line
     protocol : name of the evaluation protocol that its ground truth asks for
-    problem : why the item cannot be used (``load`` and ``truth`` raise it), or empty
+    problem : why the scene cannot be used (``load`` and ``truth`` raise it), or empty
     """
 
     options: ClassVar[tuple[Option, ...]] = ()
-    """What this kind adds to the command line: files of a single item, and config keys it sets."""
+    """What this kind adds to the command line: files of a single scene, and config keys it sets."""
 
     name: str
     folder: Path
@@ -58,7 +58,7 @@ class Item(ABC):
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
-        """The item whose files were named on the command line; None where none was.
+        """The scene whose files were named on the command line; None where none was.
 
         Raises
         ------
@@ -69,19 +69,19 @@ class Item(ABC):
 
     @classmethod
     def named(cls, values: Mapping[str, Any]) -> list[Self]:
-        """All items whose files the command line names: the single one, unless the kind knows of more.
+        """All scenes whose files the command line names: the single one, unless the kind knows of more.
 
         Raises
         ------
         ConfigError, InputError
-            As for ``single``; what is named holds no item.
+            As for ``single``; what is named holds no scene.
         """
         one = cls.single(values)
         return [] if one is None else [one]
 
     @classmethod
     def of_table(cls, path: Path) -> list[Self]:
-        """The items that a table of files lists; ConfigError where there are none of that kind."""
+        """The scenes that a table of files lists; ConfigError where there are none of that kind."""
         raise ConfigError(f"{path}: want a folder")
 
     def check(self) -> None:
@@ -100,6 +100,6 @@ def together(values: Mapping[str, Any], *names: str) -> bool:
 
 
 def name_of(file: Path, usual: tuple[str, ...]) -> str:
-    """Name of a single item: its file's, or its folder's where the file is called as in every scene."""
+    """Name of a single scene: its file's, or its folder's where the file is called as in every scene."""
     folder = file.absolute().parent.name
     return folder if file.stem.lower() in usual and folder else file.stem

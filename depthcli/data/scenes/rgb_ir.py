@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from depthcli.core.errors import InputError
-from depthcli.data.scenes.rgbd import RgbdItem
+from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RgbIrItem(RgbdItem):
+class RgbIrScene(RgbdScene):
     """A frame with an infrared image; ``calibration`` holds both cameras, or says that the pair is rectified.
 
     Attributes

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from depthcli.core.errors import InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes import Item, name_of, together
+from depthcli.data.scenes import Scene, name_of, together
 
 if TYPE_CHECKING:
     import numpy as np
@@ -42,7 +42,7 @@ class RgbdTruth:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RgbdItem(Item):
+class RgbdScene(Scene):
     """The files of one frame.
 
     Attributes

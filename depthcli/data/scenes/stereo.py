@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from depthcli.core.errors import InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes import Item, name_of, together
+from depthcli.data.scenes import Scene, name_of, together
 
 if TYPE_CHECKING:
     import numpy as np
@@ -46,7 +46,7 @@ class StereoTruth:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StereoItem(Item):
+class StereoScene(Scene):
     """The files of one pair.
 
     Attributes
@@ -110,9 +110,9 @@ class StereoItem(Item):
         if is_many(one.left) or is_many(one.right):
             return [cls._of_pair(pair) for pair in match_patterns(one.left, one.right, IMAGE_SUFFIXES)]
         if one.left.suffix.lower() in VIDEO_SUFFIXES:
-            from depthcli.data.scenes.video import video_items
+            from depthcli.data.scenes.video import video_scenes
 
-            return list(video_items(one.left, one.right))  # type: ignore[arg-type]  # they are StereoItems
+            return list(video_scenes(one.left, one.right))  # type: ignore[arg-type]  # they are StereoScenes
         return [one]
 
     @classmethod

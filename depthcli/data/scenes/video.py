@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.data.formats.files import open_regular, shown
-from depthcli.data.scenes.stereo import StereoItem
+from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
     from depthcli.core.frames import StereoPair
@@ -19,7 +19,7 @@ _open: dict[Path, tuple[Any, int]] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
-class VideoItem(StereoItem):
+class VideoScene(StereoScene):
     """The frame ``number`` (from 0) of two videos, ``left`` and ``right``."""
 
     number: int = 0
@@ -37,7 +37,7 @@ class VideoItem(StereoItem):
         return pair_of(*self.load_views(), (self.left, self.right or self.left))
 
 
-def video_items(left: Path, right: Path) -> list[StereoItem]:
+def video_scenes(left: Path, right: Path) -> list[StereoScene]:
     """A pair for every frame that both videos say they have.
 
     Raises
@@ -61,7 +61,7 @@ def video_items(left: Path, right: Path) -> list[StereoItem]:
             raise ConfigError(f"{shown(path)}: no video that can be decoded here")
     digits = max(6, len(str(max(counts))))
     return [
-        VideoItem(name=f"{number:0{digits}}", folder=left.parent, left=left, right=right, number=number)
+        VideoScene(name=f"{number:0{digits}}", folder=left.parent, left=left, right=right, number=number)
         for number in range(min(counts))
     ]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes import Item, name_of
+from depthcli.data.scenes import Scene, name_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,7 +58,7 @@ class RegistrationTruth:
 
 
 @dataclass(frozen=True, kw_only=True)
-class VolumePairItem(Item):
+class VolumePairScene(Scene):
     """The files of one pair.
 
     Attributes

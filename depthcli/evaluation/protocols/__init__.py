@@ -21,7 +21,7 @@ from depthcli.core.frames import color8
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.formats.images import read_image
 from depthcli.data.formats.pictures import Palette
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.results import Curve, Result
 from depthcli.evaluation.scores import Measure, Score
@@ -40,7 +40,7 @@ class Settings:
 
     Attributes
     ----------
-    scale : codes per unit of the maps' files that hold codes; None: what the file's kind and the item say
+    scale : codes per unit of the maps' files that hold codes; None: what the file's kind and the scene say
     resolution : size of the ground truth where a benchmark has several (Middlebury v3: F, H or Q)
     threshold : of the headline, instead of the benchmark's; in the protocol's unit
     resize : (width, height) that depth maps and their truth are brought to, nearest neighbor, as ClearGrasp does
@@ -74,7 +74,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     Attributes
     ----------
     title, unit, note : for tables: name, unit of the errors, what the numbers mean
-    kind : kind of item that it scores
+    kind : kind of scene that it scores
     places : where a run folder may hold the map of ``{scene}``, without the file's ending, the likeliest first
     suffixes : endings of a map, the likeliest first
     mask_order : names of regions in the order of tables; the first one present stands for a scene
@@ -95,7 +95,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     title: ClassVar[str]
     unit: ClassVar[str]
     note: ClassVar[str] = ""
-    kind: ClassVar[type[Item]]
+    kind: ClassVar[type[Scene]]
     places: ClassVar[tuple[str, ...]]
     suffixes: ClassVar[tuple[str, ...]]
     mask_order: ClassVar[tuple[str, ...]] = ("nonocc", "all", "disc")
@@ -126,17 +126,17 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """The measure that stands for a map; ``scores`` has it for every region."""
 
     @abstractmethod
-    def truth(self, item: Item) -> Truth:
+    def truth(self, scene: Scene) -> Truth:
         """The item's ground truth, checked and prepared.
 
         Raises
         ------
         InputError
-            Not an item of this kind, no ground truth, or it cannot be used.
+            Not an scene of this kind, no ground truth, or it cannot be used.
         """
 
     @abstractmethod
-    def read(self, path: Path, item: Item, truth: Truth) -> Estimate:
+    def read(self, path: Path, scene: Scene, truth: Truth) -> Estimate:
         """One run's estimate; InputError where the file is damaged or does not fit the truth."""
 
     @abstractmethod
@@ -195,13 +195,13 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """Size of a pixel or voxel along the axes of what is laid out; None: all are alike."""
         return None
 
-    def image(self, item: Item) -> NDArray[np.uint8] | None:
+    def image(self, scene: Scene) -> NDArray[np.uint8] | None:
         """What the maps describe: (H, W, 3) RGB, or (Z, Y, X) grey levels of a volume; None: nothing to look at.
 
         Here the first of the item's input files, where that is a picture.
         """
         try:
-            return color8(read_image(next(iter(item.input_files.values()))))
+            return color8(read_image(next(iter(scene.input_files.values()))))
         except (InputError, StopIteration):
             return None
 
@@ -217,9 +217,9 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         """What ``mean`` needs beside the scores (pooled points, say); kept in memory, not written."""
         return None
 
-    def single(self, truth: Path) -> Item:
-        """The item of a ground truth file that lies in no folder of a known layout."""
-        raise InputError(f"{truth}: {self.name} wants a folder of items as the ground truth")
+    def single(self, truth: Path) -> Scene:
+        """The scene of a ground truth file that lies in no folder of a known layout."""
+        raise InputError(f"{truth}: {self.name} wants a folder of scenes as the ground truth")
 
     # Files of a run
 
@@ -266,7 +266,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     # From scores to figures
 
     def missing(self, truth: Truth, dense: bool = False) -> list[Score]:
-        """Scores of an item that a run lacks: the worst where a measure has a bound, no number where it has none."""
+        """Scores of an scene that a run lacks: the worst where a measure has a bound, no number where it has none."""
         scores = (self.dense if dense else self.scores)(self.nothing(truth), truth)
         sizes = {mask: int(np.count_nonzero(region)) for mask, region in self.regions(truth).items()}
         counted = []
@@ -305,7 +305,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         return 1.0
 
     def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
-        """One score out of those of several items: here the mean, in which every item counts once.
+        """One score out of those of several scenes: here the mean, in which every scene counts once.
 
         Empty regions are left out. A region that a map does not answer at all counts as the measure's worst; where
         it has none, the mean is no number.
@@ -324,7 +324,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         )
 
     def mean(self, results: Sequence[Result]) -> list[Score]:
-        """Every measure in every region over the items of one run."""
+        """Every measure in every region over the scenes of one run."""
         return self.pooled((result.scores, result.scene) for result in results)
 
     def pooled(self, scored: Iterable[tuple[Sequence[Score], str]]) -> list[Score]:

@@ -15,8 +15,8 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.depth import read_depth
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.rgbd import RgbdItem, RgbdTruth
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.rgbd import RgbdScene, RgbdTruth
 from depthcli.evaluation.pictures import LEGEND_TEXT, error_picture
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally
@@ -61,7 +61,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     title = "Depth: mean absolute error, mm; estimated pixels only"
     unit = "mm"
     note = "MAE, RMSE: mm; REL, delta: of the true depth; px: of the sensor's disparity; coverage: pixels with a value"
-    kind = RgbdItem
+    kind = RgbdScene
     places = ("{scene}/depth", "{scene}")
     suffixes = (".pfm", ".npy", ".png", ".pgm", ".tif", ".tiff")
     mask_order = ("all", "gap", "occluded", "specular", "mismatch", "measured", "object", "transparent")
@@ -77,29 +77,29 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         """The mean absolute error."""
         return self.mae
 
-    def truth(self, item: Item) -> DepthTruth:
+    def truth(self, scene: Scene) -> DepthTruth:
         """True depth with its regions, at the size of the settings."""
-        stored = item.truth()
+        stored = scene.truth()
         if not isinstance(stored, RgbdTruth):
-            raise InputError(f"{item.folder}: {item.name} has no true depth, which {self.name} scores")
+            raise InputError(f"{scene.folder}: {scene.name} has no true depth, which {self.name} scores")
         depth = self._resized(stored.depth)
         known = np.isfinite(depth)
         if not known.any():
-            raise InputError(f"{item.folder}: the true depth of {item.name} has no known pixel")
+            raise InputError(f"{scene.folder}: the true depth of {scene.name} has no known pixel")
         masks = {name: self._resized(mask.astype(np.uint8)) > 0 for name, mask in stored.masks.items()}
         regions = {"all": known, **{name: mask & known for name, mask in masks.items()}}
-        scale = getattr(item, "depth_scale", 1000.0)
+        scale = getattr(scene, "depth_scale", 1000.0)
         return DepthTruth(depth, {name: regions[name] for name in self.ordered(regions)}, stored.fb, scale)
 
-    def single(self, truth: Path) -> Item:
+    def single(self, truth: Path) -> Scene:
         """A depth map alone, without masks."""
         scale = self.settings.scale or 1000.0
-        return RgbdItem(
+        return RgbdScene(
             name=truth.stem, folder=truth.parent, protocol=self.name, color=truth, depth=truth, depth_true=truth,
             depth_scale=scale,
         )  # fmt: skip
 
-    def read(self, path: Path, item: Item, truth: DepthTruth) -> Depth:
+    def read(self, path: Path, scene: Scene, truth: DepthTruth) -> Depth:
         """The map in meters; integer codes have the truth's scale where the settings have none."""
         suffix = path.suffix.lower()
         meters = suffix in _METERS or (suffix in _EITHER and read_plane(path).dtype.kind == "f")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth, size
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Measure, Score, Tally, float_sum
 
@@ -50,15 +50,15 @@ class MiddleburyV3(DisparityProtocol):
         """As in the site's average."""
         return 0.5 if scene.rpartition("/")[2] in _HARD else 1.0
 
-    def truth(self, item: Item) -> DisparityTruth:
+    def truth(self, scene: Scene) -> DisparityTruth:
         """Ground truth with the size of the benchmark's full image.
 
         That is ``resolution``; without it, it is told from the width of a training scene of the benchmark, and
         other scenes are taken for full size.
         """
-        truth = super().truth(item)
+        truth = super().truth(scene)
         width = truth.disparity.shape[1]
-        name, factor = item.name.rpartition("/")[2], 1
+        name, factor = scene.name.rpartition("/")[2], 1
         if self.settings.resolution is not None:
             factor = _FACTORS[self.settings.resolution]
         elif name in _SCENES:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.data.scenes import Item
-from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairItem
+from depthcli.data.scenes import Scene
+from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairScene
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.report import Table, number
@@ -85,7 +85,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         "error, mm; AUC: share of point pairs, one with an error above 3 mm, one below, in the right order; "
         "accuracy: of the classes < 3, 3-6, >= 6 mm; MAE: |expected - true|, mm; AUSE, AURG: mm; several pairs: pooled"
     )
-    kind = VolumePairItem
+    kind = VolumePairScene
     places = ("{scene}/expected_error", "{scene}")
     suffixes = (".nii.gz", ".nii", ".mha", ".nrrd")
     mask_order = ("landmarks", "voxels")
@@ -99,19 +99,19 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Rank correlation of expected and true error."""
         return self.spearman
 
-    def truth(self, item: Item) -> PreparedTruth:
+    def truth(self, scene: Scene) -> PreparedTruth:
         """True errors at landmarks or voxels."""
-        stored = item.truth()
+        stored = scene.truth()
         if not isinstance(stored, RegistrationTruth):
-            raise InputError(f"{item.folder}: {item.name} has no registration errors, which {self.name} scores")
+            raise InputError(f"{scene.folder}: {scene.name} has no registration errors, which {self.name} scores")
         if stored.error.ndim == 1:
             return PreparedTruth(stored.error, stored.grid.to_index(stored.points), None, stored)
         inside = np.isfinite(stored.error)
         if not inside.any():
-            raise InputError(f"{item.folder}: the true error of {item.name} is known nowhere")
+            raise InputError(f"{scene.folder}: the true error of {scene.name} is known nowhere")
         return PreparedTruth(stored.error[inside], None, inside, stored)
 
-    def read(self, path: Path, item: Item, truth: PreparedTruth) -> Errors:
+    def read(self, path: Path, scene: Scene, truth: PreparedTruth) -> Errors:
         """Expected errors at the places of the truth."""
         return self._at(path, truth)
 
@@ -170,13 +170,13 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Of the voxels, mm."""
         return truth.truth.grid.spacing[::-1]
 
-    def image(self, item: Item) -> NDArray[np.uint8] | None:
+    def image(self, scene: Scene) -> NDArray[np.uint8] | None:
         """(Z, Y, X) grey levels of the fixed volume, between its darkest and brightest half percent."""
         from depthcli.data.formats.volumes import read_volume
 
-        if not isinstance(item, VolumePairItem):
+        if not isinstance(scene, VolumePairScene):
             return None
-        values = read_volume(item.fixed).values
+        values = read_volume(scene.fixed).values
         some = values.ravel()[:: max(1, values.size // _KEPT)]
         low, high = np.percentile(some[np.isfinite(some)], (0.5, 99.5)) if np.isfinite(some).any() else (0.0, 1.0)
         grey = (np.nan_to_num(values, nan=low) - low) * (255 / max(high - low, 1e-9))
@@ -210,7 +210,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         return _mask(truth), estimate[::step], truth.error[::step]
 
     def mean(self, results: Sequence[Result]) -> list[Score]:
-        """Every measure over all points of the items together; where an item lacks a map, the mean of the scores."""
+        """Every measure over all points of the scenes together; where an scene lacks a map, the mean of the scores."""
         if any(result.evidence is None for result in results) or not results:
             return super().mean(results)
         made = []

@@ -8,8 +8,8 @@ import pytest
 from depthcli.cli import main
 from depthcli.data.generated.sparse_depth import sparse_samples
 from depthcli.data.generated.transparent_scenes import make_transparent_scene, sensor_through
-from depthcli.data.scenes.rgbd import RgbdItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.rgbd import RgbdScene
+from depthcli.data.walk import discover_scenes
 
 
 @pytest.fixture(scope="module")
@@ -79,11 +79,11 @@ def test_the_command_makes_frames_and_makes_them_from_others(tmp_path):
     assert main(["sample", "--transparent", "--width", "96", "--height", "72", "-o", str(made), "-q"]) == 0
     assert main(["sample", "--transparent", "--from", str(made), "--share", "0.3", "-o", str(more), "-q"]) == 0
     for folder, share in ((made, 0.02), (more, 0.3)):
-        items = find_items(folder, (RgbdItem,))
-        assert [item.name for item in items] == ["glass_0", "glass_1"]
-        for item in items:
-            assert isinstance(item, RgbdItem)
-            frame, truth = item.load_sparse(), item.truth()
+        scenes = discover_scenes(folder, (RgbdScene,))
+        assert [scene.name for scene in scenes] == ["glass_0", "glass_1"]
+        for scene in scenes:
+            assert isinstance(scene, RgbdScene)
+            frame, truth = scene.load_sparse(), scene.truth()
             assert np.isfinite(frame.sparse).mean() == pytest.approx(share, abs=0.001)
             assert truth.masks["transparent"].any()
             assert truth.fb == (24.0 if folder == made else None)

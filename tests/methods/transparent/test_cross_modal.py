@@ -13,8 +13,8 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbIrFrame
 from depthcli.core.result import Clock
 from depthcli.data.generated.transparent_scenes import glass_of_pair, make_transparent_scene
-from depthcli.data.scenes.stereo import StereoItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.walk import discover_scenes
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.transparent.channels import GREY, learned_weights, mixed, nonnegative_least_squares
 from depthcli.methods.transparent.cross_modal import CrossModal, Selection
@@ -180,8 +180,8 @@ class TestRealScenes:
         if not folder.is_dir():
             pytest.skip("middlebury_v2 is not in ../shared/data")
         found = {}
-        for item in find_items(folder, (StereoItem,), patterns=("Cones", "Teddy", "Venus")):
-            assert isinstance(item, StereoItem)
+        for item in discover_scenes(folder, (StereoScene,), patterns=("Cones", "Teddy", "Venus")):
+            assert isinstance(item, StereoScene)
             pair, truth = item.load(), item.truth()
             found[item.name] = (glass_of_pair(pair.left, pair.right, truth.disparity), truth.masks["nonocc"], item)
         return found

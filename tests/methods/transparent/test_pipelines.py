@@ -13,8 +13,8 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.sparse_depth import sparse_samples
-from depthcli.data.scenes.rgbd import RgbdItem
-from depthcli.data.walk import find_items
+from depthcli.data.scenes.rgbd import RgbdScene
+from depthcli.data.walk import discover_scenes
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.robust_fit import Samples
 from depthcli.methods.transparent.suspects import Suspicion, noise_of
@@ -154,12 +154,12 @@ class TestRealScenes:
         if not folder.is_dir():
             pytest.skip("transparent/real_d435 is not in ../shared/data")
         found = {}
-        for item in find_items(folder, (RgbdItem,)):
-            assert isinstance(item, RgbdItem)
-            frame, truth = item.load(), item.truth()
+        for scene in discover_scenes(folder, (RgbdScene,)):
+            assert isinstance(scene, RgbdScene)
+            frame, truth = scene.load(), scene.truth()
             color = cv2.resize(frame.color, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             mask = truth.masks["transparent"][::2, ::2]
-            found[item.name] = (color, np.ascontiguousarray(frame.depth[::2, ::2]), truth.depth[::2, ::2], mask)
+            found[scene.name] = (color, np.ascontiguousarray(frame.depth[::2, ::2]), truth.depth[::2, ::2], mask)
         return found
 
     @pytest.mark.parametrize(

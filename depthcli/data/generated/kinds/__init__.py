@@ -15,23 +15,23 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from depthcli.core.option import Option
-from depthcli.data.scenes import Item
+from depthcli.data.scenes import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
-class SampleItem(Item):
+class SampleScene(Scene):
     """A scene to be generated.
 
     Attributes
     ----------
     settings : what it is made from, beside the options that all scenes share
     files : role -> file that it is made from; none where it comes from nothing
-    origin : the item that it is made from, or None
+    origin : the scene that it is made from, or None
     """
 
     settings: dict[str, Any] = field(default_factory=dict)
     files: dict[str, Path] = field(default_factory=dict)
-    origin: Item | None = None
+    origin: Scene | None = None
 
     @property
     def input_files(self) -> dict[str, Path]:
@@ -51,7 +51,7 @@ class Sample(ABC):
     """What ``--NAME`` gives, for the help."""
     options: ClassVar[tuple[Option, ...]]
     """Its own options; the ones that other kinds have too are the same."""
-    by_item: ClassVar[frozenset[str]] = frozenset({"count", "kind", "seed", "from_"})
+    by_scene: ClassVar[frozenset[str]] = frozenset({"count", "kind", "seed", "from_"})
     """Options that choose scenes and say nothing about one of them beyond its settings."""
 
     @property
@@ -63,11 +63,11 @@ class Sample(ABC):
         """Raise ConfigError where options do not fit together."""
 
     @abstractmethod
-    def items(self, values: Mapping[str, Any]) -> list[SampleItem]:
+    def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
         """The scenes that the options ask for."""
 
     @abstractmethod
-    def make(self, values: Mapping[str, Any], item: SampleItem, folder: Path) -> dict[str, Any]:
+    def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
         """Write one scene into the empty ``folder``, in a layout of ours; facts for its row of the report."""
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.option import Option
-from depthcli.data.generated.kinds import Sample, SampleItem
+from depthcli.data.generated.kinds import Sample, SampleScene
 from depthcli.data.generated.kinds.stereo import COUNT, SEED
 
 if TYPE_CHECKING:
@@ -30,17 +30,17 @@ class RegistrationSample(Sample):
                most=100),
     )  # fmt: skip
 
-    def items(self, values: Mapping[str, Any]) -> list[SampleItem]:
+    def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
         """Small, large and tiny errors in turn."""
         return [
-            SampleItem(
+            SampleScene(
                 name=f"pair_{values['seed'] + k}", folder=Path(),
                 settings={"seed": values["seed"] + k, "largest": _LARGEST[k % len(_LARGEST)]},
             )
             for k in range(values["count"])
         ]  # fmt: skip
 
-    def make(self, values: Mapping[str, Any], item: SampleItem, folder: Path) -> dict[str, Any]:
+    def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
         """Both volumes, the body's mask, the dense true error and meta.json."""
         import numpy as np
 
@@ -49,7 +49,7 @@ class RegistrationSample(Sample):
         from depthcli.data.formats.volumes import Grid
         from depthcli.data.generated.deformed_volumes import make_deformed_pair
 
-        largest, seed = item.settings["largest"], item.settings["seed"]
+        largest, seed = scene.settings["largest"], scene.settings["seed"]
         pair: DeformedPair = make_deformed_pair(seed, _SHAPE, largest, values["noise"])
         grid = Grid((_SHAPE[2], _SHAPE[1], _SHAPE[0]), _SPACING)
         error = np.linalg.norm(pair.residual * np.array(_SPACING), axis=-1).astype(np.float32)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.data.generated.kinds import Sample, SampleItem
+from depthcli.data.generated.kinds import Sample, SampleScene
 
 if TYPE_CHECKING:
     import numpy as np
@@ -56,16 +56,16 @@ class StereoSample(Sample):
             if kind not in KINDS:
                 raise ConfigError(f"--kind: no kind called {kind!r}; one of: {', '.join(KINDS)}")
 
-    def items(self, values: Mapping[str, Any]) -> list[SampleItem]:
+    def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
         """Kinds in turn, the next seed after each round."""
         kinds = tuple(dict.fromkeys(values["kind"] or _USUAL))
         chosen = [(kinds[i % len(kinds)], values["seed"] + i // len(kinds)) for i in range(values["count"])]
         return [
-            SampleItem(name=f"{kind}_{seed}", folder=Path(), settings={"kind": kind, "seed": seed})
+            SampleScene(name=f"{kind}_{seed}", folder=Path(), settings={"kind": kind, "seed": seed})
             for kind, seed in chosen
         ]
 
-    def make(self, values: Mapping[str, Any], item: SampleItem, folder: Path) -> dict[str, Any]:
+    def make(self, values: Mapping[str, Any], item: SampleScene, folder: Path) -> dict[str, Any]:
         """A pair, both true disparities, masks and meta.json."""
         import numpy as np
 
