@@ -2,6 +2,9 @@
 
 Precedence: field default < base < file < ``--set key=value``. All problems are reported together, each as
 ``file:line: key: what is wrong (got ...); did you mean ...``.
+
+A model whose key got another name says so in ``renamed: ClassVar[dict[str, str]] = {"old": "new"}``. The old key
+is then refused as any unknown key is, with the new name as the hint, however little the two are alike.
 """
 
 from __future__ import annotations
@@ -240,8 +243,11 @@ def _explain(model: type[BaseModel], config: ConfigData, scene: Any) -> str:
     known: list[str] = []
     if kind == "extra_forbidden":
         what = "no such key"
-        known = _keys(model, config.data, location[:-1])
-        near = difflib.get_close_matches(str(location[-1]), known, 1, 0.6) if location else []
+        owners = _models(model, config.data, location[:-1])
+        known = _keys(owners)
+        old = str(location[-1]) if location else ""
+        renamed: list[dict[str, str]] = [getattr(owner, "renamed", {}) for owner in owners]
+        near = [names[old] for names in renamed if old in names] or difflib.get_close_matches(old, known, 1, 0.6)
         if near:
             hint = f"; did you mean {near[0]!r}?"
         elif known:
@@ -286,11 +292,10 @@ def _is_big(value: Any) -> bool:
     return isinstance(value, dict | list | tuple | BaseModel) and len(short(value)) > 60
 
 
-def _keys(model: type[BaseModel], data: Any, location: Location) -> list[str]:
-    """Names of the keys that may stand in the mapping at ``location``."""
-    found = _models(model, data, location)
+def _keys(owners: Iterable[type[BaseModel]]) -> list[str]:
+    """Names of the keys that may stand in a mapping read as one of ``owners``."""
     names: list[str] = []
-    for kind in found:
+    for kind in owners:
         fields = [info.alias or name for name, info in kind.model_fields.items() if not info.exclude]
         names += [name for name in fields if name not in names]
     return names

@@ -45,6 +45,9 @@ class Method(BaseModel):
     aliases: ClassVar[tuple[str, ...]] = ()
     """Abbreviations of the field that a config may use for the name, in any case."""
 
+    renamed: ClassVar[dict[str, str]] = {}
+    """Former names of fields and their names today, which the error for such an unknown key suggests."""
+
     @classmethod
     def method_name(cls) -> str:
         """Name of the method in a config: the name of its module."""

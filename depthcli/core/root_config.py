@@ -17,6 +17,8 @@ class RootConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     flattened: ClassVar[str] = "pipeline"
+    renamed: ClassVar[dict[str, str]] = {}
+    """Former names of fields and their names today, which the error for such an unknown key suggests."""
 
     run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
 

@@ -16,6 +16,7 @@ from tests.core.toys import AnyToy
 
 class Root(RootConfig):
     flattened: ClassVar[str] = "toy"
+    renamed: ClassVar[dict[str, str]] = {"upper": "top"}
     toy: AnyToy
     top: int | None = Field(None, ge=1)
 
@@ -64,6 +65,14 @@ def test_every_problem_is_reported_with_its_line():
         "f.yaml:4: top: should be greater than or equal to 1 (got 0)",
         'f.yaml:9: parts.2.window.1: should be a valid integer, unable to parse string as an integer (got "x")',
     ]
+
+
+def test_a_renamed_key_is_refused_with_its_name_of_today():
+    assert problems("toy: box\nheft: 2\nupper: 3\n") == [
+        "f.yaml:2: heft: no such key (got 2); did you mean 'weight'?",
+        "f.yaml:3: upper: no such key (got 3); did you mean 'top'?",
+    ]
+    assert problems("toy: box\n", "heft=2") == ["--set heft: no such key (got 2); did you mean 'weight'?"]
 
 
 @pytest.mark.parametrize(
