@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from depthcli.kernels import jit
+from depthcli.kernels import cache
 
 ROOT = Path(__file__).parents[2]
 
@@ -142,6 +142,127 @@ print(hashlib.sha256(sums.tobytes()).hexdigest(), energy._discrepancy.stats.cach
 """
 
 
+PACKAGE = {
+    "limits": "LIMIT = 10\nTABLE = np.array([1, 2, 3])\n",
+    "operations": """
+from depthcli.kernels.jit import intrinsic, types
+from llvmlite import ir
+
+@intrinsic
+def plus(typingctx, value):
+    def codegen(context, builder, signature, args):
+        return builder.add(args[0], ir.Constant(ir.IntType(64), 100))
+    return types.int64(value), codegen
+""",
+    "deep": """
+from depthcli.kernels.jit import jit
+
+@jit
+def deepest(x):
+    return x + 1000
+""",
+    "helper": """
+import edited_deep
+from depthcli.kernels.jit import jit
+
+@jit
+def helper(x, step=1):
+    return edited_deep.deepest(x) + 10000 * step
+""",
+    "caller": """
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from edited_helper import helper
+from edited_limits import LIMIT, TABLE
+from edited_operations import plus
+
+@parallel_jit
+def caller(x):
+    s = 0
+    for i in prange(3):
+        s += TABLE[i]
+    return helper(plus(np.int64(x))) + s + LIMIT
+""",
+}
+ASK = "import sys; sys.path.insert(0, sys.argv[1]); from edited_caller import caller; print(caller(0))"
+FIRST = 100 + 1000 + 10000 + 6 + 10
+
+
+@pytest.fixture(scope="module")
+def edited(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of five modules whose kernels have been compiled."""
+    folder = tmp_path_factory.mktemp("edited")
+    assert ask(folder, PACKAGE) == FIRST
+    return folder
+
+
+def ask(folder: Path, package: dict[str, str]) -> int:
+    for name, text in package.items():
+        (folder / f"edited_{name}.py").write_text("import numpy as np\n" + text)
+    env = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(folder / "kept")}
+    env["PYTHONDONTWRITEBYTECODE"] = "1"  # files of one size, written within a second
+    done = subprocess.run([sys.executable, "-c", ASK, str(folder)], env=env, capture_output=True, text=True, check=True)
+    return int(done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("module", "old", "new", "difference"),
+    [
+        ("helper", "10000", "20000", 10000),
+        ("helper", "step=1", "step=3", 20000),
+        ("deep", "1000", "3000", 2000),  # two files away, through a module's attribute
+        ("deep", "x + 1000", "x - 1000", -2000),
+        ("limits", "LIMIT = 10", "LIMIT = 11", 1),
+        ("limits", "[1, 2, 3]", "[1, 2, 4]", 1),
+        ("operations", "100", "500", 400),
+    ],
+)
+def test_what_changed_in_another_file_is_compiled_anew(edited: Path, module: str, old: str, new: str, difference: int):
+    assert old in PACKAGE[module]
+    assert ask(edited, PACKAGE | {module: PACKAGE[module].replace(old, new)}) == FIRST + difference
+
+
+MOVED = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from depthcli.kernels.jit import CompileWatch
+with CompileWatch() as watch:
+    from edited_caller import caller
+    caller(0)
+print(watch.kernels)
+"""
+
+
+def test_a_moved_package_with_other_comments_finds_its_kernels(tmp_path: Path):
+    folders = [tmp_path / "one", tmp_path / "two"]
+    env = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    counts = []
+    for folder in folders:
+        folder.mkdir()
+        for name, text in PACKAGE.items():
+            comment = f'"""Lies in {folder}."""\n\n# A comment.\n' if name != "operations" else ""
+            (folder / f"edited_{name}.py").write_text(comment + "import numpy as np\n" + text)
+        command = [sys.executable, "-c", MOVED, str(folder)]
+        counts.append(int(subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout))
+    assert counts[0] > 0
+    assert counts[1] == 0
+
+
+def test_kernels_that_nothing_used_for_a_month_are_removed(tmp_path: Path):
+    old, fresh = (tmp_path / "depthcli.toys" / f"{name}-0123456789abcdef.py311.nbi" for name in ("old", "fresh"))
+    old.parent.mkdir()
+    foreign = tmp_path / "other.package" / "f-12.py311.nbi"
+    foreign.parent.mkdir()
+    for file in (old, fresh, foreign):
+        file.write_bytes(b"")
+        file.with_suffix(".1.nbc").write_bytes(b"")
+    for file in (old, foreign):
+        os.utime(file, (1, 1))
+    cache._remove_unused.__wrapped__(tmp_path)
+    assert sorted(file.name for file in tmp_path.rglob("*.nb*")) == [
+        "f-12.py311.1.nbc", "f-12.py311.nbi", "fresh-0123456789abcdef.py311.1.nbc", "fresh-0123456789abcdef.py311.nbi",
+    ]  # fmt: skip
+
+
 def test_the_process_that_compiles_gives_the_same_bytes_as_those_that_find_the_kernel(tmp_path: Path):
     """Sums of floats in a loop of ``prange``: numba by itself runs other code than it keeps."""
     env = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
@@ -153,14 +274,14 @@ def test_the_process_that_compiles_gives_the_same_bytes_as_those_that_find_the_k
     assert runs[0][0] == runs[1][0]
 
 
-def test_numba_is_imported_in_one_place_only():
+def test_kernels_take_numba_from_one_place():
     files = {f for f in (ROOT / "depthcli").rglob("*.py") if re.search(r"^\s*(from|import) numba", f.read_text(), re.M)}
-    assert files == {ROOT / "depthcli" / "kernels" / "jit.py"}
+    assert files == {ROOT / "depthcli" / "kernels" / name for name in ("cache.py", "jit.py")}
 
 
 def test_a_folder_that_somebody_else_made_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     if not hasattr(os, "getuid"):
         pytest.skip("needs owners of files")
-    assert jit._usable(tmp_path / "kernels")
+    assert cache._usable(tmp_path / "kernels")
     monkeypatch.setattr(os, "getuid", lambda: 12345)
-    assert not jit._usable(tmp_path / "kernels")
+    assert not cache._usable(tmp_path / "kernels")
