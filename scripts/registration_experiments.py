@@ -1,18 +1,16 @@
 #!/usr/bin/env python3
 """Chapter 7: how well confidence and expected error of registrations say where they are wrong, in tables.
 
-    scripts/registration_experiments.py PAIRS [--only real synthetic search parameters baselines forest shifts
-                                        speed]
+    scripts/registration_experiments.py PAIRS [--only real synthetic search parameters baselines shifts speed]
                                         [--presets NAME ...] [--pairs GLOB ...] [--data DATA]
 
-PAIRS is what ``scripts/register_pairs.py`` wrote. ``real``: every measure and ``self`` at the landmarks of registered
-pairs, Spearman, AUC above 3 mm, mean absolute error of expected against true; ``synthetic``: the fixed volumes moved by
+PAIRS is what ``scripts/register_pairs.py`` wrote. ``real``: every measure at the landmarks of registered pairs,
+Spearman, AUC above 3 mm, mean absolute error of expected against true; ``synthetic``: the fixed volumes moved by
 random B-splines of at most 3, 6 and 10 mm, with noise (25 HU, or 3 % of the range of a magnetic resonance image), at
 every voxel of interest; ``search``: planes and axes beside the cube; ``parameters``: k, h and R on the lung pairs;
 ``baselines``: local variance, the Jacobian's determinant, and with DATA, for which it registers again, inverse
-consistency and the variance over five registrations; ``forest``: random forests on the landmarks of the other pairs,
-and of the other sets; ``shifts``: identical volumes, and whole shifts of 1 to 4 voxels; ``speed``: seconds for 3.2
-million voxels. Everything is seeded.
+consistency and the variance over five registrations; ``shifts``: identical volumes, and whole shifts of 1 to 4
+voxels; ``speed``: seconds for 3.2 million voxels. Everything is seeded.
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ from depthcli.data.scenes.volume_pair import VolumePairScene
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.registration import area, correlation, ranks
 from depthcli.evaluation.report import Table, number
-from depthcli.methods.registration._volume import gaussian, moved, resample
+from depthcli.methods.registration._volume import gaussian, resample
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.pipeline import RegistrationResult
@@ -45,7 +43,7 @@ from depthcli.methods.registration.search import SURER_IF_LARGER, search
 Values = NDArray[np.floating[Any]]
 
 SEED = 11
-PARTS = ("real", "synthetic", "search", "parameters", "baselines", "forest", "shifts", "speed")
+PARTS = ("real", "synthetic", "search", "parameters", "baselines", "shifts", "speed")
 HEAD = ("pair", "what", "Spearman", "AUC > 3 mm", "MAE mm", "expected mm", "true mm", "points")
 
 
@@ -108,6 +106,12 @@ def spline_error(pair: RegisteredPair, largest: float, seed: int) -> NDArray[np.
     return np.asarray(vectors * (largest / length[inside].max()), np.float32)
 
 
+def moved(volume: NDArray[np.float32], field: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return trilinear samples at x + field(x), (3, Z, Y, X) voxels; borders are repeated."""
+    places = np.indices(volume.shape) + field
+    return linear(volume, places.reshape(3, -1).T.astype(np.float64)).reshape(volume.shape)
+
+
 def misregistered(pair: RegisteredPair, largest: float, seed: int) -> tuple[RegisteredPair, NDArray[np.float32]]:
     """The fixed volume moved by a random B-spline, with noise in both, and the exact error, mm."""
     spacing = np.array(pair.spacing, np.float32).reshape(3, 1, 1, 1)
@@ -125,12 +129,11 @@ def misregistered(pair: RegisteredPair, largest: float, seed: int) -> tuple[Regi
     return RegisteredPair(volumes[0], volumes[1], pair.spacing, pair.mask), error
 
 
-def synthetic(scenes: list[VolumePairScene], presets: Iterable[str]) -> list[Table]:
+def synthetic(scenes: list[VolumePairScene]) -> list[Table]:
     rows, done = [], set()
     methods: tuple[tuple[str, Callable[[], RegisterConfidenceConfig]], ...] = (
         ("mind", lambda: config("mind")), ("intensity", lambda: config("intensity")),
         ("mind, intensity", lambda: config("intensity", "features=[mind, intensity]")),
-        *([("self", lambda: config("self"))] if "self" in presets else []),
     )  # fmt: skip
     for scene in scenes:
         base = scene.name.rsplit("_", 1)[0].split("_cyc")[0]
@@ -226,24 +229,6 @@ def registered_again(scenes: list[VolumePairScene], data: Path) -> list[tuple[st
     return rows
 
 
-def forest(scenes: list[VolumePairScene]) -> list[Table]:
-    """Forests that have not seen a pair, and that have not seen its set: lung, dataset18, dataset19."""
-    from depthcli.methods.registration.forest import predict, train
-    from scripts.registration_forest import columns, joined
-
-    method = config("self")
-    known = {scene.name: columns(scene, method) for scene in scenes}
-    rows = []
-    for left_out, depth in (("pair", -1), ("set", 1)):
-        for name, (table, true) in known.items():
-            # a and b are two registrations of one pair: neither is trained on where the other is told
-            same = "_".join(name.split("_")[:depth])
-            rest = [other for other in known if not f"{other}_".startswith(f"{same}_")]
-            trained = train(*joined([known[other] for other in rest]), method.settings, rest, SEED)
-            rows.append(row(name, f"without its {left_out}", predict(trained, table), true))
-    return [Table("Random forest on landmarks of other pairs", HEAD, tuple(rows))]
-
-
 def shifts(scenes: list[VolumePairScene]) -> list[Table]:
     rows = []
     for scene in [scene for scene in scenes if scene.name.startswith(("lung_a", "dataset19_cyc_1_6_a"))]:
@@ -290,12 +275,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", metavar="PAIRS", type=Path)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
-    parser.add_argument(
-        "--presets",
-        nargs="+",
-        default=["mind", "cost0", "intensity", "coarse", "self"],
-        help="of `real`; of `synthetic` self can be left out",
-    )
+    parser.add_argument("--presets", nargs="+", default=["mind", "cost0", "intensity", "coarse"], help="of `real`")
     parser.add_argument("--pairs", nargs="+", default=["*"])
     parser.add_argument("--data", type=Path, help="with it, baselines register again")
     options = parser.parse_args()
@@ -303,11 +283,10 @@ def main() -> int:
     scenes = [scene for scene in found if isinstance(scene, VolumePairScene) and scene.has_truth]
     makers: dict[str, Callable[[], list[Table]]] = {
         "real": lambda: real(scenes, options.presets),
-        "synthetic": lambda: synthetic(scenes, options.presets),
+        "synthetic": lambda: synthetic(scenes),
         "search": lambda: varied(scenes, "Fast searches", [(), ("search=planes",), ("search=axes", "sharpness=2")]),
         "parameters": lambda: parameters(scenes),
         "baselines": lambda: baselines(scenes, options.data),
-        "forest": lambda: forest(scenes),
         "shifts": lambda: shifts(scenes),
         "speed": speed,
     }

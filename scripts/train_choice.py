@@ -11,7 +11,7 @@ CONFIG is a preset or config of fuse whose `maps` are to be chosen among; its pr
 keeps what was measured in every scene for another run. ``--held-out`` trains on each half of the tuning scenes and
 says how the other half is chosen, error of the shares' largest without averaging; nothing is written.
 
-The shipped network `accurate` is what the defaults give, `best` that of --units 48 24 --epochs 20.
+The shipped network `accurate` is what the defaults give.
 
 Two hidden layers of rectified units, Adam, loss per pixel: the mean over the maps of the cross entropy of
 being right, and the negative logarithm of the share (softmax) of the maps that are right. A map within 1 px is right,

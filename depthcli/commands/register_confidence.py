@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
 
     from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
-    from depthcli.data.formats.forests import Forest
     from depthcli.data.formats.volumes import Grid
 
 _BORDER = 0.2  # share of best matches on the border of the search above which errors are larger than it
@@ -32,16 +30,6 @@ class RegisterConfidenceCommand(ConfigCommand):
         from depthcli.methods.registration.config import RegisterConfidenceConfig
 
         return RegisterConfidenceConfig
-
-    def config(self, values: Mapping[str, Any]) -> BaseModel:
-        """The config, with a forest that can be read and fits it."""
-        config = super().config(values)
-        _forest(config)
-        return config
-
-    def files(self, config: Any, scene: VolumePairScene) -> dict[str, Path]:
-        """The pair's, and the forest's."""
-        return super().files(config, scene) | ({"model": config.model} if config.model is not None else {})
 
     def memory_of(self, config: Any, scene: VolumePairScene) -> int:
         """By the header of the fixed volume."""
@@ -82,7 +70,7 @@ class RegisterConfidenceCommand(ConfigCommand):
                 f"{show_bytes(memory)} may be used; see --max-memory, --jobs, max_voxels, iso"
             )
         clock.stop("load")
-        result = config(loaded.pair, _forest(config))
+        result = config(loaded.pair)
         clock.stop("other")
         clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
         known = points is not None and scene.has_truth and scene.error_true is None
@@ -101,18 +89,6 @@ def _need(config: Any, grid: Grid, shape: tuple[int, int, int], spacing: tuple[f
     whole = grid.size[0] * grid.size[1] * grid.size[2]
     need: int = max(config.peak_bytes(shape, spacing) + 8 * shape[0] * shape[1] * shape[2], 6 * whole)
     return need
-
-
-def _forest(config: Any) -> Forest | None:
-    """The forest of the config, if it wants one; InputError or ConfigError where it does not fit."""
-    if config.model is None:
-        return None
-    from depthcli.data.formats.forests import read_forest
-    from depthcli.methods.registration.forest import check_forest
-
-    forest = read_forest(config.model)
-    check_forest(forest, config.settings, config.measures_made())
-    return forest
 
 
 def _warnings(border: float) -> list[str]:

@@ -179,36 +179,10 @@ def test_options_that_do_not_fit(tmp_path, capsys, options, said):
     assert said in capsys.readouterr().err
 
 
-def test_a_forest_from_training_to_expected_errors(pairs, tmp_path, capsys):
-    pytest.importorskip("sklearn")
-    from scripts import registration_forest
-
-    model, run = tmp_path / "forest.npz", tmp_path / "run"
-    for threads in ("1", "2"):
-        arguments = ["x", str(pairs), str(model), "--config", "mind", "--set", "radius=3", "half_window=1"]
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("sys.argv", [*arguments, "--jobs", threads])
-            assert registration_forest.main() == 0
-        model = tmp_path / "again.npz"
-    assert model.read_bytes() == (tmp_path / "forest.npz").read_bytes()
-    command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(run), "--set", "calibration=forest"]
-    assert main([*command, *SMALL, "--set", f"model={model}", "--evaluate"]) == 0
-    assert (run / "pair_0" / "expected_error.nii.gz").is_file()
-    capsys.readouterr()
-    for settings, said in (
-        (["--set", "radius=4"], "the forest was trained with radius: 3, the config says 4"),
-        (["--set", "model=nowhere.npz"], "nowhere.npz: no such file"),
-    ):
-        assert main([*command, *SMALL, "--set", f"model={model}", *settings]) in (2, 3)
-        lines = capsys.readouterr().err.strip().splitlines()
-        assert len(lines) == 1 and said in lines[0]
-
-
-@pytest.mark.parametrize("calibration", ["none", "self"])
-def test_same_bytes_at_any_number_of_jobs(pairs, tmp_path, calibration):
+def test_same_bytes_at_any_number_of_jobs(pairs, tmp_path):
     for jobs, threads in ((1, 1), (2, 2)):
         command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(tmp_path / str(jobs)), *SMALL]
-        command += ["--set", f"calibration={calibration}", "--set", "stride=3"]
+        command += ["--set", "stride=3"]
         assert main([*command, "--jobs", str(jobs), "--threads", str(threads)]) == 0
     files = sorted(path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.nii.gz"))
     assert len(files) == 6

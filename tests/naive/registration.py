@@ -77,18 +77,3 @@ def peak_ratio(curve, offsets):
             rivals.append(c)
     eps = 1e-3 * curve.mean() or 1e-3
     return (min(rivals, default=curve.max()) + eps) / (cost[best] + eps)
-
-
-def forest(trees, maps):
-    """Mean over the trees of the leaf that a place falls into, one place at a time."""
-    out = np.zeros(next(iter(maps.values())).shape)
-    for p in np.ndindex(*out.shape):
-        leaves = []
-        for root in trees.roots:
-            node = root
-            while trees.feature[node] != -1:
-                value = maps[trees.measures[trees.feature[node]]][p]
-                node = trees.left[node] if value <= trees.threshold[node] else trees.right[node]
-            leaves.append(trees.value[node])
-        out[p] = np.mean(leaves)
-    return out

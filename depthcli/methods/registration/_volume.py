@@ -72,36 +72,3 @@ def resample(
         first = np.take(volume, low, axis=axis)
         volume = first + weight * (np.take(volume, high, axis=axis) - first)
     return np.ascontiguousarray(volume, np.float32)
-
-
-def moved(
-    volume: NDArray[np.float32], field: NDArray[np.float32], start: tuple[int, int, int] = (0, 0, 0)
-) -> NDArray[np.float32]:
-    """Trilinear samples at ``start`` + x + field(x) for x of the field's grid, borders repeated.
-
-    ``field``: (3, Z, Y, X) voxels along z, y, x, of the volume's shape or of a part's that begins at ``start``.
-    """
-    out = np.empty(field.shape[1:], np.float32)
-    _moved(np.ascontiguousarray(volume), np.ascontiguousarray(field, np.float32), *start, out)
-    return out
-
-
-@parallel_jit
-def _moved(volume: Any, field: Any, first: int, second: int, third: int, out: Any) -> None:
-    depth, height, width = volume.shape
-    for z in prange(out.shape[0]):
-        for y in range(out.shape[1]):
-            for x in range(out.shape[2]):
-                pz = min(max(np.float32(first + z) + field[0, z, y, x], np.float32(0)), np.float32(depth - 1))
-                py = min(max(np.float32(second + y) + field[1, z, y, x], np.float32(0)), np.float32(height - 1))
-                px = min(max(np.float32(third + x) + field[2, z, y, x], np.float32(0)), np.float32(width - 1))
-                i, j, k = int(pz), int(py), int(px)
-                a, b, c = pz - np.float32(i), py - np.float32(j), px - np.float32(k)
-                up, down, right = min(i + 1, depth - 1), min(j + 1, height - 1), min(k + 1, width - 1)
-                one = volume[i, j, k] + c * (volume[i, j, right] - volume[i, j, k])
-                two = volume[i, down, k] + c * (volume[i, down, right] - volume[i, down, k])
-                three = volume[up, j, k] + c * (volume[up, j, right] - volume[up, j, k])
-                four = volume[up, down, k] + c * (volume[up, down, right] - volume[up, down, k])
-                near = one + b * (two - one)
-                far = three + b * (four - three)
-                out[z, y, x] = near + a * (far - near)

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from depthcli.core.result import Clock, Result
 from depthcli.core.volumes import RegisteredPair
-from depthcli.data.formats.forests import Forest
 from depthcli.kernels.jit import threads
 from depthcli.methods.registration._volume import gaussian, resample
-from depthcli.methods.registration.calibration import Maps, evidence, evidence_names, expected, monotone, structured
+from depthcli.methods.registration.calibration import expected, monotone, structured
 from depthcli.methods.registration.feature import Feature
 from depthcli.methods.registration.feature.mind import Mind
-from depthcli.methods.registration.forest import check_forest, predict
-from depthcli.methods.registration.own_errors import learn
 from depthcli.methods.registration.search import COSTLY, MEASURES, SURER_IF_LARGER, Curves, Span, search, search_bytes
 
 WorkingGrid = tuple[tuple[int, int, int], tuple[float, float, float], tuple[float, float, float]]
@@ -85,12 +81,6 @@ class RegistrationConfidence(BaseModel):
         1, ge=1, le=3, description="resolutions: every further one is half as fine and finds errors twice as large"
     )
     measure: str = Field("eshift", description="what orders the voxels; eshift gives one without unit its mm")
-    calibration: Literal["none", "self", "forest"] = Field(
-        "none",
-        description="self: all measures together, fitted to errors that are put into the pair itself; forest: by model",
-    )
-    model: Path | None = Field(None, description="of calibration forest: what scripts/registration_forest.py wrote")
-    seed: int = Field(0, ge=0, description="of the errors that calibration self puts in")
 
     @field_validator("measure")
     @classmethod
@@ -106,52 +96,14 @@ class RegistrationConfidence(BaseModel):
             raise ValueError("the first bound must be below the second")
         return bounds
 
-    @model_validator(mode="after")
-    def _together(self) -> RegistrationConfidence:
-        if self.calibration != "none" and self.measure != "eshift":
-            raise ValueError(f"calibration {self.calibration} chooses its measures; leave out measure")
-        if (self.model is None) != (self.calibration != "forest"):
-            raise ValueError("calibration forest and model want each other: `calibration: forest, model: FILE`")
-        return self
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What the values of the measures depend on: a forest fits configs that agree in it."""
-        names = {"features", "iso", "intensity_range", "search", "radius", "half_window", "stride", "sharpness"}
-        return self.model_dump(mode="json", include={*names, "levels"})
-
-    def measures_made(self) -> list[str]:
-        """Names of what :meth:`evidence` gives."""
-        return evidence_names(len(self.features), self.levels - 1)
-
-    def evidence(self, pair: RegisteredPair) -> tuple[Maps, tuple[float, float, float], tuple[float, float, float]]:
-        """Everything that a forest may look at: measure -> (z, y, x), and ``step`` and ``start`` of these maps."""
-        fixed, warped, grid = self._working(pair)
-        iso = grid[1][2] * pair.spacing[2]
-        maps, _ = evidence(*self._searches(fixed, warped, iso, Clock()), iso, self.stride)
-        return maps, self._step(grid), grid[2]
-
-    def __call__(self, pair: RegisteredPair, forest: Forest | None = None) -> RegistrationResult:
-        """Search, measure, calibrate.
-
-        Parameters
-        ----------
-        forest : what ``model`` holds, where calibration is ``forest``
+    def __call__(self, pair: RegisteredPair) -> RegistrationResult:
+        """Search, measure, express in mm.
 
         Returns
         -------
         Maps on the working grid. ``figures``: ``border``, the share of voxels of interest whose cheapest
         displacement lies on the border of the coarsest search; ``iso``, mm; ``mean_error``, mm.
-
-        Raises
-        ------
-        ConfigError
-            The forest was trained with other settings.
         """
-        if forest is not None:
-            check_forest(forest, self.settings, self.measures_made())
-        elif self.calibration == "forest":
-            raise ValueError("calibration forest wants the forest")
         clock = Clock()
         fixed, warped, grid = self._working(pair)
         inside = np.ones(fixed.shape, np.bool_)
@@ -162,15 +114,8 @@ class RegistrationConfidence(BaseModel):
         fine, coarse = self._searches(fixed, warped, iso, clock)
         chosen = _every(inside, self.stride)
         chosen = chosen if chosen.any() else np.ones_like(chosen)
-        if self.calibration == "self":
-            error, displacement = self._learned(fixed, warped, chosen, fine, coarse, iso, clock)
-        elif forest is not None:
-            maps, displacement = evidence(fine, coarse, iso, self.stride)
-            error = predict(forest, maps)
-            clock.stop("calibration")
-        else:
-            error, displacement = self._error(fine, coarse, structured(_every(fixed, self.stride), chosen), iso)
-            clock.stop("calibration")
+        error, displacement = self._error(fine, coarse, structured(_every(fixed, self.stride), chosen), iso)
+        clock.stop("calibration")
         last = (coarse or fine)[-1]
         figures = {
             "iso": round(float(iso), 6),
@@ -213,37 +158,6 @@ class RegistrationConfidence(BaseModel):
                 clock.stop("search")
         return fine, coarse
 
-    def _learned(
-        self,
-        fixed: NDArray[np.float32],
-        warped: NDArray[np.float32],
-        chosen: NDArray[np.bool_],
-        fine: list[Curves],
-        coarse: list[Curves],
-        iso: float,
-        clock: Clock,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Expected error (mm) and displacement, by a model fitted to errors put into the pair itself.
-
-        The errors that are put in are smoother than those that a registration leaves, and teach the model to trust
-        its surroundings; what all searches together say of the place does less. So they order the places, and the mm
-        are those of the geometric mean of both, pooled over places of one rank.
-        """
-        maps, displacement = evidence(fine, coarse, iso, self.stride)
-        structure = structured(_every(fixed, self.stride), chosen)
-        usual = float(np.quantile(maps["smooth_2"].ravel()[structure], 0.9))
-        reach = self.radius * iso * 2 ** (self.levels - 1)
-        clock.stop("calibration")
-        model = learn(
-            fixed, warped, displacement, chosen, usual, reach, iso, self.stride,
-            lambda one, other: self._searches(one, other, iso, clock), self.seed,
-        )  # fmt: skip
-        learned = model(maps)
-        own = expected(fine + coarse, "eshift", iso, self.smoothing / self.stride)
-        error = monotone(own, np.sqrt(learned * own), np.flatnonzero(chosen))
-        clock.stop("calibration")
-        return error, displacement
-
     def grid(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> WorkingGrid:
         """Shape of the working grid, its step and the place of its first voxel, in voxels of the fixed volume.
 
@@ -274,8 +188,6 @@ class RegistrationConfidence(BaseModel):
         making = 4 * voxels * (channels + 4) + channels * voxels
         searching = search_bytes(sizes, channels, self.radius, self.half_window, self.stride, threads())
         kept = (len(self.features) + self.levels - 1) * 17 * 4 * measured
-        if self.calibration != "none":
-            kept += 4 * measured * (len(self.measures_made()) + 12)
         return 8 * voxels + max(making, searching + 2 * channels * voxels) + kept
 
     def _on_grid(self, volume: NDArray[np.float32], pair: RegisteredPair, grid: WorkingGrid) -> NDArray[np.float32]:
