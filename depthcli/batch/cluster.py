@@ -16,18 +16,15 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from depthcli import __version__
 from depthcli.batch import record, resources
-from depthcli.batch.making import BUG, Task, Work, discard, failed_row, run_one
+from depthcli.batch.making import BUG, AnyWork, RunOptions, Task, discard, failed_row, run_one
 from depthcli.batch.report import row_of
 from depthcli.batch.reporter import Reporter
 from depthcli.batch.workers import compile_watch, say_compiled, use_threads
 from depthcli.core.errors import ConfigError, IncompleteError
-
-if TYPE_CHECKING:
-    from depthcli.batch.runner import Options
 
 _CHUNK = 5.0  # seconds that a chunk of small scenes shall take
 _LARGEST = 500  # scenes of a chunk
@@ -41,9 +38,9 @@ _one_at_a_time = threading.Lock()  # threads of one worker share kernels and buf
 
 def compute(
     tasks: list[Task],
-    work: Work,
+    work: AnyWork,
     config: Any,
-    options: Options,
+    options: RunOptions,
     reporter: Reporter,
     claim: Callable[[Task], bool],
 ) -> Iterator[dict[str, Any]]:
@@ -97,7 +94,7 @@ def compute(
 class _Cluster:
     """Chunks that are out, and how large the next ones should be."""
 
-    def __init__(self, client: Any, work: Work, config: Any, options: Options) -> None:
+    def __init__(self, client: Any, work: AnyWork, config: Any, options: RunOptions) -> None:
         self.client, self.work, self.config, self.options = client, work, config, options
         self.running: dict[Any, list[Task]] = {}
         self.alone: set[str] = set()  # scenes whose chunk was lost with its worker again and again
@@ -197,7 +194,7 @@ def _about(output: str) -> tuple[str, str]:
 
 
 def _do(
-    chunk: list[Task], work: Work, config: Any, threads: int | None, limit: int | None, place: str
+    chunk: list[Task], work: AnyWork, config: Any, threads: int | None, limit: int | None, place: str
 ) -> tuple[list[dict[str, Any]], int, float]:
     """On a worker: the rows of a chunk's scenes, kernels compiled, and how long that took."""
     from distributed import get_worker

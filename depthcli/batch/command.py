@@ -5,19 +5,31 @@ from __future__ import annotations
 import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
+from depthcli.batch.reporter import Reporter
 from depthcli.core.option import Option
+from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
-    from depthcli.batch.reporter import Reporter
+    from pydantic import BaseModel
+
+ConfigT = TypeVar("ConfigT", bound="BaseModel | Mapping[str, object]")
+ModelT = TypeVar("ModelT", bound="BaseModel")
+SceneT = TypeVar("SceneT", bound=Scene)
+
+Values: TypeAlias = Mapping[str, Any]
+"""Name -> value of every argument and option of one call, each of the type that its :class:`Option` declares."""
+
+Row: TypeAlias = dict[str, Any]
+"""One row of a report: column -> JSON value."""
 
 SOME_FAILED = 3
 """Exit code of a command that finished, though not for every scene."""
 
 
 class Command(ABC):
-    """One sub-command: a module of ``jobs/`` holds one, in ``COMMAND``.
+    """One sub-command: a module of ``commands/`` holds one, in ``COMMAND``.
 
     Its name is the module's, its help the first paragraph of the module's docstring. Every command has ``--json``,
     ``--verbose`` and ``--quiet`` beside its own options.
@@ -38,7 +50,7 @@ class Command(ABC):
     def options(self) -> tuple[Option, ...]:
         """Options beside the common ones."""
 
-    def line(self, values: Mapping[str, Any]) -> str:
+    def line(self, values: Values) -> str:
         """The command line that gives these values."""
         words = ["depthcli", self.name]
         for argument in self.arguments:
@@ -56,7 +68,7 @@ class Command(ABC):
         return shlex.join(words)
 
     @abstractmethod
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Do it; the exit code.
 
         Parameters

@@ -10,9 +10,10 @@ import time
 import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 from depthcli.batch import record, resources
+from depthcli.batch.sharing import Shard
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
 from depthcli.data.scenes import Scene
@@ -37,23 +38,65 @@ class Outcome:
     warnings: list[str] = field(default_factory=list)
 
 
-class Work(Protocol):
+@dataclass(frozen=True)
+class RunOptions:
+    """How a run is done; never what it computes.
+
+    Attributes
+    ----------
+    jobs : worker processes; 1 computes in this process
+    threads : threads of each; None shares the cores out
+    max_memory : bytes all of them together may use; None = what is available
+    overwrite : replace what an earlier run with another config or from other inputs left
+    shard : the part of the scenes that this process does, beside others in the same folder; None: all, alone
+    fail_fast : stop at the first scene that fails
+    keep : shell patterns of the files that stay of an scene; none: all
+    scheduler : of a dask.distributed cluster whose workers compute; None: this machine does
+    """
+
+    jobs: int = 1
+    threads: int | None = None
+    max_memory: int | None = None
+    overwrite: bool = False
+    shard: Shard | None = None
+    fail_fast: bool = False
+    keep: tuple[str, ...] = ()
+    scheduler: str | None = None
+
+    def threads_each(self) -> int:
+        """Threads of one worker."""
+        return self.threads or max(1, resources.cores() // self.jobs)
+
+    def memory_each(self) -> int:
+        """Bytes one worker may use."""
+        return (self.max_memory or resources.available_memory()) // self.jobs
+
+
+_Config = TypeVar("_Config", contravariant=True)
+_Scene = TypeVar("_Scene", contravariant=True)
+
+
+class Work(Protocol[_Config, _Scene]):
     """What a command does with its scenes; picklable, for worker processes."""
 
     @property
     def name(self) -> str: ...
 
-    def compute(self, config: Any, scene: Any, folder: Path, memory: int, /) -> Outcome:
+    def compute(self, config: _Config, scene: _Scene, folder: Path, memory: int, /) -> Outcome:
         """Compute ``scene`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
 
-    def files(self, config: Any, scene: Any, /) -> dict[str, Path]:
+    def files(self, config: _Config, scene: _Scene, /) -> dict[str, Path]:
         """Role -> file whose content the result depends on."""
 
-    def settings(self, config: Any, scene: Any, /) -> dict[str, str]:
+    def settings(self, config: _Config, scene: _Scene, /) -> dict[str, str]:
         """What else the result depends on, beside the config."""
 
-    def effort(self, config: Any, scene: Any, /) -> int | None:
+    def effort(self, config: _Config, scene: _Scene, /) -> int | None:
         """About how much work it is, in any unit; None: it follows the size of its files."""
+
+
+AnyWork: TypeAlias = Work[Any, Any]
+"""The work of any command, where its config and its scenes are only passed on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +139,7 @@ class Task:
         return self.output / f"traceback-{self.scene.name.replace('/', '_')}.txt"
 
 
-def run_one(task: Task, work: Work, config: Any, limit: int) -> dict[str, Any]:
+def run_one(task: Task, work: AnyWork, config: Any, limit: int) -> dict[str, Any]:
     """One scene from its files to its folder; whatever goes wrong is the row's reason."""
     resources.reset_peak()
     row: dict[str, Any]

@@ -9,25 +9,25 @@ from typing import Any
 from pydantic import BaseModel
 
 from depthcli.batch import record
-from depthcli.batch.making import Task, Work
+from depthcli.batch.command import ConfigT, SceneT
+from depthcli.batch.making import RunOptions, Task, Work
 from depthcli.batch.resources import show_bytes
-from depthcli.batch.runner import Inspector, Options
+from depthcli.batch.runner import Inspector
 from depthcli.batch.tables import aligned
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import InputError
 from depthcli.data.formats.headers import image_size
-from depthcli.data.scenes import Scene
 
 DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
 
 def plan(
-    work: Work,
-    config: BaseModel | Mapping[str, Any],
-    scenes: Sequence[Scene],
+    work: Work[ConfigT, SceneT],
+    config: ConfigT,
+    scenes: Sequence[SceneT],
     output: Path,
-    memory: Callable[[Any, Any], int | None],
-    options: Options,
+    memory: Callable[[ConfigT, SceneT], int | None],
+    options: RunOptions,
 ) -> dict[str, Any]:
     """What :func:`~depthcli.batch.runner.run_scenes` would do with the same arguments; nothing is written.
 
@@ -61,7 +61,7 @@ def plan(
     return {**about, "scenes": rows}
 
 
-def plan_text(document: dict[str, Any], config: BaseModel | Mapping[str, Any]) -> str:
+def plan_text(document: dict[str, Any], config: BaseModel | Mapping[str, object]) -> str:
     """The same for people."""
     rows = document["scenes"]
     lines = [("scene", "status", "memory", "")]

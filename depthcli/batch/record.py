@@ -47,7 +47,7 @@ _CHECK, _END = ',\n "check": ', "\n}\n"  # what stands before a record's digest,
 _MOST_HASHED = 1 << 36  # of volumes; a sparse file costs nothing but the time to read it
 
 
-def run_text(command: str, config: BaseModel | Mapping[str, Any]) -> str:
+def run_text(command: str, config: BaseModel | Mapping[str, object]) -> str:
     """The text of ``run.yaml``: the resolved config and what the run was made with; for configs, itself one."""
     versions = {"depthcli": __version__, "python": platform.python_version()}
     for name in _LIBRARIES:

@@ -13,17 +13,17 @@ import platform
 import re
 import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from depthcli.batch import record, resources
+from depthcli.batch import cluster, record, workers
+from depthcli.batch.command import ConfigT, SceneT
 from depthcli.batch.making import BUG as BUG
+from depthcli.batch.making import AnyWork, RunOptions, Task, Work, discard, failed_row, remove, run_one
 from depthcli.batch.making import Outcome as Outcome
-from depthcli.batch.making import Task, Work, discard, failed_row, remove, run_one
 from depthcli.batch.report import ReportWriter, row_of
 from depthcli.batch.reporter import Reporter
-from depthcli.batch.sharing import LOCKS_FILE, FolderLock, Shard
+from depthcli.batch.sharing import LOCKS_FILE, FolderLock
 from depthcli.core.errors import ConfigError, IncompleteError
 from depthcli.data.scenes import Scene
 
@@ -31,42 +31,13 @@ _HIDDEN = ".partial-"
 _REMEMBERED = 16  # digests of files that several scenes share
 
 
-@dataclass(frozen=True)
-class Options:
-    """How a run is done; never what it computes.
-
-    Attributes
-    ----------
-    jobs : worker processes; 1 computes in this process
-    threads : threads of each; None shares the cores out
-    max_memory : bytes all of them together may use; None = what is available
-    overwrite : replace what an earlier run with another config or from other inputs left
-    shard : the part of the scenes that this process does, beside others in the same folder; None: all, alone
-    fail_fast : stop at the first scene that fails
-    keep : shell patterns of the files that stay of an scene; none: all
-    scheduler : of a dask.distributed cluster whose workers compute; None: this machine does
-    """
-
-    jobs: int = 1
-    threads: int | None = None
-    max_memory: int | None = None
-    overwrite: bool = False
-    shard: Shard | None = None
-    fail_fast: bool = False
-    keep: tuple[str, ...] = ()
-    scheduler: str | None = None
-
-    def threads_each(self) -> int:
-        """Threads of one worker."""
-        return self.threads or max(1, resources.cores() // self.jobs)
-
-    def memory_each(self) -> int:
-        """Bytes one worker may use."""
-        return (self.max_memory or resources.available_memory()) // self.jobs
-
-
 def run_scenes(
-    work: Work, config: Any, scenes: Sequence[Scene], output: Path, options: Options, reporter: Reporter
+    work: Work[ConfigT, SceneT],
+    config: ConfigT,
+    scenes: Sequence[SceneT],
+    output: Path,
+    options: RunOptions,
+    reporter: Reporter,
 ) -> list[dict[str, Any]]:
     """Run ``work`` on every scene that is not done yet; write the run folder.
 
@@ -195,7 +166,7 @@ class Inspector:
     keep : patterns of the files that stay of an scene
     """
 
-    def __init__(self, work: Work, config: Any, output: Path, run: str, keep: tuple[str, ...]) -> None:
+    def __init__(self, work: AnyWork, config: Any, output: Path, run: str, keep: tuple[str, ...]) -> None:
         self.work, self.config, self.output, self.run, self.keep = work, config, output, run, keep
         self._digests: dict[Path, str] = {}
 
@@ -230,7 +201,7 @@ def _still_there(task: Task, row: dict[str, Any]) -> dict[str, Any]:
     return row
 
 
-def _check_names(work: Work, config: Any, scenes: Sequence[Scene], output: Path) -> None:
+def _check_names(work: Work[ConfigT, SceneT], config: ConfigT, scenes: Sequence[SceneT], output: Path) -> None:
     for scene in scenes:
         if any(not part or part.startswith(".") or "\0" in part for part in scene.name.split("/")):
             raise ConfigError(f"{scene.name!r} is no name for a folder of results; give one with --name")
@@ -278,19 +249,15 @@ def _drop_others(output: Path, run: str, earlier: dict[str, dict[str, Any]], cho
 
 def _compute(
     tasks: list[Task],
-    work: Work,
+    work: AnyWork,
     config: Any,
-    options: Options,
+    options: RunOptions,
     reporter: Reporter,
     claim: Callable[[Task], bool],
 ) -> Generator[dict[str, Any], None, None]:
-    from depthcli.batch import workers
-
     if not tasks:
         return
     if options.scheduler is not None:
-        from depthcli.batch import cluster
-
         yield from cluster.compute(tasks, work, config, options, reporter, claim)
         return
     jobs = min(options.jobs, len(tasks))

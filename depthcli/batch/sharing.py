@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
+from depthcli.batch.command import SceneT
 from depthcli.core.errors import ConfigError, OutputError
 from depthcli.data.scenes import Scene
 
@@ -36,7 +37,7 @@ class Shard:
     def __str__(self) -> str:
         return f"{self.index}-of-{self.count}"
 
-    def of(self, scenes: Sequence[Scene], effort: Callable[[Scene], int | None] = lambda scene: None) -> list[Scene]:
+    def of(self, scenes: Sequence[SceneT], effort: Callable[[SceneT], int | None] = lambda scene: None) -> list[SceneT]:
         """Its scenes: the same division in every process.
 
         Parameters

@@ -11,17 +11,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
 import pebble
 
+from depthcli.batch.making import AnyWork, RunOptions, Task, failed_row, run_one
 from depthcli.batch.reporter import Reporter
 from depthcli.core.result import Clock
-
-if TYPE_CHECKING:
-    from depthcli.batch.making import Task, Work
-    from depthcli.batch.runner import Options
-    from depthcli.kernels.jit import CompileWatch
+from depthcli.kernels.jit import CompileWatch, cache_folder, compile_seconds, set_threads
 
 _HEAD_START = 1.0  # seconds the first worker may show that kernels have to be compiled
 _TRIES = 3  # an scene whose worker dies is tried again: more often than not something else killed it
@@ -29,10 +27,6 @@ _TRIES = 3  # an scene whose worker dies is tried again: more often than not som
 
 def use_threads(count: int) -> None:
     """Threads of the kernels and of OpenCV in this process."""
-    import cv2
-
-    from depthcli.kernels.jit import set_threads
-
     set_threads(count)
     cv2.setNumThreads(count)
 
@@ -40,8 +34,6 @@ def use_threads(count: int) -> None:
 @contextlib.contextmanager
 def compile_watch(started: Callable[[], None]) -> Iterator[CompileWatch]:
     """Watch compilation, and keep it out of every measured time; ``started`` is called at the first kernel."""
-    from depthcli.kernels.jit import CompileWatch, compile_seconds
-
     Clock.untimed = staticmethod(compile_seconds)
     with CompileWatch(started) as watch:
         yield watch
@@ -56,8 +48,6 @@ def say_compiled(reporter: Reporter) -> Callable[[int, float], None]:
     """What tells how many kernels were compiled, and how long that took."""
 
     def say(kernels: int, seconds: float) -> None:
-        from depthcli.kernels.jit import cache_folder
-
         if kernels:
             kept = f", kept in {cache_folder()}" if cache_folder() else ""
             reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s{kept}")
@@ -67,9 +57,9 @@ def say_compiled(reporter: Reporter) -> Callable[[int, float], None]:
 
 def compute(
     tasks: list[Task],
-    work: Work,
+    work: AnyWork,
     config: Any,
-    options: Options,
+    options: RunOptions,
     reporter: Reporter,
     jobs: int,
     claim: Callable[[Task], bool],
@@ -79,8 +69,6 @@ def compute(
     The first scene has a head start: where it shows that kernels must be compiled, the other workers
     wait for it, so that they find them compiled instead of doing the same work at the same time.
     """
-    from depthcli.batch.making import failed_row
-
     context = multiprocessing.get_context("spawn")  # threads of OpenMP do not survive a fork
     begun, compiling = context.Event(), context.Event()
     compiled = say_compiled(reporter)
@@ -155,7 +143,7 @@ def _interrupts_blocked() -> Iterator[None]:
 class _Here:
     """What a worker process keeps between scenes."""
 
-    work: Work
+    work: AnyWork
     config: Any
     limit: int
     begun: Any
@@ -163,7 +151,7 @@ class _Here:
     open = contextlib.ExitStack()  # never closed: the watch lasts as long as the process
 
 
-def _start_worker(work: Work, config: Any, threads: int, limit: int, begun: Any, compiling: Any) -> None:
+def _start_worker(work: AnyWork, config: Any, threads: int, limit: int, begun: Any, compiling: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
@@ -176,8 +164,6 @@ def _start_worker(work: Work, config: Any, threads: int, limit: int, begun: Any,
 
 
 def _run(task: Task) -> tuple[dict[str, Any], int, float]:
-    from depthcli.batch.making import run_one
-
     _Here.begun.set()
     kernels, seconds = _Here.watch.kernels, _Here.watch.seconds
     shutil.rmtree(task.hidden, ignore_errors=True)  # of a worker that died with it

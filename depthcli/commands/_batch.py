@@ -3,75 +3,49 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Generic, cast
 
-from depthcli.batch.command import SOME_FAILED, Command
+from depthcli.batch.command import SOME_FAILED, Command, ConfigT, ModelT, Row, SceneT, Values
+from depthcli.commands._options import DRY_RUN, EVALUATE, HOW, HTML_FLAG, INPUT, OUTPUT, SELECT
+from depthcli.commands.evaluate import evaluate, new_page
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
+    from depthcli.batch.making import Outcome, RunOptions
     from depthcli.batch.reporter import Reporter
-    from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
     from depthcli.data.formats.pictures import Palette
-
-INPUT = Option("input", Path, "Folder of scenes, or a CSV file of pairs.", "DIR", short="-i")
-OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True)
-LAYOUT = Option("layout", str, "Layout of the folder, where it is not recognized.", "NAME")
-SCENES = Option("scenes", str, "Only scenes whose name matches; repeatable.", "GLOB", many=True)
-NAME = Option("name", str, "Name of a single scene; default: its file's or folder's.", "NAME")
-_SELECT = (
-    NAME,
-    LAYOUT,
-    SCENES,
-    Option("set", str, "Override one key; repeatable.", "KEY=VALUE", many=True),
-)
-HOW = (
-    Option("jobs", int, "Scenes at a time, each in a process.", "N", default=1, short="-j", least=1, most=512),
-    Option("threads", int, "Threads of each process.", "N", least=1, most=1024),
-    Option("max_memory", str, "Such as 2GiB. Default: all that is free.", "SIZE"),
-    Option("overwrite", bool, "Replace what an earlier run with another config left.", default=False),
-    Option("keep", str, "Files that stay of a scene, such as disp_left.pfm,status.png. Default: all.", "NAMES"),
-    Option("shard", str, "Part I of N of the scenes, beside others in one folder. Default: Slurm's job array.", "I/N"),
-    Option("scheduler", str, "Compute on the workers of a dask.distributed cluster.", "tcp://HOST:PORT"),
-    Option("fail_fast", bool, "Stop at the first scene that fails.", default=False),
-    Option("list_scenes", bool, "Print the names of the scenes; compute nothing.", default=False),
-)
-_EVALUATE = Option("evaluate", bool, "Compare with the ground truth of the input folder.", default=False)
-DRY_RUN = Option("dry_run", bool, "Only say what would be done: config, scenes, memory, what is done.", default=False)
-_HTML = Option("html", bool, "As --evaluate, with evaluation/report.html to look at in a browser.", default=False)
+    from depthcli.evaluation.results import EvaluationReport
 
 
-class BatchCommand(Command):
+class BatchCommand(Command, Generic[ConfigT, SceneT]):
     """Goes through scenes one by one, into a run folder."""
 
     @abstractmethod
-    def compute(self, config: Any, scene: Any, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: ConfigT, scene: SceneT, folder: Path, memory: int) -> Outcome:
         """Compute ``scene`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
 
     @abstractmethod
     def columns(self) -> tuple[Column, ...]:
         """Columns of the command's table."""
 
-    def files(self, config: Any, scene: Any) -> dict[str, Path]:
+    def files(self, config: ConfigT, scene: SceneT) -> dict[str, Path]:
         """Role -> file whose content the result depends on."""
-        files: dict[str, Path] = scene.input_files
-        return files
+        return scene.input_files
 
-    def settings(self, config: Any, scene: Any) -> dict[str, str]:
+    def settings(self, config: ConfigT, scene: SceneT) -> dict[str, str]:
         """What else the result depends on, beside the config: facts that the layout found."""
         return {}
 
-    def effort(self, config: Any, scene: Any) -> int | None:
+    def effort(self, config: ConfigT, scene: SceneT) -> int | None:
         """About how much work an scene is, in any unit, told quickly; None: it follows the size of its files."""
         return None
 
-    def run_on(self, config: Any, scenes: list[Scene], values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run_on(self, config: ConfigT, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> int:
         """The batch itself, its table and report; the exit code."""
         if values.get("dry_run"):
             return self._say_plan(config, scenes, values, reporter)
@@ -109,11 +83,11 @@ class BatchCommand(Command):
             return 1
         return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0
 
-    def memory_of(self, config: Any, scene: Any) -> int | None:
+    def memory_of(self, config: ConfigT, scene: SceneT) -> int | None:
         """Estimate of the peak working memory of an scene, bytes, from headers alone; None where there is none."""
         return None
 
-    def _say_plan(self, config: Any, scenes: list[Scene], values: Mapping[str, Any], reporter: Reporter) -> int:
+    def _say_plan(self, config: ConfigT, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> int:
         from depthcli.batch.plan import plan, plan_text
         from depthcli.batch.record import to_json
 
@@ -129,16 +103,14 @@ class BatchCommand(Command):
         """Combinations of bits that the legend shows; None for each bit alone."""
         return None
 
-    def _write_legend(self, output: Path, rows: list[dict[str, Any]]) -> None:
+    def _write_legend(self, output: Path, rows: list[Row]) -> None:
         from depthcli.data.formats.pictures import write_legend
 
         palette = self.palette()
         if palette is not None and any(row["status"] == "done" for row in rows):
             write_legend(output / "legend.png", palette, self.legend_values())
 
-    def _evaluation(self, scenes: list[Scene], values: Mapping[str, Any], reporter: Reporter) -> Any:
-        from depthcli.commands.evaluate import evaluate, new_page
-
+    def _evaluation(self, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> EvaluationReport | None:
         if not any(scene.has_truth for scene in scenes):
             reporter.error(f"{values['input']}: no ground truth there, nothing to evaluate")
             return None
@@ -150,7 +122,7 @@ class BatchCommand(Command):
         )  # fmt: skip
 
 
-class ConfigCommand(BatchCommand):
+class ConfigCommand(BatchCommand[ModelT, SceneT]):
     """``depthcli COMMAND CONFIG --input DIR --output DIR ...``: a config, a folder of scenes, a run folder."""
 
     kinds: ClassVar[tuple[type[Scene], ...]]
@@ -165,24 +137,24 @@ class ConfigCommand(BatchCommand):
     def options(self) -> tuple[Option, ...]:
         """What the kinds of scene declare, between what all batches share."""
         own = {option.name: option for kind in self.kinds for option in kind.options}
-        return (INPUT, *own.values(), OUTPUT, *_SELECT, *HOW, _EVALUATE, _HTML, DRY_RUN)
+        return (INPUT, *own.values(), OUTPUT, *SELECT, *HOW, EVALUATE, HTML_FLAG, DRY_RUN)
 
     @abstractmethod
-    def config_model(self) -> type[BaseModel]:
+    def config_model(self) -> type[ModelT]:
         """Model of the config's root."""
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Compute every scene, then evaluate where that is asked for; the exit code."""
         run_options(values)  # wrong ones are told before anything is looked at
         config = self.config(values)
         scenes = self.find(values, reporter)
         return self.run_on(config, scenes, values, reporter)
 
-    def find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Scene]:
+    def find(self, values: Values, reporter: Reporter) -> list[SceneT]:
         """The scenes that the command line means."""
-        return find_scenes(self.kinds, values, reporter)
+        return cast("list[SceneT]", find_scenes(self.kinds, values, reporter))
 
-    def config(self, values: Mapping[str, Any]) -> BaseModel:
+    def config(self, values: Values) -> ModelT:
         """The config that the command line means; ConfigError with all that is wrong."""
         from depthcli.batch.presets import find_config, find_preset
         from depthcli.core.config_file import load_config
@@ -199,7 +171,7 @@ class ConfigCommand(BatchCommand):
         )
 
 
-def find_scenes(kinds: tuple[type[Scene], ...], values: Mapping[str, Any], reporter: Reporter) -> list[Scene]:
+def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Reporter) -> list[SceneT]:
     """The scenes that ``--input``, or the files of a single one, mean.
 
     Raises
@@ -219,7 +191,7 @@ def find_scenes(kinds: tuple[type[Scene], ...], values: Mapping[str, Any], repor
         if _evaluates(values):
             raise ConfigError("--evaluate wants --input: a single scene has no ground truth")
         if values["name"] is None:
-            return chosen_scenes(named, patterns, "the command line")
+            return cast("list[SceneT]", chosen_scenes(named, patterns, "the command line"))
         if len(named) > 1:
             raise ConfigError(f"--name is for a single scene, these are {len(named)}")
         return [_renamed(named[0], values["name"])]
@@ -233,28 +205,30 @@ def find_scenes(kinds: tuple[type[Scene], ...], values: Mapping[str, Any], repor
 
 
 def scenes_at(
-    place: Path, kinds: tuple[type[Scene], ...], layout: str | None, patterns: Sequence[str], reporter: Reporter
-) -> list[Scene]:
+    place: Path, kinds: tuple[type[SceneT], ...], layout: str | None, patterns: Sequence[str], reporter: Reporter
+) -> list[SceneT]:
     """The scenes of a folder, or of a table of files."""
     from depthcli.data.pairs import TABLE_SUFFIXES
     from depthcli.data.walk import chosen_scenes, discover_scenes
 
     if place.is_file() and place.suffix.lower() in TABLE_SUFFIXES:
-        return chosen_scenes(kinds[0].of_table(place), patterns, place)
-    return discover_scenes(place, kinds, layout, patterns, reporter.info)
+        found = chosen_scenes(kinds[0].of_table(place), patterns, place)
+    else:
+        found = discover_scenes(place, kinds, layout, patterns, reporter.info)
+    return cast("list[SceneT]", found)  # or broken ones, which are never computed
 
 
-def _single_options(kinds: tuple[type[Scene], ...]) -> str:
+def _single_options(kinds: Sequence[type[Scene]]) -> str:
     texts = (" and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path) for kind in kinds)
     return ", or ".join(text for text in texts if text)
 
 
-def run_options(values: Mapping[str, Any]) -> Any:
+def run_options(values: Values) -> RunOptions:
     """How a run is done; ConfigError for a wrong size or part."""
     import os
 
+    from depthcli.batch.making import RunOptions
     from depthcli.batch.resources import parse_bytes
-    from depthcli.batch.runner import Options
     from depthcli.batch.sharing import parse_shard
 
     memory = parse_bytes(values["max_memory"]) if values["max_memory"] else None
@@ -265,15 +239,15 @@ def run_options(values: Mapping[str, Any]) -> Any:
     if scheduler is not None and values["jobs"] != 1:
         raise ConfigError("--jobs and --scheduler exclude each other: a cluster has as many workers as it has")
     keep = tuple(name.strip() for name in (values["keep"] or "").split(",") if name.strip())
-    return Options(values["jobs"], values["threads"], memory, values["overwrite"], shard, values["fail_fast"], keep,
+    return RunOptions(values["jobs"], values["threads"], memory, values["overwrite"], shard, values["fail_fast"], keep,
                    scheduler)  # fmt: skip
 
 
-def _evaluates(values: Mapping[str, Any]) -> bool:
+def _evaluates(values: Values) -> bool:
     return bool(values.get("evaluate") or values.get("html"))
 
 
-def _renamed(scene: Scene, name: str) -> Scene:
+def _renamed(scene: SceneT, name: str) -> SceneT:
     from dataclasses import replace
 
     return replace(scene, name=name)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from depthcli.batch.command import Values
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.errors import InputError
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
+    from depthcli.batch.making import Outcome
     from depthcli.batch.reporter import Reporter
-    from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
     from depthcli.core.frames import StereoPair
     from depthcli.core.maps import DisparityMap
@@ -27,7 +27,7 @@ _FEW = 0.5  # share of measured pixels below which a map says so
 _AT_END = 0.05  # share of measured pixels at an end of the search range above which it does
 
 
-class PairCommand(ConfigCommand):
+class PairCommand(ConfigCommand[Any, StereoScene]):
     """Reads a pair, matches it, writes the left view's map."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (StereoScene,)
@@ -94,7 +94,7 @@ class PairCommand(ConfigCommand):
         reasons = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
         return (0, int(Status.SMOOTHED), *reasons, *(bit | int(Status.FILLED) for bit in reasons))
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """As every such command; a calibration that cannot be read is told before any scene is looked at."""
         self._check_calibration(self.config(values))
         return super().run(values, reporter)
@@ -127,8 +127,8 @@ class PairCommand(ConfigCommand):
         """
         import numpy as np
 
+        from depthcli.batch.making import Outcome
         from depthcli.batch.resources import show_bytes
-        from depthcli.batch.runner import Outcome
         from depthcli.commands._rectified import rectified_pair
         from depthcli.commands._save import save_stereo
         from depthcli.core.maps import Status

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.batch.command import Row
 from depthcli.batch.record import to_csv
 from depthcli.data.formats.atomic import write_text
 from depthcli.data.formats.images import write_png
@@ -63,14 +63,14 @@ def save_registration(
 
 def _rows(
     result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.float64], error: NDArray[np.float32] | None
-) -> list[dict[str, Any]]:
+) -> list[Row]:
     starts, steps = loaded.on_grid(result.start, result.step)
     places = (loaded.grid.to_index(points) - np.array(starts)) / np.array(steps)
     expected, certainty = linear(result.expected_error, places), linear(result.certainty, places)
     shift = np.stack([linear(result.shift[axis], places) for axis in (2, 1, 0)], axis=-1) @ loaded.grid.axes.T
     rows = []
     for k, point in enumerate(points):
-        row: dict[str, Any] = {axis: round(float(v), 4) for axis, v in zip("xyz", point, strict=True)}
+        row: Row = {axis: round(float(v), 4) for axis, v in zip("xyz", point, strict=True)}
         row |= {"confidence": round(float(certainty[k]), 5), "expected_error": round(float(expected[k]), 4)}
         row |= {f"shift_{axis}": round(float(v), 4) for axis, v in zip("xyz", shift[k], strict=True)}
         if error is not None:

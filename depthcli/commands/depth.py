@@ -6,12 +6,13 @@ The calibration lies beside the images that the run was made from (``calib.txt``
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
-from depthcli.commands._batch import DRY_RUN, HOW, OUTPUT, SCENES, BatchCommand, scenes_at
+from depthcli.batch.command import Row, Values
+from depthcli.commands._batch import BatchCommand, scenes_at
+from depthcli.commands._options import DRY_RUN, HOW, OUTPUT, SCENES
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from depthcli.batch.making import Outcome
     from depthcli.batch.reporter import Reporter
-    from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
     from depthcli.core.cameras.stereo_rig import PairGeometry
     from depthcli.data.formats.pictures import Palette
@@ -67,7 +68,18 @@ class DisparityScene(Scene):
         return read_disparity(self.disparity)
 
 
-class DepthCommand(BatchCommand):
+class DepthOptions(TypedDict):
+    """What depth is computed from, as ``run.yaml`` holds it; None: not given."""
+
+    focal: float | None
+    baseline: float | None
+    doffs: float | None
+    mask: str | None
+    ply: bool
+    depth_scale: float
+
+
+class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
     """``depthcli depth RUN --output DIR [--calibration FILE]``."""
 
     @property
@@ -95,7 +107,7 @@ class DepthCommand(BatchCommand):
             DRY_RUN,
         )  # fmt: skip
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Turn every map of the run into depth."""
         by_hand = [name for name in (*_BY_HAND, "doffs") if values[name] is not None]
         if by_hand and not all(values[name] is not None for name in _BY_HAND):
@@ -103,10 +115,13 @@ class DepthCommand(BatchCommand):
         if by_hand and values["calibration"] is not None:
             raise ConfigError(f"--calibration and --{by_hand[0]} exclude each other")
         _parse_mask(values["mask"])
-        config = {name: values[name] for name in (*_BY_HAND, "doffs", "mask", "ply", "depth_scale")}
+        config = DepthOptions(
+            focal=values["focal"], baseline=values["baseline"], doffs=values["doffs"],
+            mask=values["mask"], ply=values["ply"], depth_scale=values["depth_scale"],
+        )  # fmt: skip
         return self.run_on(config, self._find(values, reporter), values, reporter)
 
-    def _find(self, values: Mapping[str, Any], reporter: Reporter) -> list[Scene]:
+    def _find(self, values: Values, reporter: Reporter) -> list[DisparityScene]:
         from depthcli.data.scenes.stereo import StereoScene
         from depthcli.data.walk import scenes_with_files
 
@@ -122,7 +137,7 @@ class DepthCommand(BatchCommand):
         else:
             known = scenes_with_files(source for _, source in maps.values() if source is not None)
             sources = {name: known[source] for name, (_, source) in maps.items() if source in known}
-        found: list[Scene] = []
+        found: list[DisparityScene] = []
         for name, (folder, source) in maps.items():
             origin, left = sources.get(name), source if source is not None and source.is_file() else None
             calibration, cameras = None, (2, 3)
@@ -147,11 +162,11 @@ class DepthCommand(BatchCommand):
             )
         return found
 
-    def settings(self, config: Any, scene: DisparityScene) -> dict[str, str]:
+    def settings(self, config: DepthOptions, scene: DisparityScene) -> dict[str, str]:
         """The cameras of a file that holds several."""
         return {"cameras": f"{scene.cameras}"}
 
-    def memory_of(self, config: Any, scene: DisparityScene) -> None:
+    def memory_of(self, config: DepthOptions, scene: DisparityScene) -> None:
         """No estimate: little more than the map itself; InputError where there is no calibration."""
         if config["focal"] is None:
             _geometry(config, scene)
@@ -172,7 +187,7 @@ class DepthCommand(BatchCommand):
 
         return STATUS_PALETTE
 
-    def compute(self, config: Any, scene: DisparityScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: DepthOptions, scene: DisparityScene, folder: Path, memory: int) -> Outcome:
         """The depth of one map.
 
         Raises
@@ -182,7 +197,7 @@ class DepthCommand(BatchCommand):
         """
         import numpy as np
 
-        from depthcli.batch.runner import Outcome
+        from depthcli.batch.making import Outcome
         from depthcli.commands._save import save_metric_depth
         from depthcli.core.frames import color8
         from depthcli.core.result import Clock
@@ -211,7 +226,7 @@ class DepthCommand(BatchCommand):
         clock.stop("save")
         known = np.isfinite(depth)
         lost = float(np.mean(depth[known] * config["depth_scale"] >= 65535.5)) if known.any() else 0.0
-        facts: dict[str, Any] = {
+        facts: Row = {
             "width": width,
             "height": height,
             "density": round(float(known.mean()), 6),
@@ -248,12 +263,12 @@ def _maps_of(run: Path, patterns: list[str]) -> dict[str, tuple[Path, Path | Non
     return {name: (run / name, sources.get(name)) for name in chosen}
 
 
-def _geometry(config: Mapping[str, Any], scene: DisparityScene) -> PairGeometry:
+def _geometry(config: DepthOptions, scene: DisparityScene) -> PairGeometry:
     from depthcli.core.cameras.stereo_rig import PairGeometry
     from depthcli.core.frames import Intrinsics
     from depthcli.data.formats.calibration import read_geometry
 
-    if config["focal"] is not None:
+    if config["focal"] is not None and config["baseline"] is not None:
         height, width = scene.load().shape
         camera = Intrinsics(config["focal"], config["focal"], (width - 1) / 2, (height - 1) / 2)
         return PairGeometry(camera, config["baseline"], config["doffs"] or 0.0)

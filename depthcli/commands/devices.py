@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from depthcli.batch.command import Command
+from depthcli.batch.command import Command, Row, Values
 
 if TYPE_CHECKING:
     from depthcli.batch.reporter import Reporter
@@ -25,15 +24,15 @@ class DevicesCommand(Command):
         """None."""
         return ()
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list; why a kind shows none goes to stderr."""
         from depthcli.batch.record import to_json
         from depthcli.batch.tables import aligned
         from depthcli.device import DeviceError, devices, open_device, why_none
 
-        rows: list[dict[str, Any]] = []
+        rows: list[Row] = []
         for info in devices():
-            row: dict[str, Any] = {"device": info.address, "name": info.name, "gpu": info.is_gpu, "memory": info.memory,
+            row: Row = {"device": info.address, "name": info.name, "gpu": info.is_gpu, "memory": info.memory,
                    "bandwidth": None, "driver": info.driver, "problem": ""}  # fmt: skip
             try:
                 device = open_device(info.address)

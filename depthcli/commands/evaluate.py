@@ -6,12 +6,12 @@ is read and what it scores is up to the scene's protocol (``depthcli/evaluation/
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from depthcli.batch.command import SOME_FAILED, Command
-from depthcli.commands._batch import LAYOUT, SCENES
+from depthcli.batch.command import SOME_FAILED, Command, Values
+from depthcli.commands._options import LAYOUT, SCENES
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 
@@ -58,7 +58,7 @@ class EvaluateCommand(Command):
             *HTML,
         )  # fmt: skip
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Evaluate and print the tables; the exit code."""
         from depthcli.batch.record import to_json
         from depthcli.evaluation.matrix import FORMATS, written
@@ -172,7 +172,7 @@ def evaluate(
     return report
 
 
-def new_page(command: Command, values: Mapping[str, Any], output: Path | None) -> Page | None:
+def new_page(command: Command, values: Values, output: Path | None) -> Page | None:
     """The page that ``HTML`` asks for; ConfigError where there is no place for it."""
     if not values["html"]:
         return None

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from depthcli.batch.command import Command
+from depthcli.batch.command import Command, Values
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 
@@ -41,7 +41,7 @@ class ExportCommand(Command):
             Option("overwrite", bool, "Replace the archive.", default=False),
         )
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Check, then write; the exit code.
 
         Raises

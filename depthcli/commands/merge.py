@@ -5,11 +5,10 @@ A run's last process does that itself; this is for runs whose processes were kil
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from depthcli.batch.command import SOME_FAILED, Command
+from depthcli.batch.command import SOME_FAILED, Command, Values
 from depthcli.core.errors import InputError
 from depthcli.core.option import Option
 
@@ -30,7 +29,7 @@ class MergeCommand(Command):
         """None of its own."""
         return ()
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Write report.json and report.csv anew; the exit code says whether a scene failed."""
         from depthcli.batch import record
         from depthcli.batch.report import drop_parts, joined_rows

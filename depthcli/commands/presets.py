@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from depthcli.batch.command import Command
+from depthcli.batch.command import Command, Values
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 
@@ -29,7 +28,7 @@ class PresetsCommand(Command):
         """None."""
         return ()
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list or the preset."""
         from depthcli.batch.presets import THESIS, list_presets
         from depthcli.batch.record import to_json

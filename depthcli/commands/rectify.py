@@ -7,11 +7,12 @@ suggest.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal, TypedDict
 
-from depthcli.commands._batch import DRY_RUN, HOW, INPUT, LAYOUT, NAME, OUTPUT, SCENES, BatchCommand, find_scenes
+from depthcli.batch.command import Row, Values
+from depthcli.commands._batch import BatchCommand, find_scenes
+from depthcli.commands._options import DRY_RUN, HOW, INPUT, LAYOUT, NAME, OUTPUT, SCENES
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.data.scenes.stereo import StereoScene
@@ -20,15 +21,25 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from depthcli.batch.making import Outcome
     from depthcli.batch.reporter import Reporter
-    from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
     from depthcli.core.cameras.stereo_rig import RectifiedRig
     from depthcli.methods.stereo.config import Calibration
     from depthcli.methods.stereo.rectification import RectifyingHomographies
 
 
-class RectifyCommand(BatchCommand):
+class RectifyOptions(TypedDict):
+    """What the images of a run are rectified by, as ``run.yaml`` holds it."""
+
+    uncalibrated: bool
+    unit: Literal["m", "cm", "mm"]
+    fisheye: bool
+    alpha: float
+    cameras: str
+
+
+class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
     """``depthcli rectify --input DIR --calibration FILE --output DIR``."""
 
     @property
@@ -54,7 +65,7 @@ class RectifyCommand(BatchCommand):
             DRY_RUN,
         )  # fmt: skip
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Rectify every pair."""
         files = [str(path.absolute()) for path in values["calibration"] or ()]
         if values["uncalibrated"] == bool(files):
@@ -66,18 +77,21 @@ class RectifyCommand(BatchCommand):
         first, _, second = values["cameras"].partition(",")
         if not (first.isdigit() and second.isdigit() and len(first + second) == 2 and first != second):
             raise ConfigError(f"--cameras: want two numbers such as 2,3 (got {values['cameras']!r})")
-        config = {key: values[key] for key in ("uncalibrated", "unit", "fisheye", "alpha", "cameras")}
+        config = RectifyOptions(
+            uncalibrated=values["uncalibrated"], unit=values["unit"], fisheye=values["fisheye"],
+            alpha=values["alpha"], cameras=values["cameras"],
+        )  # fmt: skip
         scenes = find_scenes((StereoScene,), values, reporter)
         self._calibration = tuple(Path(file) for file in files)
         return self.run_on(config, scenes, values, reporter)
 
     _calibration: tuple[Path, ...] = ()
 
-    def files(self, config: Any, scene: StereoScene) -> dict[str, Path]:
+    def files(self, config: RectifyOptions, scene: StereoScene) -> dict[str, Path]:
         """The pair and the calibration."""
         return scene.input_files | {f"calibration_{k}": file for k, file in enumerate(self._calibration)}
 
-    def memory_of(self, config: Any, scene: StereoScene) -> None:
+    def memory_of(self, config: RectifyOptions, scene: StereoScene) -> None:
         """No estimate: little more than the images themselves; InputError where the calibration cannot be read."""
         if not config["uncalibrated"]:
             from depthcli.data.formats.stereo_rig import read_stereo_rig
@@ -95,7 +109,7 @@ class RectifyCommand(BatchCommand):
         overlap = Column("overlap", percent("overlap"))
         return (SIZE, pixels("row_error_before"), pixels("row_error"), overlap)
 
-    def compute(self, config: Any, scene: StereoScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: RectifyOptions, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Rectify one pair.
 
         Raises
@@ -105,7 +119,7 @@ class RectifyCommand(BatchCommand):
         """
         import numpy as np
 
-        from depthcli.batch.runner import Outcome
+        from depthcli.batch.making import Outcome
         from depthcli.commands import _rectified
         from depthcli.core.cameras.stereo_rig import RectifiedRig
         from depthcli.core.frames import StereoPair
@@ -121,8 +135,8 @@ class RectifyCommand(BatchCommand):
         views = found.images(left, right)
         rows, warnings = _rectified.row_errors(points, found)
         clock.stop("warp")
-        meta: dict[str, Any] = {"source": f"rectified by depthcli from {scene.name}"}
-        facts: dict[str, Any] = {"width": found.size[0], "height": found.size[1], **rows}
+        meta: Row = {"source": f"rectified by depthcli from {scene.name}"}
+        facts: Row = {"width": found.size[0], "height": found.size[1], **rows}
         facts["overlap"] = round(float(np.mean(views[2])), 6)
         same = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
         try:
@@ -140,7 +154,11 @@ class RectifyCommand(BatchCommand):
         return Outcome(facts, clock.seconds, warnings)
 
     def _rectifier(
-        self, config: Any, points: tuple[NDArray[np.float64], NDArray[np.float64]], left: Any, right: Any
+        self,
+        config: RectifyOptions,
+        points: tuple[NDArray[np.float64], NDArray[np.float64]],
+        left: NDArray[np.generic],
+        right: NDArray[np.generic],
     ) -> RectifiedRig | RectifyingHomographies:
         from depthcli.commands._rectified import rectified_rig
         from depthcli.methods.stereo.rectification import rectify_uncalibrated
@@ -152,7 +170,7 @@ class RectifyCommand(BatchCommand):
             raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
         return rectify_uncalibrated(*points, sizes[0])
 
-    def _calibrated(self, config: Any) -> Calibration:
+    def _calibrated(self, config: RectifyOptions) -> Calibration:
         from depthcli.methods.stereo.config import Calibration
 
         first, _, second = config["cameras"].partition(",")

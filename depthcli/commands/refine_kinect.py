@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
+from depthcli.batch.command import Values
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.option import Option
@@ -14,13 +15,12 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
+    from depthcli.batch.making import Outcome
     from depthcli.batch.reporter import Reporter
-    from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
     from depthcli.core.frames import RgbdFrame
     from depthcli.data.formats.pictures import Palette
+    from depthcli.methods.kinect.config import RefineKinectConfig
     from depthcli.methods.kinect.result import RefinedDepth
 
 _PLAUSIBLE = (0.2, 20.0)  # meters: the median depth of a room
@@ -48,7 +48,7 @@ class SequenceScene(Scene):
         self.check()
 
 
-class RefineKinectCommand(ConfigCommand):
+class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
     """Any pipeline of ``kinect/pipeline/``, frame by frame or along sequences."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (RgbdScene,)
@@ -59,18 +59,18 @@ class RefineKinectCommand(ConfigCommand):
         ply = Option("ply", bool, "Write a colored point cloud of every frame, too.", default=False)
         return (*super().options, ply)
 
-    def config_model(self) -> type[BaseModel]:
+    def config_model(self) -> type[RefineKinectConfig]:
         """A pipeline and the scale of the depth files."""
         from depthcli.methods.kinect.config import RefineKinectConfig
 
         return RefineKinectConfig
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """As every batch; ``--ply`` is a key of the config."""
         settings = [*(values["set"] or ()), *(["ply=true"] if values["ply"] else ())]
         return super().run({**values, "set": settings}, reporter)
 
-    def run_on(self, config: Any, scenes: list[Scene], values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run_on(self, config: RefineKinectConfig, scenes: Sequence[Scene], values: Values, reporter: Reporter) -> int:
         """As every batch; a method that carries state takes a sequence as one scene."""
         from depthcli.methods.kinect.pipeline import SequencePipeline
 
@@ -78,7 +78,7 @@ class RefineKinectCommand(ConfigCommand):
             scenes = _sequences(scenes)
         return super().run_on(config, scenes, values, reporter)
 
-    def settings(self, config: Any, scene: Scene) -> dict[str, str]:
+    def settings(self, config: RefineKinectConfig, scene: Scene) -> dict[str, str]:
         """What the layout says about the files."""
         frames = scene.frames if isinstance(scene, SequenceScene) else (scene,)
         first = frames[0]
@@ -87,7 +87,7 @@ class RefineKinectCommand(ConfigCommand):
         scale = config.depth_scale or first.depth_scale
         return {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
 
-    def memory_of(self, config: Any, scene: Scene) -> int | None:
+    def memory_of(self, config: RefineKinectConfig, scene: Scene) -> int | None:
         """By the size of the color image, of a sequence of the first one."""
         from depthcli.batch.plan import shape_of
 
@@ -107,7 +107,7 @@ class RefineKinectCommand(ConfigCommand):
 
         return DEPTH_STATUS_PALETTE
 
-    def compute(self, config: Any, scene: Scene, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: RefineKinectConfig, scene: Scene, folder: Path, memory: int) -> Outcome:
         """Refine a frame, or a sequence from its first frame on.
 
         Raises
@@ -120,16 +120,17 @@ class RefineKinectCommand(ConfigCommand):
         assert isinstance(scene, RgbdScene)
         return self._frame(config, scene, folder, memory, lambda frame: config.pipeline(frame))
 
-    def _sequence(self, config: Any, scene: SequenceScene, folder: Path, memory: int) -> Outcome:
-        from depthcli.batch.runner import Outcome
+    def _sequence(self, config: RefineKinectConfig, scene: SequenceScene, folder: Path, memory: int) -> Outcome:
+        from depthcli.batch.making import Outcome
+        from depthcli.methods.kinect.pipeline import SequencePipeline
 
-        state: Any = None
+        assert isinstance(config.pipeline, SequencePipeline)
+        pipeline, state = config.pipeline, None
 
         def step(frame: RgbdFrame) -> RefinedDepth:
             nonlocal state
-            result, state = config.pipeline.step(frame, state)
-            refined: RefinedDepth = result
-            return refined
+            result, state = pipeline.step(frame, state)
+            return result
 
         outcomes: list[Outcome] = []
         problems = []
@@ -151,10 +152,17 @@ class RefineKinectCommand(ConfigCommand):
         warnings = [line for each in outcomes for line in each.warnings]
         return Outcome(facts, seconds, [*problems, *dict.fromkeys(warnings)])
 
-    def _frame(self, config: Any, scene: RgbdScene, folder: Path, memory: int, refine: Any) -> Outcome:
+    def _frame(
+        self,
+        config: RefineKinectConfig,
+        scene: RgbdScene,
+        folder: Path,
+        memory: int,
+        refine: Callable[[RgbdFrame], RefinedDepth],
+    ) -> Outcome:
         import numpy as np
 
-        from depthcli.batch.runner import Outcome
+        from depthcli.batch.making import Outcome
         from depthcli.commands._save import save_depth
         from depthcli.core.maps import DepthStatus
         from depthcli.core.result import Clock
@@ -195,7 +203,7 @@ class RefineKinectCommand(ConfigCommand):
         return Outcome(facts, seconds, [] if scene.raw else _doubts(scene, frame))
 
 
-def _sequences(scenes: list[Scene]) -> list[Scene]:
+def _sequences(scenes: Sequence[Scene]) -> list[Scene]:
     """Frames of one sequence as one scene; frames that belong to none are sequences of their own."""
     groups: dict[tuple[Path, str], list[RgbdScene]] = {}
     found: list[Scene] = []
@@ -211,7 +219,7 @@ def _sequences(scenes: list[Scene]) -> list[Scene]:
     return sorted(found, key=lambda scene: scene.name)
 
 
-def _check_memory(config: Any, frame: RgbdFrame, memory: int) -> None:
+def _check_memory(config: RefineKinectConfig, frame: RgbdFrame, memory: int) -> None:
     from depthcli.batch.resources import show_bytes
 
     need = config.pipeline.peak_bytes(frame.shape)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.errors import InputError
@@ -11,27 +11,26 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import VolumePairScene
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
-    from depthcli.batch.runner import Outcome
+    from depthcli.batch.making import Outcome
     from depthcli.batch.tables import Column
     from depthcli.data.formats.volumes import Grid
+    from depthcli.methods.registration.config import RegisterConfidenceConfig
 
 _BORDER = 0.2  # share of best matches on the border of the search above which errors are larger than it
 
 
-class RegisterConfidenceCommand(ConfigCommand):
+class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", VolumePairScene]):
     """Searches around every voxel of a registered pair."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (VolumePairScene,)
 
-    def config_model(self) -> type[BaseModel]:
+    def config_model(self) -> type[RegisterConfidenceConfig]:
         """The method and the convention of displacement files."""
         from depthcli.methods.registration.config import RegisterConfidenceConfig
 
         return RegisterConfidenceConfig
 
-    def memory_of(self, config: Any, scene: VolumePairScene) -> int:
+    def memory_of(self, config: RegisterConfidenceConfig, scene: VolumePairScene) -> int:
         """By the header of the fixed volume."""
         return _need(config, *scene.size(config.max_voxels))
 
@@ -46,7 +45,7 @@ class RegisterConfidenceCommand(ConfigCommand):
             Column("border", percent("border")),
         )
 
-    def compute(self, config: Any, scene: VolumePairScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: RegisterConfidenceConfig, scene: VolumePairScene, folder: Path, memory: int) -> Outcome:
         """Search one pair.
 
         Raises
@@ -54,8 +53,8 @@ class RegisterConfidenceCommand(ConfigCommand):
         InputError
             The files cannot be used, or ``memory`` bytes do not suffice.
         """
+        from depthcli.batch.making import Outcome
         from depthcli.batch.resources import show_bytes
-        from depthcli.batch.runner import Outcome
         from depthcli.commands._save_registration import save_registration
         from depthcli.core.result import Clock
         from depthcli.data.formats.volume_files import written_suffix
@@ -83,7 +82,9 @@ class RegisterConfidenceCommand(ConfigCommand):
         return Outcome(facts, seconds, _warnings(result.figures["border"]))
 
 
-def _need(config: Any, grid: Grid, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> int:
+def _need(
+    config: RegisterConfidenceConfig, grid: Grid, shape: tuple[int, int, int], spacing: tuple[float, float, float]
+) -> int:
     """Estimate of the peak working memory of a pair that is loaded as ``shape`` voxels, bytes."""
     # Beside the search: the pair. Before it: one whole volume as it is read, 2 bytes a voxel and 4 as numbers.
     whole = grid.size[0] * grid.size[1] * grid.size[2]

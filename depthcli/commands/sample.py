@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from depthcli.commands._batch import DRY_RUN, HOW, OUTPUT, BatchCommand
+from depthcli.batch.command import Values
+from depthcli.commands._batch import BatchCommand
+from depthcli.commands._options import DRY_RUN, HOW, OUTPUT
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.data.generated.kinds import SampleScene, samples
 
 if TYPE_CHECKING:
+    from depthcli.batch.making import Outcome
     from depthcli.batch.reporter import Reporter
-    from depthcli.batch.runner import Outcome
     from depthcli.batch.tables import Column
 
 
-class SampleCommand(BatchCommand):
+class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
     """The same loop as the other commands; its scenes come from the options, not from a folder."""
 
     @property
@@ -30,7 +32,7 @@ class SampleCommand(BatchCommand):
                 own.setdefault(option.name, option)
         return (OUTPUT, *flags, *own.values(), *HOW, DRY_RUN)
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Generate the scenes of the one kind that is asked for."""
         chosen = [name for name in samples() if values.get(name)]
         if len(chosen) > 1:
@@ -44,17 +46,17 @@ class SampleCommand(BatchCommand):
         config = {"sample": sample.name, **{key: value for key, value in own.items() if key not in sample.by_scene}}
         return self.run_on(config, list(sample.scenes(own)), values, reporter)
 
-    def settings(self, config: Any, scene: SampleScene) -> dict[str, str]:
+    def settings(self, config: Mapping[str, object], scene: SampleScene) -> dict[str, str]:
         """What the scene is made from."""
         return {key: str(value) for key, value in scene.settings.items()}
 
-    def compute(self, config: Any, scene: SampleScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: Mapping[str, object], scene: SampleScene, folder: Path, memory: int) -> Outcome:
         """Generate one scene."""
-        from depthcli.batch.runner import Outcome
+        from depthcli.batch.making import Outcome
         from depthcli.core.result import Clock
 
         clock = Clock()
-        facts = samples()[config["sample"]].make(config, scene, folder)
+        facts = samples()[str(config["sample"])].make(config, scene, folder)
         clock.stop("make")
         return Outcome(facts, clock.seconds)
 

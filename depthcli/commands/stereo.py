@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from depthcli.batch.command import Values
 from depthcli.commands._pairs import PairCommand
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pydantic import BaseModel
 
     from depthcli.core.frames import StereoPair
@@ -39,7 +38,7 @@ class StereoCommand(PairCommand):
 
         return StereoConfig
 
-    def config(self, values: Mapping[str, Any]) -> BaseModel:
+    def config(self, values: Values) -> BaseModel:
         """With the device that is meant, by its address: a run goes on where it began, or not at all."""
         from depthcli.device import DeviceError, find_device
 

@@ -8,17 +8,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from depthcli.batch.command import SOME_FAILED, Command
-from depthcli.commands._batch import HOW, LAYOUT, OUTPUT, SCENES, ConfigCommand, run_options
+from depthcli.batch.command import SOME_FAILED, Command, Row, Values
+from depthcli.commands._batch import ConfigCommand, run_options
+from depthcli.commands._options import HOW, LAYOUT, OUTPUT, SCENES
 from depthcli.commands.evaluate import HTML, evaluate, new_page
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from depthcli.batch.reporter import Reporter
     from depthcli.batch.sweep import Axis, Combination, Effect
+    from depthcli.data.scenes import Scene
     from depthcli.evaluation.results import EvaluationReport, Section
 
 _RUNS = "runs"
@@ -53,7 +57,7 @@ class SweepCommand(Command):
             *HTML,
         )
 
-    def run(self, values: Mapping[str, Any], reporter: Reporter) -> int:
+    def run(self, values: Values, reporter: Reporter) -> int:
         """Every run, then the evaluation; the exit code.
 
         Raises
@@ -67,7 +71,7 @@ class SweepCommand(Command):
         axes = [parse_axis(text) for text in values["over"]]
         chosen = combinations(axes, values["random"], values["seed"])
         names = folder_names(axes, chosen)
-        given: dict[str, Any] = {option.name: option.default for option in (*command.arguments, *command.options)}
+        given = {option.name: option.default for option in (*command.arguments, *command.options)}
         given |= {name: value for name, value in values.items() if name in given}
         given |= {"json": False, "quiet": True, "evaluate": False, "html": False, "name": None}
         each = {}
@@ -89,7 +93,7 @@ class SweepCommand(Command):
         return SOME_FAILED if failed else 0
 
 
-def _command(name: str) -> ConfigCommand:
+def _command(name: str) -> ConfigCommand[BaseModel, Scene]:
     from depthcli.commands import command_names, load_command
 
     found = load_command(name) if name in command_names() else None
@@ -100,10 +104,10 @@ def _command(name: str) -> ConfigCommand:
 
 
 def _say_plan(
-    command: ConfigCommand,
-    each: Mapping[str, Mapping[str, Any]],
-    configs: Mapping[str, Any],
-    values: Mapping[str, Any],
+    command: ConfigCommand[BaseModel, Scene],
+    each: Mapping[str, Values],
+    configs: Mapping[str, BaseModel],
+    values: Values,
     reporter: Reporter,
 ) -> int:
     from depthcli.batch.plan import DONE, plan
@@ -127,9 +131,7 @@ def _say_plan(
     return 0
 
 
-def _evaluate(
-    sweep: SweepCommand, values: Mapping[str, Any], names: Sequence[str], reporter: Reporter
-) -> EvaluationReport | None:
+def _evaluate(sweep: SweepCommand, values: Values, names: Sequence[str], reporter: Reporter) -> EvaluationReport | None:
     from depthcli.data.walk import discover_scenes
 
     scenes = discover_scenes(values["input"], None, values["layout"], values["scenes"] or ["*"])
@@ -148,7 +150,7 @@ def _say_result(
     axes: Sequence[Axis],
     chosen: Mapping[str, Combination],
     report: EvaluationReport,
-    values: Mapping[str, Any],
+    values: Values,
     reporter: Reporter,
 ) -> None:
     """The runs by their figure, and what every key does to it; also as ``sweep.csv`` and ``sweep.json``."""
@@ -157,7 +159,7 @@ def _say_result(
     from depthcli.data.formats.atomic import write_text
     from depthcli.evaluation.tables import mean
 
-    rows: list[dict[str, Any]] = []
+    rows: list[Row] = []
     documents, texts = [], []
     for section in report.by_protocol:
         headline, sign = section.protocol.headline, -1 if section.protocol.headline.larger_is_better else 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.errors import InputError
@@ -12,39 +12,38 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
-    from depthcli.batch.runner import Outcome
+    from depthcli.batch.making import Outcome
     from depthcli.batch.tables import Column
     from depthcli.core.frames import SparseFrame
     from depthcli.core.result import Result
     from depthcli.data.formats.pictures import Palette
+    from depthcli.methods.transparent.config import TransparentConfig
 
 
-class TransparentCommand(ConfigCommand):
+class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
     """Any pipeline of ``transparent/pipeline/``."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (RgbdScene,)
 
-    def config_model(self) -> type[BaseModel]:
+    def config_model(self) -> type[TransparentConfig]:
         """A pipeline and the scale of the depth files."""
         from depthcli.methods.transparent.config import TransparentConfig
 
         return TransparentConfig
 
-    def files(self, config: Any, scene: RgbdScene) -> dict[str, Path]:
+    def files(self, config: TransparentConfig, scene: RgbdScene) -> dict[str, Path]:
         """The frame's files and the sparse depth's."""
         if config.stereo is not None:
             return super().files(config, scene)
         sparse = {"sparse": scene.sparse, "sparse_confidence": scene.sparse_confidence}
         return super().files(config, scene) | {role: file for role, file in sparse.items() if file is not None}
 
-    def settings(self, config: Any, scene: RgbdScene) -> dict[str, str]:
+    def settings(self, config: TransparentConfig, scene: RgbdScene) -> dict[str, str]:
         """What the layout says about the files."""
         said = {"depth_scale": str(config.depth_scale or scene.depth_scale)}
         return said | {"max_disparity": str(getattr(scene, "max_disparity", None))}
 
-    def memory_of(self, config: Any, scene: RgbdScene) -> int:
+    def memory_of(self, config: TransparentConfig, scene: RgbdScene) -> int:
         """By the size of the color image; of what follows the search for sparse depth."""
         from depthcli.batch.plan import shape_of
 
@@ -71,7 +70,7 @@ class TransparentCommand(ConfigCommand):
         filled, replaced, sampled = DepthStatus.GAP_FILLED, DepthStatus.CORRECTED, DepthStatus.SAMPLED
         return (0, filled, replaced, filled | sampled, replaced | sampled, DepthStatus.EMPTY)
 
-    def compute(self, config: Any, scene: RgbdScene, folder: Path, memory: int) -> Outcome:
+    def compute(self, config: TransparentConfig, scene: RgbdScene, folder: Path, memory: int) -> Outcome:
         """Dense depth of one frame.
 
         Raises
@@ -81,7 +80,7 @@ class TransparentCommand(ConfigCommand):
         """
         import numpy as np
 
-        from depthcli.batch.runner import Outcome
+        from depthcli.batch.making import Outcome
         from depthcli.commands._save import save_depth
         from depthcli.core.maps import DepthStatus
         from depthcli.core.result import Clock
@@ -121,7 +120,7 @@ class TransparentCommand(ConfigCommand):
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
         return Outcome(facts, seconds)
 
-    def _sparse(self, config: Any, scene: RgbdScene, memory: int) -> tuple[SparseFrame, Result]:
+    def _sparse(self, config: TransparentConfig, scene: RgbdScene, memory: int) -> tuple[SparseFrame, Result]:
         """The frame with sparse depth, and what stereo has to say where it comes from there."""
         import numpy as np
 
@@ -149,7 +148,7 @@ class TransparentCommand(ConfigCommand):
         return frame, Result(seconds=clock.seconds, confidence=confidence, pictures=pictures, figures=figures)
 
 
-def _check_memory(config: Any, shape: tuple[int, int], memory: int, least: int = 0) -> None:
+def _check_memory(config: TransparentConfig, shape: tuple[int, int], memory: int, least: int = 0) -> None:
     from depthcli.batch.resources import show_bytes
 
     need = max(config.pipeline.peak_bytes(shape), least)

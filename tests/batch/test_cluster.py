@@ -18,7 +18,7 @@ from depthcli.batch import record
 from depthcli.batch.cluster import _Cluster
 from depthcli.batch.making import Task
 from depthcli.batch.reporter import Reporter
-from depthcli.batch.runner import Options
+from depthcli.batch.runner import RunOptions
 from depthcli.cli import main
 from depthcli.data.scenes.stereo import StereoScene
 
@@ -161,7 +161,7 @@ def test_a_scene_that_kills_its_workers_fails_alone(tmp_path: Path):
 
     scenes = [StereoScene(name=name, folder=tmp_path, left=tmp_path / f"{name}.png") for name in "abc"]
     tasks = [Task(scene, tmp_path, tmp_path, 0, "run", {}, "") for scene in scenes]
-    cluster = _Cluster(Client(), None, None, Options())
+    cluster = _Cluster(Client(), None, None, RunOptions())
     cluster.submit(tasks)
     rows: dict[str, dict[str, Any]] = {}
     for _ in range(2):

@@ -15,7 +15,7 @@ from depthcli.batch import record, resources
 from depthcli.batch.making import Task, discard, run_one
 from depthcli.batch.record import RECORD_FILE
 from depthcli.batch.reporter import Reporter
-from depthcli.batch.runner import Options, Outcome, run_scenes
+from depthcli.batch.runner import Outcome, RunOptions, run_scenes
 from depthcli.batch.tables import run_table
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
 from depthcli.core.result import Clock
@@ -96,7 +96,7 @@ class Folder:
             scenes.append(Text(name=name, folder=file.parent, file=file))
         self.log.write_text("")
         config = Config(factor=factor)
-        rows = run_scenes(Repeat(self.log), config, scenes, self.output, Options(**options), self.reporter)
+        rows = run_scenes(Repeat(self.log), config, scenes, self.output, RunOptions(**options), self.reporter)
         return {row["scene"]: row for row in rows}
 
     def computed(self) -> list[str]:
@@ -247,14 +247,14 @@ def test_inputs_are_never_written_over(folder: Folder):
     scene = Text(name="in", folder=folder.root / "in", file=folder.root / "in" / "x")
     scene.file.write_text("x")
     with pytest.raises(ConfigError, match="over its own input"):
-        run_scenes(Repeat(), Config(), [scene], folder.root, Options(), Reporter(-1))
+        run_scenes(Repeat(), Config(), [scene], folder.root, RunOptions(), Reporter(-1))
 
 
 @pytest.mark.parametrize("name", ["", ".hidden", "..", "a/../b", "a//b"])
 def test_names_that_lead_astray_are_refused(folder: Folder, name: str):
     scene = Text(name=name, folder=folder.root, file=folder.root / "in" / "x")
     with pytest.raises(ConfigError, match="--name"):
-        run_scenes(Repeat(), Config(), [scene], folder.output, Options(), Reporter(-1))
+        run_scenes(Repeat(), Config(), [scene], folder.output, RunOptions(), Reporter(-1))
 
 
 def test_another_input_of_the_same_name_is_refused(folder: Folder):
@@ -265,7 +265,7 @@ def test_another_input_of_the_same_name_is_refused(folder: Folder):
     scene = Text(name="a", folder=folder.root, file=other)
 
     def again(**options: Any) -> list[dict[str, Any]]:
-        return run_scenes(Repeat(), Config(), [scene], folder.output, Options(**options), Reporter(-1))
+        return run_scenes(Repeat(), Config(), [scene], folder.output, RunOptions(**options), Reporter(-1))
 
     with pytest.raises(ConfigError, match=r"another 'a', made from .*in/a; this one is .*elsewhere"):
         again()
