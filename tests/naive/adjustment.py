@@ -1,4 +1,4 @@
-"""Slow twins of adjusting a right image. Never imports depthcli."""
+"""Slow references for the adjustment of a right image. Never imports depthcli."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def catmull_rom(samples, t):
 
 
 def resampled(image, rows, gains, cell, top):
-    """(H, W, C): moved along the columns, times the gains between whose cells' centers it is interpolated.
+    """Return (H, W, C) ``image`` shifted along the columns, times gains interpolated between the centers of cells.
 
     Gains below 1 rise to 1 from 92 to 99 % of ``top``.
     """
@@ -38,40 +38,42 @@ def resampled(image, rows, gains, cell, top):
     return out
 
 
-def difference_sums(seen, left, right, cell):
-    """(2, h, w): mean difference of the matches' channels, and their number, a pixel of a cell."""
-    sums = np.zeros((2, *(-(-side // cell) for side in seen.shape)))
-    for y, x in zip(*np.nonzero(~np.isnan(seen)), strict=True):
-        u = max(x - int(seen[y, x] + 0.5), 0)
-        apart = np.abs(left[y, x].astype(float) - right[y, u]).mean()
-        sums[:, y // cell, x // cell] += np.array([apart, 1]) / cell**2
+def difference_sums(disparity, left, right, cell):
+    """Return (2, h, w): mean difference of the matches' channels, and their number, a pixel of a cell."""
+    sums = np.zeros((2, *(-(-side // cell) for side in disparity.shape)))
+    for y, x in zip(*np.nonzero(~np.isnan(disparity)), strict=True):
+        u = max(x - int(disparity[y, x] + 0.5), 0)
+        difference = np.abs(left[y, x].astype(float) - right[y, u]).mean()
+        sums[:, y // cell, x // cell] += np.array([difference, 1]) / cell**2
     return sums
 
 
-def light_sums(seen, left, right, gains, unlike, cell, dark):
-    """(3, h, w, 3): left and right light of the matches that are alike, and their number, a pixel of a cell."""
+def light_sums(disparity, left, right, gains, max_ratio, cell, offset):
+    """Return (3, h, w, 3): left and right levels of the matches that are no outliers, and their number, per pixel of a
+    cell.
+    """
     sums = np.zeros((3, *gains.shape))
-    for y, x in zip(*np.nonzero(~np.isnan(seen)), strict=True):
-        u = max(x - int(seen[y, x] + 0.5), 0)
+    for y, x in zip(*np.nonzero(~np.isnan(disparity)), strict=True):
+        u = max(x - int(disparity[y, x] + 0.5), 0)
         for c in range(3):
-            ours, theirs = float(left[y, x, c]), float(right[y, u, c])
-            ratio = (ours + dark) / ((theirs + dark) * gains[y // cell, u // cell, c])
-            if 1 / unlike < ratio < unlike:
-                sums[:, y // cell, u // cell, c] += np.array([ours, theirs, 1]) / cell**2
+            left_level, right_level = float(left[y, x, c]), float(right[y, u, c])
+            ratio = (left_level + offset) / ((right_level + offset) * gains[y // cell, u // cell, c])
+            if 1 / max_ratio < ratio < max_ratio:
+                sums[:, y // cell, u // cell, c] += np.array([left_level, right_level, 1]) / cell**2
     return sums
 
 
-def block_sums(seen, ours, theirs, rows, block, edge, outlier):
-    """(8, h, w); ``ours`` and ``theirs`` are (grey levels, slopes across, slopes down)."""
-    height, width = seen.shape
+def block_sums(disparity, left, right, rows, block, edge, outlier):
+    """Return (8, h, w); ``left`` and ``right`` are (grey levels, slopes along x, slopes along y)."""
+    height, width = disparity.shape
     sums = np.zeros((8, -(-height // block), -(-width // block)))
 
     def between(image, v, u, t, part):
         corners = image[v : v + 2, u : u + 2].astype(float)
         return np.array([1 - t, t]) @ corners @ np.array([1 - part, part])
 
-    for y, x in zip(*np.nonzero(~np.isnan(seen)), strict=True):
-        at = x - float(seen[y, x])
+    for y, x in zip(*np.nonzero(~np.isnan(disparity)), strict=True):
+        at = x - float(disparity[y, x])
         if at < 0 or at >= width - 1:
             continue
         u = int(at)
@@ -79,13 +81,13 @@ def block_sums(seen, ours, theirs, rows, block, edge, outlier):
         below = min(max(below, 1), height - 3)
         v = min(int(below), height - 4)
         t, part = below - v, at - u
-        one, other = (catmull_rom(theirs[0][v - 1 : v + 3, column], t) for column in (u, u + 1))
-        residual = float(ours[0][y, x]) - ((1 - part) * one + part * other)
+        one, other = (catmull_rom(right[0][v - 1 : v + 3, column], t) for column in (u, u + 1))
+        residual = float(left[0][y, x]) - ((1 - part) * one + part * other)
         cell = sums[:, y // block, x // block]
         cell[7] += np.log(1 + (min(abs(residual), outlier) / edge) ** 2)
         if abs(residual) < outlier:
             weight = 1 / (1 + (residual / edge) ** 2)
-            across, down = ((float(ours[k][y, x]) + between(theirs[k], v, u, t, part)) / 2 for k in (1, 2))
+            across, down = ((float(left[k][y, x]) + between(right[k], v, u, t, part)) / 2 for k in (1, 2))
             cell[:7] += weight * np.array(
                 [1, at, across**2, across * down, down**2, across * residual, down * residual]
             )

@@ -1,4 +1,4 @@
-"""Adjusting the right image: kernels against their twins, what is recovered, and what stays as it is."""
+"""Adjusting the right image: kernels against naive references, what is recovered, and what stays as it is."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.data.generated.stereo_scenes import make_scene
 from depthcli.methods.fusion.pipeline import Fusion
-from depthcli.methods.stereo import adjustment
-from depthcli.methods.stereo.adjustment import adjusted
+from depthcli.methods.stereo.adjustment import ReducedPair, adjusted, light
+from depthcli.methods.stereo.adjustment import rows as row_alignment
+from depthcli.methods.stereo.adjustment.resampling import CELL, resample
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.large import PROCESS, match_in_tiles
 from tests.methods.stereo._pairs import PARAMETERS, texture, threads
@@ -27,15 +28,15 @@ BOTH = ("rows", "light")
 TILTED = np.array([0.8, -0.5, 0.4, 0.3, 0.6, -0.5])
 
 
-def moved(image, rows):
-    """``image`` with rows out of place."""
+def shifted(image, row_shift):
+    """Return ``image`` with its rows shifted."""
     out = np.empty_like(image)
-    adjustment._resample(image, rows, np.ones((1, 1, 3), np.float32), 8, np.float32(255), out)
+    resample(image, row_shift, np.ones((1, 1, 3), np.float32), 8, np.float32(255), out)
     return out
 
 
 def lit(image, seed=0):
-    """``image`` under light that changes from corner to corner, at another exposure."""
+    """Return ``image`` under light that changes from corner to corner, at another exposure."""
     height, width = image.shape[:2]
     y, x = np.mgrid[0 : 1 : height * 1j, 0 : 1 : width * 1j]
     field = 0.6 + 0.3 * x + 0.2 * y * (seed + 1)
@@ -58,56 +59,56 @@ def accurate():
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 9, 3), (11, 1, 3), (17, 23, 1), (20, 31, 3)])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_resampling_is_that_of_the_twin(shape, dtype):
+def test_resampling_agrees_with_the_naive_reference(shape, dtype):
     image = texture(shape, dtype=dtype)
     gains = np.random.default_rng(1).uniform(0.5, 2, (3, 4, 3)).astype(np.float32)
     out = np.empty_like(image)
     top = np.iinfo(dtype).max
-    adjustment._resample(image, TILTED, gains, 8, np.float32(top), out)
+    resample(image, TILTED, gains, 8, np.float32(top), out)
     expected = np.clip(naive.resampled(image, TILTED, gains, 8, top), 0, top)
     np.testing.assert_allclose(out.astype(float), expected, atol=0.5 + 1e-3 * (top / 255) + 1e-2)
 
 
 @pytest.mark.parametrize("shape", [(8, 8), (9, 30), (21, 17)])
-def test_sums_are_those_of_the_twins(shape):
+def test_sums_agree_with_the_naive_references(shape):
     rng = np.random.default_rng(2)
-    seen = rng.uniform(-0.4, 12, shape).astype(np.float32)
-    seen[rng.random(shape) < 0.2] = np.nan
-    seen = np.maximum(seen, 0)
+    disparity = rng.uniform(-0.4, 12, shape).astype(np.float32)
+    disparity[rng.random(shape) < 0.2] = np.nan
+    disparity = np.maximum(disparity, 0)
     left, right = texture((*shape, 3), 1), texture((*shape, 3), 2)
-    cells = tuple(-(-side // adjustment._CELL) for side in shape)
+    cells = tuple(-(-side // CELL) for side in shape)
     gains = rng.uniform(0.5, 2, (*cells, 3)).astype(np.float32)
     sums = np.zeros((3, *cells, 3), np.float32)
-    adjustment._sum_light(seen, left, right, gains, np.float32(1.4), sums)
-    expected = naive.light_sums(seen, left, right, gains, 1.4, adjustment._CELL, 8)
+    light.sum_light(disparity, left, right, gains, np.float32(1.4), sums)
+    expected = naive.light_sums(disparity, left, right, gains, 1.4, CELL, 8)
     np.testing.assert_allclose(sums, expected, rtol=1e-4, atol=1e-3)
     sums = np.zeros((2, *cells), np.float32)
-    adjustment._sum_differences(seen, left, right, sums)
-    expected = naive.difference_sums(seen, left, right, adjustment._CELL)
+    light.sum_differences(disparity, left, right, sums)
+    expected = naive.difference_sums(disparity, left, right, CELL)
     np.testing.assert_allclose(sums, expected, rtol=1e-4, atol=1e-3)
-    ours, theirs = (adjustment._Details.of(image) for image in (left // 8, right // 8))
-    blocks = tuple(-(-side // adjustment._BLOCK) for side in shape)
+    left_details, right_details = (row_alignment.Details.of(image) for image in (left // 8, right // 8))
+    blocks = tuple(-(-side // row_alignment.BLOCK) for side in shape)
     sums = np.zeros((8, *blocks))
-    adjustment._sum_blocks(seen, ours, theirs, TILTED, sums)
-    expected = naive.block_sums(seen, ours, theirs, TILTED, adjustment._BLOCK, 4, 20)
+    row_alignment.sum_blocks(disparity, left_details, right_details, TILTED, sums)
+    expected = naive.block_sums(disparity, left_details, right_details, TILTED, row_alignment.BLOCK, 4, 20)
     np.testing.assert_allclose(sums, expected, rtol=1e-3, atol=0.1)
 
 
-def test_rows_are_put_back(scene):
+def test_shifted_rows_are_aligned(scene):
     """Offsets of up to three rows."""
     pipeline = accurate()
-    askew = moved(scene.right, TILTED)
+    askew = shifted(scene.right, TILTED)
     straight = wrong(pipeline, scene, scene.right)
     assert wrong(pipeline.model_copy(update={"adjust": ()}), scene, askew) > straight + 0.1
     assert wrong(pipeline, scene, askew) < straight + 0.02
-    put_back = adjusted(StereoPair(scene.left, askew), scene.max_disparity, BOTH).right.astype(int)
+    aligned = adjusted(StereoPair(scene.left, askew), scene.max_disparity, BOTH).right.astype(int)
     inside = (slice(8, -8), slice(8, -60))  # what lies in both views
-    before, after = (np.abs(one.astype(int) - scene.right)[inside].mean() for one in (askew, put_back))
+    before, after = (np.abs(one.astype(int) - scene.right)[inside].mean() for one in (askew, aligned))
     assert after < before / 2.5
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_light_is_put_right(seed):
+def test_uneven_light_is_corrected(seed):
     scene = make_scene("foreground", seed=5, height=260, width=360, max_disparity=40, wall_contrast=0.2)
     config = {"pipeline": "local", "adjust": ["light"], "cost": "absolute_difference"}
     optimization = {"method": "scanline", "p1": 10, "p2": 40}
@@ -115,13 +116,13 @@ def test_light_is_put_right(seed):
     other = lit(scene.right, seed)
     assert wrong(pipeline, scene, other) < wrong(pipeline.model_copy(update={"adjust": ()}), scene, other) / 4
     assert wrong(accurate(), scene, other) < wrong(accurate(), scene, scene.right) + 0.01
-    put_right = adjusted(StereoPair(scene.left, other), scene.max_disparity, ("light",)).right
-    ratio = np.median(put_right / np.maximum(scene.right, 1.0), axis=(0, 1))
+    corrected = adjusted(StereoPair(scene.left, other), scene.max_disparity, ("light",)).right
+    ratio = np.median(corrected / np.maximum(scene.right, 1.0), axis=(0, 1))
     np.testing.assert_allclose(ratio, 1, atol=0.06)
 
 
-def test_light_is_trusted_where_it_could_be_put_right(scene):
-    """Of the right image's left half a checkered light stays that no smooth factor takes out."""
+def test_light_trust_is_low_where_no_smooth_gain_corrects_the_light(scene):
+    """The left half of the right image is lit in a checkered pattern."""
     y, x = np.mgrid[: scene.right.shape[0], : scene.right.shape[1]]
     spots = np.where(x < 180, 1 - 0.4 * ((x // 6 + y // 6) % 2), 1)
     spotted = (scene.right * spots[:, :, None]).astype(np.uint8)
@@ -133,12 +134,12 @@ def test_light_is_trusted_where_it_could_be_put_right(scene):
     cost = {"method": "combined", **PARAMETERS["combined"]}
     config = {"pipeline": "local", "cost": cost, "optimization": {"method": "scanline", "p1": 1.5, "p2": 5}}
     pipeline = StereoConfig.model_validate(config).pipeline
-    seen = [pipeline(replace(other, light_trust=trust), 40) for trust in (None, other.light_trust)]
-    errors = [np.abs(one.disparity.values - scene.disparity_left)[:, 60:180] > 1 for one in seen]
+    results = [pipeline(replace(other, light_trust=trust), 40) for trust in (None, other.light_trust)]
+    errors = [np.abs(result.disparity.values - scene.disparity_left)[:, 60:180] > 1 for result in results]
     assert errors[1].mean() < 0.9 * errors[0].mean()
 
 
-def test_what_is_saturated_stays_so(scene):
+def test_saturated_samples_stay_saturated(scene):
     """A brighter right image: its saturated sky gets no slope from factors that change."""
     left, right = (np.minimum(image.astype(int) * 3 // 2, 255).astype(np.uint8) for image in (scene.left, scene.right))
     right = np.minimum(right * np.linspace(1, 1.4, right.shape[1])[:, None], 255).astype(np.uint8)
@@ -149,7 +150,7 @@ def test_what_is_saturated_stays_so(scene):
     assert np.mean(found[~full] < right[~full]) > 0.5
 
 
-def test_a_pair_that_fits_stays_much_the_same(scene):
+def test_a_correct_pair_hardly_changes(scene):
     right = adjusted(StereoPair(scene.left, scene.right), scene.max_disparity, BOTH).right.astype(int)
     assert np.abs(right - scene.right).mean() < 2
     assert (
@@ -161,7 +162,7 @@ def test_a_pair_that_fits_stays_much_the_same(scene):
     )
 
 
-def test_the_left_image_and_what_is_not_asked_for_stay(scene):
+def test_the_left_image_and_what_is_not_requested_stay(scene):
     pair = StereoPair(scene.left, lit(scene.right))
     assert adjusted(pair, 40, ()) is pair
     assert adjusted(pair, 40, BOTH).left is pair.left
@@ -173,7 +174,7 @@ def test_the_left_image_and_what_is_not_asked_for_stay(scene):
 
 
 def test_grey_and_deep_images_are_adjusted_alike(scene):
-    left, right = scene.left[:, :, 1].copy(), lit(moved(scene.right, TILTED))[:, :, 1].copy()
+    left, right = scene.left[:, :, 1].copy(), lit(shifted(scene.right, TILTED))[:, :, 1].copy()
     shallow = adjusted(StereoPair(left, right), 40, BOTH).right
     assert shallow.ndim == 2
     deep = adjusted(StereoPair(left.astype(np.uint16) * 257, right.astype(np.uint16) * 257), 40, BOTH).right
@@ -200,7 +201,7 @@ def test_samples_beyond_the_bits_count_as_the_largest(scene):
     np.testing.assert_array_equal(found, expected)
 
 
-def test_too_little_memory_is_said_with_what_would_do(scene):
+def test_the_memory_error_names_a_sufficient_amount(scene):
     pipeline = StereoConfig.model_validate({"pipeline": "local", "adjust": BOTH, "cost": "census"}).pipeline
     pair = StereoPair(scene.left, lit(scene.right))
     with pytest.raises(InputError, match="needs at least") as raised:
@@ -213,13 +214,13 @@ def test_too_little_memory_is_said_with_what_would_do(scene):
 @pytest.mark.parametrize(
     ("shape", "top"), [((1, 1), 8), ((1, 2000), 8), ((2000, 1), 8), ((15, 15), 8), ((40, 60), 8), ((260, 360), 1)]
 )
-def test_where_hardly_anything_matches_nothing_is_done(shape, top):
+def test_pairs_with_too_few_matches_are_returned_unchanged(shape, top):
     pair = StereoPair(texture((*shape, 3), 1), texture((*shape, 3), 2))
     assert adjusted(pair, top, BOTH) is pair
 
 
 def test_threads_do_not_matter(scene):
-    pair = StereoPair(scene.left, lit(moved(scene.right, TILTED)))
+    pair = StereoPair(scene.left, lit(shifted(scene.right, TILTED)))
     found = []
     for count in (1, 2):
         cv2.setNumThreads(count)
@@ -229,13 +230,13 @@ def test_threads_do_not_matter(scene):
     np.testing.assert_array_equal(*(one.light_trust for one in found))
 
 
-def test_large_pairs_are_measured_at_a_smaller_size_still():
+def test_large_pairs_are_reduced_further():
     made = make_scene("planes", seed=1, height=700, width=900, max_disparity=60)
-    assert adjustment._Small.of(StereoPair(made.left, made.right), 60).factor == 4
-    askew = moved(made.right, TILTED)
-    put_back = adjusted(StereoPair(made.left, askew), 60, BOTH).right.astype(int)
+    assert ReducedPair.of(StereoPair(made.left, made.right), 60).factor == 4
+    askew = shifted(made.right, TILTED)
+    aligned = adjusted(StereoPair(made.left, askew), 60, BOTH).right.astype(int)
     inside = (slice(8, -8), slice(8, -80))
-    assert np.abs(put_back - made.right)[inside].mean() < np.abs(askew.astype(int) - made.right)[inside].mean() / 2
+    assert np.abs(aligned - made.right)[inside].mean() < np.abs(askew.astype(int) - made.right)[inside].mean() / 2
 
 
 def test_tiles_are_adjusted_as_the_whole(scene):
@@ -248,7 +249,7 @@ def test_tiles_are_adjusted_as_the_whole(scene):
         "refinement": ["left_right_check", "background_fill"],
     }
     pipeline = StereoConfig.model_validate(config).pipeline
-    pair = StereoPair(scene.left, lit(moved(scene.right, TILTED)))
+    pair = StereoPair(scene.left, lit(shifted(scene.right, TILTED)))
     tiled = match_in_tiles(pipeline, pair, 40, PROCESS + (24 << 20))
     assert tiled.figures["tiles"] > 1
     np.testing.assert_array_equal(tiled.disparity.values, pipeline(pair, 40).disparity.values)
@@ -256,11 +257,11 @@ def test_tiles_are_adjusted_as_the_whole(scene):
 
 def test_fusion_adjusts_too(scene):
     fusion = Fusion.model_validate({"measures": ["absolute_difference", "census"], "adjust": ["rows"]})
-    askew = moved(scene.right, TILTED)
+    askew = shifted(scene.right, TILTED)
     assert wrong(fusion, scene, askew) < wrong(fusion.model_copy(update={"adjust": ()}), scene, askew) - 0.1
     assert "adjustment" in fusion(StereoPair(scene.left, askew), 40).seconds
 
 
-def test_other_words_are_refused():
+def test_unknown_adjustments_are_refused():
     with pytest.raises(ValidationError, match="rows"):
         StereoConfig.model_validate({"pipeline": "local", "cost": "census", "adjust": ["columns"]})
