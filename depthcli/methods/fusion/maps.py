@@ -24,7 +24,7 @@ from depthcli.methods.stereo.pipeline import Pipeline
 from depthcli.methods.stereo.refinement import RefinementStep
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 from depthcli.methods.stereo.segments.planes import Members, PlaneFit, evaluate
-from depthcli.methods.stereo.volume import CostVolume, Evidence
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
 _FEWEST, _LEAST_SHARE = 20, 0.05  # pixels, and part of a segment, that a plane is fitted to
 
@@ -135,7 +135,7 @@ class MapFusion(BaseModel):
         chosen = self.choice(proposals)
         clock.stop("choice")
         disparity = DisparityMap(chosen.values, _status(chosen.values, right))
-        disparity = refined(disparity, self.refinement, Evidence(pair, volume, right))
+        disparity = refined(disparity, self.refinement, RefinementContext(pair, volume, right))
         agreeing = agreement(disparity.values, proposals.values, proposals.weights)
         clock.stop("refinement")
         return Mixed(disparity, agreeing, chosen.probability)

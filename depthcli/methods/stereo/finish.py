@@ -14,7 +14,7 @@ from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.stereo.optimization import Optimizer
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import CostVolume, Evidence, StereoResult
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext, StereoResult
 
 
 def finish(
@@ -36,14 +36,14 @@ def finish(
     left, right = winners(volume.costs)
     clock.stop("optimization")
     disparity = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
-    disparity = refined(disparity, refinement, Evidence(pair, volume, right))
+    disparity = refined(disparity, refinement, RefinementContext(pair, volume, right))
     clock.stop("refinement")
     maps = confidence_maps(volume.costs, confidence)
     clock.stop("confidence")
     return StereoResult(disparity, seconds=clock.seconds, confidence=maps), left, right
 
 
-def refined(disparity: DisparityMap, steps: Iterable[Refinement], evidence: Evidence) -> DisparityMap:
+def refined(disparity: DisparityMap, steps: Iterable[Refinement], evidence: RefinementContext) -> DisparityMap:
     """The map after all ``steps``, in order."""
     for step in steps:
         disparity = step(disparity, evidence)

@@ -38,7 +38,7 @@ from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.tiles import Candidates, Margins, Tile
-from depthcli.methods.stereo.volume import CostMinima, CostVolume, Evidence, StereoResult
+from depthcli.methods.stereo.volume import CostMinima, CostVolume, RefinementContext, StereoResult
 
 PROCESS = 256 << 20
 """Memory of the interpreter and the libraries, bytes."""
@@ -191,7 +191,9 @@ class _Plan:
             yield tile
 
 
-def _without_speckles(step: SpeckleFilter, disparity: DisparityMap, evidence: Evidence, prior: Prior) -> DisparityMap:
+def _without_speckles(
+    step: SpeckleFilter, disparity: DisparityMap, evidence: RefinementContext, prior: Prior
+) -> DisparityMap:
     """Speckles are the same parts of the scene at every size, but for what was glimpsed: it may be thin.
 
     What is removed has the value of the smaller image then.
@@ -352,7 +354,7 @@ def _refined(
         for y in range(0, height, band):
             rows = slice(max(0, y - around), min(height, y + band + around))
             minima = gathered.minima[rows] if gathered.minima.size else gathered.left[rows].astype(np.float32)
-            evidence = Evidence(
+            evidence = RefinementContext(
                 StereoPair(pair.left[rows], pair.right[rows], pair.bits),
                 CostMinima(gathered.left[rows], minima, top + 1),
                 right[rows],

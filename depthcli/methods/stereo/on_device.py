@@ -16,7 +16,7 @@ import numpy as np
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.device import Device, DeviceArray, Kernels
-from depthcli.methods.stereo.volume import CostVolume, Evidence
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
 PIXELS = (32, 8)
 """Group of kernels that give every pixel a thread."""
@@ -120,16 +120,16 @@ class DeviceMap:
 
 @dataclass(frozen=True)
 class DeviceEvidence:
-    """As :class:`~depthcli.methods.stereo.volume.Evidence`."""
+    """As :class:`~depthcli.methods.stereo.volume.RefinementContext`."""
 
     pair: DevicePair
     volume: DeviceVolume
     right: DeviceArray
 
     @cached_property
-    def host(self) -> Evidence:
+    def host(self) -> RefinementContext:
         """The evidence on the host, for steps without a twin."""
-        return Evidence(self.pair.host, self.volume.download(), self.pair.device.download(self.right))
+        return RefinementContext(self.pair.host, self.volume.download(), self.pair.device.download(self.right))
 
 
 def c_type(dtype: Any) -> str:

@@ -58,7 +58,7 @@ class CostMinima:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class RefinementContext:
     """What refinement steps may look at beside the map they refine.
 
     Attributes

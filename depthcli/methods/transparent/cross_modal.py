@@ -18,7 +18,7 @@ from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.segments.steps import SegmentSteps
-from depthcli.methods.stereo.volume import CostVolume, Evidence
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 from depthcli.methods.transparent.channels import GREY, learned_weights, mixed
 from depthcli.methods.transparent.structure import cost_at, deviation, mean_cost, quieted
 
@@ -180,7 +180,7 @@ class CrossModal(BaseModel):
         status = np.zeros(dense.shape, np.uint8)
         chosen = DisparityMap(np.where(keep, dense, np.float32(np.nan)), status)
         if rule.speckle:
-            evidence = Evidence(pairs[0], volume, np.zeros(dense.shape, np.uint16))
+            evidence = RefinementContext(pairs[0], volume, np.zeros(dense.shape, np.uint16))
             chosen = SpeckleFilter(size=rule.speckle)(chosen, evidence)
         return Matches(dense, chosen.values, np.maximum(confidence, sure), weights)
 

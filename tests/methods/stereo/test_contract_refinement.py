@@ -8,7 +8,7 @@ import pytest
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 from tests.methods.stereo._pairs import TINY, assert_pure, blocky_pair, methods, random_volume, shifted_pair
 
 STEPS = methods("depthcli.methods.stereo.refinement")
@@ -22,7 +22,9 @@ def noisy_case(height: int, width: int, disparities: int, seed: int = 0, color: 
     values = left.astype(np.float32)
     reason = rng.choice([0, Status.OCCLUDED, Status.MISMATCH, Status.NO_DATA], (height, width), p=[0.7, 0.1, 0.1, 0.1])
     values[reason != 0] = np.nan
-    return DisparityMap(values, reason.astype(np.uint8)), Evidence(blocky_pair(height, width, color), volume, right)
+    return DisparityMap(values, reason.astype(np.uint8)), RefinementContext(
+        blocky_pair(height, width, color), volume, right
+    )
 
 
 @pytest.mark.parametrize("step", STEPS)
@@ -69,7 +71,7 @@ def test_a_perfect_map_stays(step):
     interior = np.s_[4:-4, shift + 6 : -4]
     values = np.full(left.shape, shift, np.float32)
     assert np.mean(left[interior] == shift) > 0.9
-    result = step(DisparityMap(values, np.zeros(left.shape, np.uint8)), Evidence(pair, volume, np.where(
+    result = step(DisparityMap(values, np.zeros(left.shape, np.uint8)), RefinementContext(pair, volume, np.where(
         np.arange(60) < 60 - shift, np.uint16(shift), right).astype(np.uint16)))  # fmt: skip
     assert np.all(np.abs(result.values[interior] - shift) <= 0.5)
     assert not np.any(result.status[interior] & ~np.uint8(Status.SMOOTHED))

@@ -32,7 +32,7 @@ from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
-from depthcli.methods.stereo.volume import CostVolume, Evidence
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 from tests.methods.stereo._pairs import TINY, blocky_pair, inside, random_volume, texture
 from tests.naive import stereo as naive
 
@@ -248,7 +248,7 @@ def holes(height, width, disparities, seed=5):
     values[: height // 4] = np.nan
     values[-1:] = np.nan
     status = np.where(np.isnan(values), Status.MISMATCH, 0).astype(np.uint8)
-    return DisparityMap(values, status), Evidence(blocky_pair(height, width), volume, right)
+    return DisparityMap(values, status), RefinementContext(blocky_pair(height, width), volume, right)
 
 
 @sizes
@@ -345,7 +345,7 @@ def test_surface_fill_continues_the_farther_plane_into_the_gap():
     values = np.where(gap | left_strip, np.float32(np.nan), truth)
     status = np.where(np.isnan(values), Status.OCCLUDED, 0).astype(np.uint8)
     volume = random_volume(40, 90, 40)
-    evidence = Evidence(blocky_pair(40, 90), volume, winners(volume.costs)[1])
+    evidence = RefinementContext(blocky_pair(40, 90), volume, winners(volume.costs)[1])
     result = SurfaceFill()(DisparityMap(values, status), evidence)
     np.testing.assert_allclose(result.values[gap | left_strip], truth[gap | left_strip], atol=0.3)
     np.testing.assert_array_equal(result.values[~np.isnan(values)], values[~np.isnan(values)])
@@ -392,7 +392,7 @@ def fractional_holes(height, width, disparities, seed=6):
     values[height // 2] = np.nan
     status = np.where(np.isnan(values), Status.OCCLUDED, 0).astype(np.uint8)
     volume = random_volume(height, width, disparities, np.uint16)
-    return DisparityMap(values, status), Evidence(blocky_pair(height, width), volume, winners(volume.costs)[1])
+    return DisparityMap(values, status), RefinementContext(blocky_pair(height, width), volume, winners(volume.costs)[1])
 
 
 @pytest.mark.parametrize("width", [1, 15, 16, 17, 32, 33, 50])

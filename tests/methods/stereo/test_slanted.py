@@ -10,7 +10,7 @@ from depthcli.core.maps import DisparityMap
 from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
 from depthcli.methods.stereo.slopes import slopes
-from depthcli.methods.stereo.volume import CostVolume, Evidence
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 from tests.methods.stereo._pairs import assert_pure, blocky_pair
 from tests.naive import stereo as naive
 
@@ -65,7 +65,7 @@ def test_a_slope_at_a_color_edge_is_not_flattened():
     truth = (10 + 0.5 * x).astype(np.float32)
     image = np.where((x < 30)[:, :, None], np.uint8(40), np.uint8(200)) * np.ones(3, np.uint8)
     pair = StereoPair(image, image)
-    evidence = Evidence(pair, CostVolume(np.zeros((40, 60, 64), np.uint8)), np.zeros((40, 60), np.uint16))
+    evidence = RefinementContext(pair, CostVolume(np.zeros((40, 60, 64), np.uint8)), np.zeros((40, 60), np.uint16))
     given = DisparityMap(truth, np.zeros(truth.shape, np.uint8))
     edge = np.s_[16:-16, 28:32]
     plain = WeightedMedian(radius=6, color_scale=8, distance_scale=5)(given, evidence).values

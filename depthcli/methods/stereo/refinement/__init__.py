@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 from depthcli.core.maps import DisparityMap
 from depthcli.core.method import Method, method_of
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 
 
 class Refinement(Method):
@@ -24,7 +24,7 @@ class Refinement(Method):
         return None
 
     @abstractmethod
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         """A new map; the input is not modified."""
 
 

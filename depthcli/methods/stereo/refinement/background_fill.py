@@ -9,7 +9,7 @@ import numpy as np
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 
 
 class BackgroundFill(Refinement):
@@ -22,12 +22,12 @@ class BackgroundFill(Refinement):
     needs_costs: ClassVar[bool] = False
     fills: ClassVar[bool] = True
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         return fill_background(disparity)
 
 
 def fill_background(disparity: DisparityMap) -> DisparityMap:
-    """What :class:`BackgroundFill` does: it needs no evidence."""
+    """What :class:`BackgroundFill` does: it needs no context."""
     values = disparity.values.copy()
     _fill_rows(values)
     _fill_columns(values)

@@ -9,18 +9,18 @@ import numpy as np
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import CostVolume, Evidence
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
 
 class DiscontinuityAdjustment(Refinement):
     """Where disparity jumps, let the two pixels beside a pixel offer theirs; the cheapest of the three stays."""
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = disparity.values
-        assert isinstance(evidence.volume, CostVolume)
+        assert isinstance(context.volume, CostVolume)
         for axis in (1, 0):
             adjusted = values.copy()
-            _adjust(values, evidence.volume.costs, axis, adjusted)
+            _adjust(values, context.volume.costs, axis, adjusted)
             values = adjusted
         changed = disparity.valid & (values != disparity.values)
         return DisparityMap(values, disparity.status | np.where(changed, np.uint8(Status.SMOOTHED), np.uint8(0)))

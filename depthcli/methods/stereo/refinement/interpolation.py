@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 
 # The nearest value is looked for in 16 directions: (dy, dx) per step
 _DIRECTIONS: NDArray[np.int64] = np.array(
@@ -28,10 +28,10 @@ class Interpolation(Refinement):
     needs_costs: ClassVar[bool] = False
     fills: ClassVar[bool] = True
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = disparity.values.copy()
         occluded = (disparity.status & np.uint8(Status.OCCLUDED)) != 0
-        _interpolate(disparity.values, occluded, evidence.pair.color8[0], _DIRECTIONS, values)
+        _interpolate(disparity.values, occluded, context.pair.color8[0], _DIRECTIONS, values)
         filled = np.isnan(disparity.values) & ~np.isnan(values)
         return DisparityMap(values, disparity.status | np.where(filled, np.uint8(Status.FILLED), np.uint8(0)))
 

@@ -11,7 +11,7 @@ from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import partner_difference
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 
 
 class LeftRightCheck(Refinement):
@@ -33,9 +33,9 @@ class LeftRightCheck(Refinement):
     def halo(self) -> int | None:
         return 0
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values, status = disparity.values.copy(), disparity.status.copy()
-        _check(values, status, evidence.right, np.float32(self.tolerance), evidence.volume.disparities)
+        _check(values, status, context.right, np.float32(self.tolerance), context.volume.disparities)
         return DisparityMap(values, status)
 
 

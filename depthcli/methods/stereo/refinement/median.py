@@ -10,7 +10,7 @@ from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 
 
 class Median(Refinement):
@@ -23,7 +23,7 @@ class Median(Refinement):
     def halo(self) -> int | None:
         return self.window // 2
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         valid = disparity.valid
         # A window is filtered only if it holds values alone: a median of stand-ins would be an invention.
         whole = cv2.erode(valid.astype(np.uint8), np.ones((self.window, self.window), np.uint8)).astype(bool)

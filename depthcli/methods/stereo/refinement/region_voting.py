@@ -11,7 +11,7 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.cross_support import cross_arms
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 
 
 class RegionVoting(Refinement):
@@ -31,12 +31,12 @@ class RegionVoting(Refinement):
     def halo(self) -> int | None:
         return self.length * self.iterations
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
-        arms = cross_arms(evidence.pair.color8[0], self.length, self.threshold, self.inner_length, self.inner_threshold)
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
+        arms = cross_arms(context.pair.color8[0], self.length, self.threshold, self.inner_length, self.inner_threshold)
         values = disparity.values
         for _ in range(self.iterations):
             voted = values.copy()
-            _vote(values, arms, voted, evidence.volume.disparities, self.votes, self.majority)
+            _vote(values, arms, voted, context.volume.disparities, self.votes, self.majority)
             settled = np.array_equal(np.isnan(voted), np.isnan(values))
             values = voted
             if settled:

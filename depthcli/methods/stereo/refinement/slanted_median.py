@@ -13,7 +13,7 @@ from depthcli.kernels.exponential import exp_minus_16
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.slopes import BLOCK, color_planes, framed, slopes
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 
 _PER_PIXEL = 8  # values of a result; finer ones would only be noise
 
@@ -40,8 +40,8 @@ class SlantedMedian(Refinement):
     def halo(self) -> int | None:
         return self.passes * self.radius + self.slope_radius
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
-        values = self.filtered(disparity.values, evidence.pair.color8[0], evidence.volume.disparities - 1)
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
+        values = self.filtered(disparity.values, context.pair.color8[0], context.volume.disparities - 1)
         changed = disparity.valid & (values != disparity.values)
         return DisparityMap(values, disparity.status | np.where(changed, np.uint8(Status.SMOOTHED), np.uint8(0)))
 

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 
 _STEPS = 16  # OpenCV filters 16-bit numbers: sixteenths of a pixel, coarser above 2000 disparities
 
@@ -23,10 +23,10 @@ class SpeckleFilter(Refinement):
     size: int = Field(50, ge=1, le=10**8, description="regions of at most this many pixels are removed")
     step: float = Field(1.0, ge=0, le=64, description="largest disparity step inside a region, pixels")
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         valid = disparity.valid
         none = -32768
-        steps = steps_of(evidence.volume.disparities)
+        steps = steps_of(context.volume.disparities)
         fixed = np.where(valid, np.round(np.nan_to_num(disparity.values) * steps), none).astype(np.int16)
         cv2.filterSpeckles(fixed, none, self.size, self.step * steps)
         removed = valid & (fixed == none)

@@ -9,7 +9,7 @@ import numpy as np
 from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import CostMinima, Evidence
+from depthcli.methods.stereo.volume import CostMinima, RefinementContext
 
 
 class Subpixel(Refinement):
@@ -24,8 +24,8 @@ class Subpixel(Refinement):
     def halo(self) -> int | None:
         return 0
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
-        known = evidence.volume
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
+        known = context.volume
         if isinstance(known, CostMinima):
             values = np.where(disparity.values == known.left, known.minima, disparity.values)
         else:

@@ -10,7 +10,7 @@ from pydantic import Field
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 
 
 class SurfaceFill(Refinement):
@@ -32,7 +32,7 @@ class SurfaceFill(Refinement):
     def halo(self) -> int | None:
         return self.rows
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+    def __call__(self, disparity: DisparityMap, evidence: RefinementContext) -> DisparityMap:
         values = disparity.values.copy()
         largest = np.float32(evidence.volume.disparities - 1)
         _continue_surfaces(disparity.values, values, self.rows, self.reach, self.support, largest)

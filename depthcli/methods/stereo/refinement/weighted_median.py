@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.volume import Evidence
+from depthcli.methods.stereo.volume import RefinementContext
 
 _PER_PIXEL = 8  # bins
 _BLOCK = 16
@@ -41,10 +41,10 @@ class WeightedMedian(Refinement):
     def halo(self) -> int | None:
         return self.passes * self.radius
 
-    def __call__(self, disparity: DisparityMap, evidence: Evidence) -> DisparityMap:
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         radius = self.radius
         frame = ((radius, radius), (radius, radius + -disparity.values.shape[1] % _BLOCK))
-        planes = np.pad(evidence.pair.color8[0].transpose(2, 0, 1), ((0, 0), *frame))
+        planes = np.pad(context.pair.color8[0].transpose(2, 0, 1), ((0, 0), *frame))
         by_color, by_distance = self.tables()
         valid = disparity.valid
         filled = (disparity.status & np.uint8(Status.FILLED)) != 0

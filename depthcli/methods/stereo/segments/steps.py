@@ -25,7 +25,7 @@ from depthcli.methods.stereo.segments.planes import evaluate
 from depthcli.methods.stereo.segments.ranges import Ranges
 from depthcli.methods.stereo.segments.scene import Scene
 from depthcli.methods.stereo.segments.splitting import Split
-from depthcli.methods.stereo.volume import CostVolume, Evidence, StereoResult
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext, StereoResult
 
 
 def _none(value: Any) -> Any:
@@ -97,7 +97,7 @@ class SegmentSteps(Step):
             disparity = report.finished(
                 evaluate(assignment.planes.coefficients, assignment.labels[labels], max_disparity), first
             )
-        disparity = refined(disparity, self.refinement, Evidence(pair, optimized, first.right))
+        disparity = refined(disparity, self.refinement, RefinementContext(pair, optimized, first.right))
         clock.stop("refinement")
         result = StereoResult(disparity, figures=report.figures(scene, assignment, matches))
         if self.details:
