@@ -2,14 +2,13 @@
 
 numba keeps a kernel under the digest of its own source file: a kernel whose helper changed in another file would go on
 running the old helper. Here a kernel is kept under the digest of everything that its machine code was made from
-(:func:`fingerprint`), and under its module's name instead of its path: a moved or copied package finds its kernels.
+(:mod:`depthcli.kernels.fingerprint`), and under its module's name instead of its path: a moved or copied package finds
+its kernels.
 """
 
 from __future__ import annotations
 
 import contextlib
-import enum
-import hashlib
 import logging
 import os
 import pickle
@@ -19,12 +18,14 @@ import time
 import zlib
 from functools import cache
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 # Waiting threads sleep instead of spinning: where cores are shared, a spinning thread holds the core that
 # the thread it waits for needs. Has to be set before the OpenMP library is loaded.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+# Intel's vector math library, where a machine happens to have it, would give other last digits than everywhere else.
+os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
 
 _MAX_AGE_DAYS = 30  # a month of other work, or of another branch, costs no compilation
 _DAY = 86400
@@ -81,16 +82,16 @@ if _FOLDER is not None:
     os.environ["NUMBA_CACHE_DIR"] = str(_FOLDER)
 
 # numba reads its settings once, when it is imported.
-import llvmlite  # noqa: E402
 import numba  # noqa: E402
-import numpy as np  # noqa: E402
 from numba.core.caching import (  # noqa: E402
     CompileResultCacheImpl,
     FunctionCache,
     IndexDataCacheFile,
     _CacheLocator,
 )
-from numba.core.dispatcher import Dispatcher  # noqa: E402
+
+from depthcli.kernels.fingerprint import fingerprint  # noqa: E402
+from depthcli.kernels.shipped import shipped_kernels  # noqa: E402
 
 if _FOLDER is not None:
     numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]  # where numba was imported before us
@@ -100,101 +101,6 @@ if _FOLDER is not None:
 def warn_once(message: str) -> None:
     """Log a warning, the first time only."""
     logging.getLogger("depthcli").warning(message)
-
-
-def fingerprint(kernel: Any) -> str:
-    """Return the digest of all that the machine code of ``kernel`` is made from, as hexadecimal digits.
-
-    That is the byte code, constants and compiler options of the kernel and of every kernel that it calls, in any file;
-    the values of all globals that they read; the source files of operations that are defined by the code they become
-    (intrinsics); numba's settings and the version of LLVM. Comments, docstrings and line numbers are not in it.
-    """
-    config: Any = numba.config
-    settings = (llvmlite.__version__, config.BOUNDSCHECK, config.OPT, config.DISABLE_INTEL_SVML)
-    digest = hashlib.sha256(repr(settings).encode())
-    reached: dict[int, Any] = {}
-    waiting = [kernel]
-    while waiting:
-        own = waiting.pop()
-        if id(own) not in reached:
-            reached[id(own)] = own
-            text, called = _own_facts(own)
-            digest.update(text)
-            waiting.extend(called)
-    return digest.hexdigest()
-
-
-_facts: dict[int, tuple[bytes, list[Any]]] = {}  # id of a kernel -> what _own_facts found; kernels live as long as we
-
-
-def _own_facts(kernel: Any) -> tuple[bytes, list[Any]]:
-    """Return the digest of one kernel by itself, and the kernels that it calls, in the order of their names."""
-    if id(kernel) not in _facts:
-        function: FunctionType = kernel.py_func
-        options = sorted((name, _stable(value)) for name, value in kernel.targetoptions.items())
-        facts: list[object] = [function.__module__, function.__qualname__, options]
-        called: list[Any] = []
-        names = _read_code(function.__code__, function.__doc__, facts)
-        for name in sorted(names):
-            if name in function.__globals__:
-                facts.append(name)
-                _read_value(function.__globals__[name], names, facts, called)
-        for value in (*(cell.cell_contents for cell in function.__closure__ or ()), *(function.__defaults__ or ())):
-            _read_value(value, names, facts, called)
-        _facts[id(kernel)] = hashlib.sha256(repr(facts).encode()).digest(), called
-    return _facts[id(kernel)]
-
-
-def _read_code(code: CodeType, docstring: str | None, facts: list[object]) -> set[str]:
-    """Append the byte code and its constants to ``facts``; return the names of globals and attributes that it reads."""
-    names = set(code.co_names)
-    facts += [code.co_code, code.co_names, code.co_varnames, code.co_freevars, code.co_flags]
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):  # a nested function, or a comprehension
-            names |= _read_code(constant, None, facts)
-        elif constant is None or constant != docstring:
-            facts.append((type(constant).__name__, _stable(constant)))
-    return names
-
-
-def _stable(value: object) -> str:
-    """Return a text of ``value`` that is the same in every process: sets are sorted."""
-    return repr(sorted(value, key=repr) if isinstance(value, set | frozenset) else value)
-
-
-def _read_value(value: Any, names: set[str], facts: list[object], called: list[Any]) -> None:
-    """Append to ``facts`` what of a global ``value`` goes into machine code; kernels go to ``called`` instead."""
-    if isinstance(value, Dispatcher):
-        called.append(value)
-    elif isinstance(value, enum.EnumMeta):
-        facts.append(repr(dict(value.__members__)))
-    elif isinstance(value, np.ndarray):
-        facts.append((value.dtype.str, value.shape, hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()))
-    elif isinstance(value, tuple | list):
-        for each in value:
-            _read_value(each, names, facts, called)
-    elif isinstance(value, ModuleType):
-        facts.append(value.__name__)
-        if value.__name__.partition(".")[0] not in ("numpy", "numba", "math"):
-            for name in sorted(names & set(vars(value))):
-                _read_value(getattr(value, name), names, facts, called)
-    elif isinstance(value, type) or callable(value):
-        # Not a kernel: something that numba was taught, by an intrinsic or an overload, in the file that defines it.
-        definition = getattr(value, "_defn", value)
-        module = str(getattr(definition, "__module__", None))
-        facts.append((module, str(getattr(definition, "__qualname__", definition))))
-        if module.partition(".")[0] not in ("numpy", "numba", "builtins", "math", "operator"):
-            facts.append(_file_digest(getattr(sys.modules.get(module), "__file__", None)))
-    else:
-        facts.append((type(value).__name__, _stable(value)))
-
-
-@cache
-def _file_digest(path: str | None) -> str:
-    try:
-        return hashlib.sha256(Path(path).read_bytes()).hexdigest() if path else ""
-    except OSError:  # in a zip file, or gone
-        return ""
 
 
 class _Locator(_CacheLocator):
@@ -250,7 +156,7 @@ class KernelCache(FunctionCache):
         """Return what was compiled before, or None."""
         files = self._prepare()
         try:
-            found = super().load_overload(sig, target_context)
+            found = self._load_shipped(sig, target_context) or super().load_overload(sig, target_context)
         except Exception:  # damage can show anywhere in unpickling and linking
             warn_once(f"{_FOLDER}: compiled kernels there are damaged; they are compiled again")
             with contextlib.suppress(OSError):
@@ -259,6 +165,15 @@ class KernelCache(FunctionCache):
         if found is not None:
             files.mark_as_used()
         return found
+
+    def _load_shipped(self, sig: Any, target_context: Any) -> Any:
+        shipped = shipped_kernels()
+        if shipped is None:
+            return None
+        target_context.refresh()
+        place, version, stamp = self._prepare().identity(self._kernel.py_func.__module__)
+        data = shipped.load(place, version, stamp, self._index_key(sig, target_context.codegen()))
+        return None if data is None else self._impl.rebuild(target_context, data)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled, where there is room."""
@@ -289,6 +204,10 @@ class _CheckedFile(IndexDataCacheFile):
     def _load_data(self, name: str) -> Any:
         _check(self._data_path(name))
         return super()._load_data(name)
+
+    def identity(self, module: str) -> tuple[str, str, str]:
+        """Return the index's place in a folder of kernels, the version of its form, and the kernel's fingerprint."""
+        return f"{module}/{self._index_name}", self._version, self._source_stamp
 
     def mark_as_used(self) -> None:
         """Set the time of the index to now, at most once a day."""
