@@ -1,4 +1,5 @@
-# Sourced by the other scripts: makes the checkout's own virtual environment, or finds it ready.
+# Makes the checkout's own virtual environment, or finds it ready. Sourced by the scripts in sh, run by _env.py for
+# those in Python.
 # Wants only a python3 of at least 3.11 with venv; PYTHON names another one.
 set -eu
 cd "$(dirname "$0")/.."

@@ -19,6 +19,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import _env  # noqa: F401  (first: continues in the checkout's environment)
+
 from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair

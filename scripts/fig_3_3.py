@@ -19,6 +19,7 @@ import csv
 import time
 from pathlib import Path
 
+import _env  # noqa: F401  (first: continues in the checkout's environment)
 import numpy as np
 
 from depthcli.data.walk import discover_scenes

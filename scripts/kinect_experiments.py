@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """Chapter 4: what refinements of a Kinect's depth maps are worth, in tables.
 
     scripts/kinect_experiments.py DATA [--only simulated ablations ...] [--fattening 4] [--presets ...] [--frames 300]
@@ -22,6 +23,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import _env  # noqa: F401  (first: continues in the checkout's environment)
 import cv2
 import numpy as np
 from numpy.typing import NDArray

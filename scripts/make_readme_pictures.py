@@ -13,6 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import _env  # noqa: F401  (first: continues in the checkout's environment)
 import cv2
 import numpy as np
 

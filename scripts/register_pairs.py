@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import _env  # noqa: F401  (first: continues in the checkout's environment)
 import numpy as np
 
 from depthcli.data.formats.volumes import simple_itk

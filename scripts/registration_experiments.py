@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import _env  # noqa: F401  (first: continues in the checkout's environment)
 import numpy as np
 from numpy.typing import NDArray
 

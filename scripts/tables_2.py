@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import _env  # noqa: F401  (first: continues in the checkout's environment)
 import numpy as np
 
 from depthcli.batch.presets import find_config

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import _env  # noqa: F401  (first: continues in the checkout's environment)
 import numpy as np
 import yaml
 from numpy.typing import NDArray

@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """Tables of ``transparent``: ClearGrasp with emulated sparse stereo; Middlebury pairs with stereo that is done.
 
 The sensor's depth is real, with glass in place; the truth is the depth of the same objects, painted. The sparse
@@ -23,6 +24,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import _env  # noqa: F401  (first: continues in the checkout's environment)
 import cv2
 import numpy as np
 from numpy.typing import NDArray

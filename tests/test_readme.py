@@ -1,4 +1,4 @@
-"""What the README says is true: its names exist and are complete, its commands parse, its example works."""
+"""The manual's tables are those of the code, its commands parse, its example works."""
 
 from __future__ import annotations
 
@@ -10,66 +10,50 @@ from typing import Any
 
 import numpy as np
 import pytest
+import readme_tables
 import typer
 
-from depthcli.batch.presets import find_config, list_presets
+from depthcli.batch.presets import find_config
 from depthcli.cli import app, main
-from depthcli.core.maps import DepthStatus, Status
 from depthcli.core.method import Family
 from depthcli.data.formats.disparity import read_pfm
-from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.methods.stereo import cost
-from scripts import readme_tables
 from tests.methods.stereo._pairs import shifted_pair
 
 ROOT = Path(__file__).resolve().parent.parent
-TEXT = (ROOT / "README.md").read_text("utf-8")
+README, CONTRIBUTING = ((ROOT / name).read_text("utf-8") for name in ("README.md", "CONTRIBUTING.md"))
 
 
-def blocks(language: str) -> list[str]:
-    """Fenced blocks of a language, without comments' lines and with continued lines joined."""
-    found = re.findall(rf"^```{language}\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
+def blocks(text: str, language: str) -> list[str]:
+    """Return the fenced blocks of a language, with continued lines joined."""
+    found = re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     return [block.replace("\\\n", " ") for block in found]
 
 
 def commands() -> list[str]:
-    """Every ``depthcli`` call of the shell and Makefile blocks, up to a pipe."""
-    lines = [line.strip() for language in ("sh", "make") for block in blocks(language) for line in block.splitlines()]
+    """Return every ``depthcli`` call of the shell and Makefile blocks, up to a pipe, and those in a line of text."""
+    text = README + CONTRIBUTING
+    found = [block for language in ("sh", "make") for block in blocks(text, language)]
+    lines = [line.strip() for block in found for line in block.splitlines()]
     calls = [re.split(r" \| | > |  # ", line)[0] for line in lines if line.startswith("depthcli ")]
-    inline = re.findall(r"`(depthcli [^`]+)`", TEXT)
-    return calls + inline
+    return calls + re.findall(r"`(depthcli [^`]+)`", text)
 
 
-def test_the_tables_are_those_of_the_code():
-    """Methods, layouts, protocols, presets: ``scripts/readme_tables.py`` would change nothing."""
-    assert readme_tables.filled(TEXT) == TEXT
-    found = (ROOT / "depthcli").rglob("__init__.py")
-    folders = [file.parent for file in found if "method_of(" in file.read_text("utf-8")]
-    families = {folder.relative_to(ROOT / "depthcli").as_posix() for folder in folders}
-    assert families - set(re.findall(r"<!-- table: methods/([\w/]+) -->", TEXT)) == set()
+def test_tables_and_named_files_are_up_to_date(capsys: pytest.CaptureFixture[str]):
+    assert readme_tables.main(["--check"]) == 0, capsys.readouterr().out
 
 
-def test_every_preset_named_in_the_text_is_one():
-    names = {f"{command} {name}" for command, name, _ in list_presets()}
-    commands = "|".join(sorted({command for command, _, _ in list_presets()}))
-    assert set(re.findall(rf"`((?:{commands}) [a-z/-]+)`", TEXT)) <= names
-    advice = TEXT[TEXT.index("## Which preset") : TEXT.index("All presets:")]
-    short = {name for _, name, _ in list_presets()}
-    words = re.findall(r"`((?:thesis/)?[a-z]+(?:-[a-z]+)*)`", advice)
-    assert set(words) <= short
-    assert words
-
-
-def test_status_bits_and_exit_codes():
-    bits = TEXT[TEXT.index("| bit of `status.png`") : TEXT.index("| exit code")]
-    for flag in Status:
-        assert re.search(rf"^\| {flag.value} \| {flag.name.lower().replace('_', '.*')}", bits, re.MULTILINE), flag
-    bits = TEXT[TEXT.index("| bit of a depth map's") : TEXT.index("### Transparent objects")]
-    for depth_flag in DepthStatus:
-        words = DEPTH_STATUS_PALETTE[int(depth_flag)][0]
-        assert re.search(rf"^\| {depth_flag.value} \| {words}", bits, re.MULTILINE), depth_flag
-    for code in (0, 1, 2, 3, 130, 143):
-        assert re.search(rf"^\| {code} \|", TEXT[TEXT.index("| exit code") :], re.MULTILINE)
+def test_check_fails_where_a_table_is_stale(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    stale = tmp_path / "README.md"
+    stale.write_text(README.replace("| `census` |", "| `sensus` |", 1).replace("scripts/bench", "scripts/benhc", 1))
+    monkeypatch.setattr(readme_tables, "README", stale)
+    assert readme_tables.main(["--check"]) == 1
+    assert capsys.readouterr().out.splitlines() == [
+        "README.md: the table methods/stereo/cost is out of date (scripts/readme_tables.py)",
+        "README.md: scripts/benhc does not exist",
+    ]
+    assert readme_tables.main([]) == 0
+    assert stale.read_text() == README.replace("scripts/bench", "scripts/benhc", 1)
 
 
 def test_commands_parse(tmp_path: Path):
@@ -94,18 +78,10 @@ def test_commands_parse(tmp_path: Path):
             assert main(words) == 0
 
 
-def test_files_that_are_named_exist():
-    named = re.findall(r"\b((?:scripts|depthcli|tests|configs)/[\w./-]*[\w/])", TEXT)
-    assert len(named) > 10
-    example = "depthcli/methods/stereo/cost/squared_difference.py"
-    missing = [name for name in named if not (ROOT / name).exists() and name != example]
-    assert not missing
-
-
 @pytest.fixture
 def added_cost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """The README's cost measure as a file of the family, found like any other."""
-    (source,) = blocks("python")
+    """Put the cost measure of CONTRIBUTING.md into the family, where it is found like any other."""
+    (source,) = blocks(CONTRIBUTING, "python")
     (tmp_path / "squared_difference.py").write_text(source)
     monkeypatch.setattr(cost, "__path__", [*cost.__path__, str(tmp_path)])
     yield "squared_difference"  # type: ignore[misc]

@@ -1,0 +1,66 @@
+"""Every script starts on a fresh checkout, by a Python that has nothing installed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SCRIPTS = sorted(
+    file.name
+    for file in (ROOT / "scripts").iterdir()
+    if file.is_file() and file.name[0] != "_" and file.read_bytes().startswith(b"#!/usr/bin/env python3")
+)
+BARE = (sys.executable, "-S", "-E")  # without site-packages and PYTHONPATH
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the scripts are for sh")]
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkout whose environment is ready: it holds the Python that runs the tests."""
+    root = tmp_path_factory.mktemp("checkout")
+    shutil.copytree(ROOT / "scripts", root / "scripts", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", root)
+    for name in ("depthcli", "configs", "tests"):
+        (root / name).symlink_to(ROOT / name)
+    (root / ".venv" / "bin").mkdir(parents=True)
+    python = root / ".venv" / "bin" / "python"
+    python.write_text(f'#!/bin/sh\nPYTHONPATH="{root}" exec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    for line in (root / "scripts" / "_env.sh").read_text().splitlines():
+        if line.startswith("wanted="):
+            code = line.partition("-c '")[2].rpartition("'")[0]
+    ready = subprocess.run([*BARE, "-c", code], cwd=root, capture_output=True, text=True, check=True).stdout
+    (root / ".venv" / "ready").write_text(ready.rstrip("\n"))
+    return root
+
+
+def test_all_that_can_be_started_is_tested():
+    files = [file for file in (ROOT / "scripts").iterdir() if file.is_file() and os.access(file, os.X_OK)]
+    assert {file.name for file in files} == {*SCRIPTS, "demo", "test"}
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_help_by_a_python_without_packages(checkout: Path, tmp_path: Path, name: str):
+    command = [*BARE, str(checkout / "scripts" / name), "--help"]
+    done = subprocess.run(command, cwd=tmp_path, env=os.environ | {"PYTHON": sys.executable}, capture_output=True,
+                          text=True, check=False)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"usage: {name} ")
+    assert done.stderr == ""
+
+
+def test_a_python_that_is_too_old_is_told_in_a_line(checkout: Path, tmp_path: Path):
+    old = tmp_path / "python3"
+    old.write_text('#!/bin/sh\n[ "$1" = --version ] && echo "Python 3.8.1" || exit 1\n')
+    old.chmod(0o755)
+    command = [*BARE, str(checkout / "scripts" / "fuzz"), "--help"]
+    done = subprocess.run(command, env=os.environ | {"PYTHON": str(old)}, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "depthcli needs Python 3.11 or newer; Python 3.8.1 is too old (set PYTHON)\n"
