@@ -39,7 +39,7 @@ def _planes() -> SegmentSteps:
     return SegmentSteps.model_validate({
         "window_radius": 0,
         "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
-        "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "most": 150},
+        "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "max_planes": 150},
         "energy": {
             "data_term": "dedc", "data_weight": 10, "cost_weight": 10, "truncation": 2, "visibility": 10,
             "smoothness": 10, "color_scale": 50,
