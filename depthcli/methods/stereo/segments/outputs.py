@@ -61,7 +61,7 @@ def tables(
                 zip(assignment.planes.coefficients, assignment.planes.support, strict=True)
             )
         ]
-        columns = {
+        columns: dict[str, NDArray[Any]] = {
             "plane": assignment.labels, "pixels": segments.graph.sizes, "trusted": segments.trusted.sizes,
             "lowest": ranges[:, 0], "highest": ranges[:, 1],
         }  # fmt: skip
@@ -106,7 +106,7 @@ def _lines(pair: StereoPair, matches: Matches) -> NDArray[np.uint8]:
     picture = np.vstack([left, right]) // 2 + 60
     height = left.shape[0]
     top = max(float(matches.disparity.max()) if len(matches) else 1.0, 1.0)
-    palette = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_TURBO)[:, 0, ::-1].tolist()
+    palette = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_TURBO).reshape(256, 3)[:, ::-1].tolist()
     for x, y, d in zip(matches.x, matches.y, matches.disparity, strict=True):
         color = palette[int(np.clip(d / top * 255, 0, 255))]
         ends = (round(float(x)), round(float(y))), (round(float(x - d)), round(float(y)) + height)

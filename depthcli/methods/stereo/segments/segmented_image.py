@@ -91,6 +91,7 @@ class SegmentedImage:
         cls, labels: NDArray[np.int32], first: FirstEstimate, graph: RegionGraph, max_disparity: int
     ) -> SegmentedImage:
         """Return the segments of ``labels`` with their pixels sorted."""
-        masks = (first.trusted, ~first.trusted, None)
-        members = (Members.of(labels, mask, len(graph.sizes)) for mask in masks)
-        return cls(labels, first, graph, *members, max_disparity)
+        trusted, untrusted, everything = (
+            Members.of(labels, mask, len(graph.sizes)) for mask in (first.trusted, ~first.trusted, None)
+        )
+        return cls(labels, first, graph, trusted, untrusted, everything, max_disparity)
