@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.batch.presets import find_config, list_presets
-from depthcli.core.cameras.geometry import disparity_of_depth
+from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, color8
 from depthcli.data.formats.images import read_image

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.dense_crf import GaussianKernel, TruncatedLinear, mean_field
 from depthcli.batch.presets import find_config
-from depthcli.core.cameras.geometry import depth_of_disparity, disparity_of_depth
+from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
 from depthcli.core.result import Clock

@@ -101,10 +101,10 @@ class PairCommand(ConfigCommand[Any, StereoScene]):
 
     def _check_calibration(self, config: Any) -> None:
         if config.calibration is not None:
-            from depthcli.data.formats.stereo_rig import read_stereo_rig
+            from depthcli.data.formats.rigs import read_rig
 
             how = config.calibration
-            read_stereo_rig([Path(file) for file in how.files], how.unit, how.fisheye, how.cameras)
+            read_rig([Path(file) for file in how.files], how.unit, how.fisheye, how.cameras)
 
     def files(self, config: Any, scene: StereoScene) -> dict[str, Path]:
         """The pair, and the calibration that rectifies it."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from depthcli.batch.making import Outcome
     from depthcli.batch.reporter import Reporter
     from depthcli.batch.tables import Column
-    from depthcli.core.cameras.stereo_rig import PairGeometry
+    from depthcli.core.cameras.triangulation import PairGeometry
     from depthcli.data.formats.pictures import Palette
 
 _MAP = "disp_left.pfm"
@@ -264,9 +264,9 @@ def _maps_of(run: Path, patterns: list[str]) -> dict[str, tuple[Path, Path | Non
 
 
 def _geometry(config: DepthOptions, scene: DisparityScene) -> PairGeometry:
-    from depthcli.core.cameras.stereo_rig import PairGeometry
-    from depthcli.core.frames import Intrinsics
-    from depthcli.data.formats.calibration import read_geometry
+    from depthcli.core.cameras.camera import Intrinsics
+    from depthcli.core.cameras.triangulation import PairGeometry
+    from depthcli.data.formats.pair_geometry import read_geometry
 
     if config["focal"] is not None and config["baseline"] is not None:
         height, width = scene.load().shape

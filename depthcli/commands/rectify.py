@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from depthcli.batch.making import Outcome
     from depthcli.batch.reporter import Reporter
     from depthcli.batch.tables import Column
-    from depthcli.core.cameras.stereo_rig import RectifiedRig
+    from depthcli.core.cameras.rig import RectifiedRig
     from depthcli.methods.stereo.config import Calibration
     from depthcli.methods.stereo.rectification import RectifyingHomographies
 
@@ -94,10 +94,10 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
     def memory_of(self, config: RectifyOptions, scene: StereoScene) -> None:
         """No estimate: little more than the images themselves; InputError where the calibration cannot be read."""
         if not config["uncalibrated"]:
-            from depthcli.data.formats.stereo_rig import read_stereo_rig
+            from depthcli.data.formats.rigs import read_rig
 
             how = self._calibrated(config)
-            read_stereo_rig(self._calibration, how.unit, how.fisheye, how.cameras)
+            read_rig(self._calibration, how.unit, how.fisheye, how.cameras)
 
     def columns(self) -> tuple[Column, ...]:
         """Size, median row error before and after, share of the image that both cameras see."""
@@ -121,7 +121,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
 
         from depthcli.batch.making import Outcome
         from depthcli.commands import _rectified
-        from depthcli.core.cameras.stereo_rig import RectifiedRig
+        from depthcli.core.cameras.rig import RectifiedRig
         from depthcli.core.frames import StereoPair
         from depthcli.core.result import Clock
         from depthcli.data.formats.atomic import write_text

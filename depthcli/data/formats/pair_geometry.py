@@ -1,4 +1,4 @@
-"""Calibrations of rectified pairs, as data sets store them: Middlebury's calib.txt, KITTI's projections."""
+"""Geometry of rectified pairs, as data sets store it: Middlebury's calib.txt, KITTI's projections."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.stereo_rig import PairGeometry
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
-from depthcli.core.frames import Intrinsics
 from depthcli.data.formats.atomic import write_text
 from depthcli.data.formats.files import naming, read_bytes
 
 _MILLIMETERS = 1000.0
-_MOST_BYTES = 1 << 24
+_MAX_BYTES = 1 << 24  # a calibration has a few kilobytes
 
 
 def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry:
-    """Read how the disparities of a rectified pair become depth.
+    """Return how the disparities of a rectified pair become depth.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry
         Not readable, of no known kind, or a number is missing or wrong; one line that names the file.
     """
     with naming(path):
-        fields = _fields(read_bytes(path, _MOST_BYTES).decode("utf-8", "replace"))
+        fields = _fields(read_bytes(path, _MAX_BYTES).decode("utf-8", "replace"))
         if "cam0" in fields:
             return _middlebury(fields)
         if any(re.fullmatch(r"P(_rect_0)?\d", key) for key in fields):
@@ -80,7 +80,7 @@ def _middlebury(fields: dict[str, str]) -> PairGeometry:
         size = (int(_number(fields, "width")), int(_number(fields, "height")))
         if min(size) < 1:
             raise InputError(f"width, height: want a size (got {size[0]} x {size[1]})")
-    return PairGeometry(_camera(left), baseline, offset, size)
+    return PairGeometry(Intrinsics.of_matrix(left), baseline, offset, size)
 
 
 def _kitti(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeometry:
@@ -93,11 +93,7 @@ def _kitti(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeometry:
     if rectified := fields.get(f"S_rect_0{cameras[0]}"):
         width, height = _numbers(rectified, f"S_rect_0{cameras[0]}", 2)
         size = (int(width), int(height))
-    return PairGeometry(_camera(left), baseline, float(right[0, 2] - left[0, 2]), size)
-
-
-def _camera(matrix: NDArray[np.float64]) -> Intrinsics:
-    return Intrinsics(*(float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))))
+    return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]), size)
 
 
 def _matrix(fields: dict[str, str], key: str, shape: tuple[int, int]) -> NDArray[np.float64]:
