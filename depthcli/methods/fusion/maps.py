@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from depthcli.algorithms.plane_fitting.segment_planes import Members, evaluate
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
@@ -22,7 +23,7 @@ from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.pipeline import Pipeline
 from depthcli.methods.stereo.refinement import RefinementStep
 from depthcli.methods.stereo.refinement.background_fill import fill_background
-from depthcli.methods.stereo.segments.planes import Members, PlaneFit, evaluate
+from depthcli.methods.stereo.segments.planes import PlaneFit
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
 _FEWEST, _LEAST_SHARE = 20, 0.05  # pixels, and part of a segment, that a plane is fitted to

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.batch.presets import find_config
 from depthcli.commands.fuse import with_network
 from depthcli.core.config_file import load_config
@@ -24,7 +25,6 @@ from depthcli.methods.fusion.choice.network import Network, log_odds_of
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.surfaces import matching_costs
 from depthcli.methods.fusion.votes import ColorSupport
-from depthcli.methods.stereo.slopes import slopes
 from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
 from tests.naive import choice as naive
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.graph_cut import alpha_expansion, potts_energy
+from depthcli.algorithms.plane_fitting.segment_planes import Members, Planes, distinct
 from depthcli.algorithms.regions import joined_regions
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.segments.energy import Energy, smoothness
-from depthcli.methods.stereo.segments.planes import Members, PlaneFit, Planes, distinct
+from depthcli.methods.stereo.segments.planes import PlaneFit
 from depthcli.methods.stereo.segments.segmented_image import SegmentedImage
 from depthcli.methods.stereo.volume import CostVolume
 

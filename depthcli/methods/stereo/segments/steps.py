@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from depthcli.algorithms.keypoints import Detection
+from depthcli.algorithms.plane_fitting.segment_planes import evaluate
 from depthcli.algorithms.regions import region_graph
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.mean_shift import MeanShift
@@ -21,7 +22,6 @@ from depthcli.methods.stereo.segments import Step, outputs
 from depthcli.methods.stereo.segments.assignment import Candidates, assign
 from depthcli.methods.stereo.segments.energy import Energy
 from depthcli.methods.stereo.segments.first_estimate import Selection, has_information, segment_window
-from depthcli.methods.stereo.segments.planes import evaluate
 from depthcli.methods.stereo.segments.ranges import Ranges
 from depthcli.methods.stereo.segments.segmented_image import SegmentedImage, Split
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext, StereoResult
