@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.batch.record import to_csv
+from depthcli.batch.json_csv import to_csv
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.result import Result
 from depthcli.data.formats.atomic import write_text

@@ -32,7 +32,7 @@ class Scoring:
     @cached_property
     def reports(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Run -> scene -> row of the run's own report."""
-        from depthcli.batch.record import read_report
+        from depthcli.batch.run_folder import read_report
 
         return {run: read_report(place) for run, place in self.runs.items()}
 

@@ -16,7 +16,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 
 if TYPE_CHECKING:
-    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.console import Reporter
     from depthcli.data.scenes import Scene
     from depthcli.evaluation.protocols import Settings
     from depthcli.evaluation.results import EvaluationReport, Result
@@ -60,7 +60,7 @@ class EvaluateCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Evaluate and print the tables; the exit code."""
-        from depthcli.batch.record import to_json
+        from depthcli.batch.json_csv import to_json
         from depthcli.evaluation.matrix import FORMATS, written
         from depthcli.evaluation.protocols import Settings, parse_size
 
@@ -122,8 +122,9 @@ def evaluate(
     OutputError
         The results cannot be written.
     """
-    from depthcli.batch.record import saved_config, to_csv, to_json
-    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.console import Reporter
+    from depthcli.batch.json_csv import to_csv, to_json
+    from depthcli.batch.run_folder import saved_config
     from depthcli.commands._scoring import Scoring
     from depthcli.data.formats.atomic import remove_leftovers, write_text
     from depthcli.evaluation.protocols import Settings, load
