@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.filters.discontinuity import discontinuity_mask
+from depthcli.algorithms.filters import discontinuity_mask
 
 
 def derive_masks(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from depthcli.algorithms.grid_cut import STEPS, edge_ends, grid_cut
+from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 from depthcli.algorithms.plane_fitting.sample_planes import Samples
 
 _CLIPPED = 4.0  # standard deviations that one sample may add to a region's evidence

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.filters.local_moments import local_moments
+from depthcli.algorithms.filters import local_moments
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
