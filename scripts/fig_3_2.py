@@ -27,7 +27,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.method import twin_of
 from depthcli.data.generated.stereo_scenes import make_scene
 from depthcli.device import Device, open_device
-from depthcli.evaluation.report import Table
+from depthcli.evaluation.render import Table
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
@@ -44,7 +44,7 @@ PRESETS = ("fast", "thesis/cross", "thesis/adaptive-weight", "ad-census", "accur
 
 
 def aggregations(windows: list[int]) -> list[tuple[str, int, Aggregator]]:
-    """Return (name, window, method) of every bar of the figure."""
+    """(name, window, method)."""
     rows: list[tuple[str, int, Aggregator]] = [("CW", w, ConstantWindow(window=w)) for w in windows]
     rows += [("CROSS", w, Cross(iterations=1, length=max(1, w // 2), inner_length=max(1, w // 2))) for w in windows]
     rows += [("AW", w, AdaptiveWeight(window=w)) for w in windows]
@@ -52,7 +52,7 @@ def aggregations(windows: list[int]) -> list[tuple[str, int, Aggregator]]:
 
 
 def on_device(device: Device, run: Callable[[], object], repeat: int) -> tuple[float, int]:
-    """Return the median milliseconds that the kernels of ``run`` take, and the bytes of their arrays."""
+    """Median milliseconds that the kernels of ``run`` take, and the bytes of their arrays."""
     totals, nbytes = [], 0
     for n in range(repeat + 1):
         device.profile = []
@@ -66,7 +66,7 @@ def on_device(device: Device, run: Callable[[], object], repeat: int) -> tuple[f
 
 
 def by_clock(run: Callable[[], object], repeat: int) -> float:
-    """Return the median milliseconds of ``run``, after one that is not counted."""
+    """Median milliseconds of ``run``, after one that is not counted."""
     seconds = []
     for _ in range(repeat + 1):
         start = time.perf_counter()
@@ -76,17 +76,17 @@ def by_clock(run: Callable[[], object], repeat: int) -> float:
 
 
 def measure_aggregations(device: Device, pair: StereoPair, windows: list[int], repeat: int) -> list[dict[str, object]]:
-    """Return a row for each aggregation and window."""
+    """One row an aggregation and window."""
     parts = [{"cost": "absolute_difference", "lambda": 10.0}, {"cost": "census", "lambda": 30.0}]
     volume = Combined.model_validate({"parts": parts})(pair, DISPARITIES)
     there, copied = DevicePair(device, pair), DeviceVolume.upload(device, volume)
     bandwidth = device.bandwidth()
     rows: list[dict[str, object]] = []
     for name, window, method in aggregations(windows):
-        version = twin_of(method)
-        assert version is not None
-        naive, _ = on_device(device, lambda m=method, t=version: t.naive(m, copied, there), min(repeat, 3))  # type: ignore[misc]
-        fast, nbytes = on_device(device, lambda m=method, t=version: t.run(m, copied, there), repeat)  # type: ignore[misc]
+        twin = twin_of(method)
+        assert twin is not None
+        naive, _ = on_device(device, lambda m=method, t=twin: t.naive(m, copied, there), min(repeat, 3))  # type: ignore[misc]
+        fast, nbytes = on_device(device, lambda m=method, t=twin: t.run(m, copied, there), repeat)  # type: ignore[misc]
         processor = by_clock(lambda m=method: m(volume, pair), min(repeat, 5))  # type: ignore[misc]
         share = 100 * nbytes / (fast / 1e3) / bandwidth
         rows.append({
@@ -98,7 +98,7 @@ def measure_aggregations(device: Device, pair: StereoPair, windows: list[int], r
 
 
 def measure_presets(device: Device, pair: StereoPair, repeat: int) -> list[tuple[str, ...]]:
-    """Return rows of whole pipelines: milliseconds on the device and on the processor."""
+    """Whole pipelines: milliseconds on the device and on the processor."""
     rows = []
     for preset in PRESETS:
         found = find_config("stereo", preset)

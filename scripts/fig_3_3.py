@@ -24,7 +24,7 @@ import numpy as np
 
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
-from depthcli.evaluation.report import Table, number
+from depthcli.evaluation.render import Number, Table
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
@@ -47,7 +47,7 @@ def similarities() -> dict[str, CostMeasure]:
 
 
 def aggregations(windows: list[int]) -> list[tuple[str, int | None, Aggregator]]:
-    """Return (name, window or None, method); CROSS in one pass over the intersected supports, as in eq. 3.8-3.9."""
+    """(name, window or None, method); CROSS in one pass over the intersected supports, as in eq. 3.8-3.9."""
     rows: list[tuple[str, int | None, Aggregator]] = [("CW", w, ConstantWindow(window=w)) for w in windows]
     rows.append(("CROSS", None, Cross(iterations=1, support="intersection")))
     rows += [("AW", w, AdaptiveWeight(window=w)) for w in windows]
@@ -55,7 +55,7 @@ def aggregations(windows: list[int]) -> list[tuple[str, int | None, Aggregator]]
 
 
 def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
-    """Return a row for each similarity, aggregation, window and scene, with the error in every mask."""
+    """One row a similarity, aggregation, window and scene, with the error in every mask."""
     rows: list[dict[str, object]] = []
     for scene in discover_scenes(data):
         pair, truth = scene.load(), MiddleburyV2().truth(scene)
@@ -75,7 +75,7 @@ def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
 
 
 def means(rows: list[dict[str, object]], mask: str = "nonocc") -> dict[tuple[str, str], dict[int | None, float]]:
-    """Return (similarity, aggregation) -> window -> mean error over the scenes."""
+    """(similarity, aggregation) -> window -> mean error over the scenes."""
     collected: dict[tuple[str, str], dict[int | None, list[float]]] = {}
     for row in rows:
         by_window = collected.setdefault((str(row["similarity"]), str(row["aggregation"])), {})
@@ -84,7 +84,7 @@ def means(rows: list[dict[str, object]], mask: str = "nonocc") -> dict[tuple[str
 
 
 def findings(table: dict[tuple[str, str], dict[int | None, float]], windows: list[int]) -> list[str]:
-    """Return a line for each conclusion of the thesis, checked against this figure."""
+    """What the thesis concludes from its figure, checked against this one."""
     best = {key: min(values.values()) for key, values in table.items()}
     names = list(similarities())
     lines = []
@@ -111,11 +111,11 @@ def markdown(rows: list[dict[str, object]], windows: list[int]) -> str:
     columns = [(name, aggregation) for aggregation in ("CW", "AW") for name in similarities()]
     scenes = ", ".join(sorted({str(row["scene"]) for row in rows}))
     note = f"Winner-takes-all without refinement; bad > 1 px in non-occluded regions, %, mean over {scenes}."
-    body = [(str(window), *(number(table[column][window]) for column in columns)) for window in windows]
+    body = [(str(window), *(Number(table[column][window]) for column in columns)) for window in windows]
     header = ("window", *(f"{name} {aggregation}" for name, aggregation in columns))
     tables = [Table("Error by similarity, aggregation and window", header, tuple(body), note)]
     by_mask = {mask: means(rows, mask) for mask in MASKS}
-    body = [(mask, *(number(by_mask[mask][name, "CROSS"][None]) for name in similarities())) for mask in MASKS]
+    body = [(mask, *(Number(by_mask[mask][name, "CROSS"][None]) for name in similarities())) for mask in MASKS]
     tables.append(Table("CROSS, which chooses its own support", ("mask", *similarities()), tuple(body)))
     return "\n".join([*(each.markdown() for each in tables), *(f"- {line}" for line in findings(table, windows)), ""])
 

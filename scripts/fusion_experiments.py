@@ -29,16 +29,16 @@ from depthcli.data.generated.cross_modal import cross_modal_pair
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.curves import sparsification
+from depthcli.evaluation.plots import Line, line_plot
 from depthcli.evaluation.protocols import load
-from depthcli.evaluation.report import Table, number
-from depthcli.evaluation.summary import compare
+from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.statistics import compare
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps, measures
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline.local import Local
-from depthcli.report.plots import Line, line_plot
 
 V2 = "middlebury_v2"
 SETS = (V2, "middlebury_2001", "middlebury_2005", "middlebury_2006")
@@ -96,11 +96,11 @@ class Bench:
                 self.rows.append({"experiment": title, "config": name, "scene": scene.name, "bad": round(rate, 3)})
         rows = []
         for name, rates in found.items():
-            cells = [name, number(float(np.mean(rates)))]
+            cells = [name, Number(float(np.mean(rates)))]
             if base is not None:
                 against = compare(found[base], rates)
-                cells += [f"{against.wins}/{against.scenes}", number(against.mean_difference)]
-                cells += [number(against.worst_ratio, 3), number(against.p_value, 4)]
+                cells += [f"{against.wins}/{against.scenes}", Number(against.mean_difference)]
+                cells += [Number(against.worst_ratio, 3), Number(against.p_value, 4)]
             rows.append(tuple(cells))
         header = ("config", "mean bad") + (("wins", "difference", "worst", "p (sign)") if base is not None else ())
         return Table(title, header, tuple(rows), f"{len(scenes)} scenes" + (f"; against {base}" if base else ""))
@@ -129,7 +129,7 @@ def confidences(bench: Bench) -> list[Table]:
         wrong = ~(np.abs(result.disparity.values - truth.disparity) <= 1)[known]
         columns["accurate"], _ = _areas(result.confidence, known, wrong)
         names = [*measures(), "consensus", "optimal", "random"]
-        body = tuple((n, *(number(columns[c].get(n, float("nan")), 4) for c in columns)) for n in names)
+        body = tuple((n, *(Number(columns[c].get(n, float("nan")), 4) for c in columns)) for n in names)
         tables.append(Table(f"AUC of confidences, {scene.name}", ("measure", *columns), body, "all known pixels"))
     return tables
 
@@ -204,7 +204,7 @@ def later_stages(bench: Bench) -> list[Table]:
     a = bench.bad(bench.scenes, lambda pair, top: local(pair, top).disparity.values)
     b = bench.bad(bench.scenes, lambda pair, top: fused(pair, top).disparity.values)
     against = compare(a, b)
-    body = (("stereo accurate", number(float(np.mean(a))), ""), ("fuse accurate", number(float(np.mean(b))),
+    body = (("stereo accurate", Number(float(np.mean(a))), ""), ("fuse accurate", Number(float(np.mean(b))),
             f"{against.wins}/{against.scenes}"))  # fmt: skip
     tables.append(Table("The two accurate presets", ("config", "mean bad", "wins"), body))
     return tables
@@ -255,7 +255,7 @@ def seconds(bench: Bench) -> list[Table]:
             stages = model(pair, top).seconds
             runs.append((time.perf_counter() - start, stages))
         total, stages = min(runs, key=lambda run: run[0])
-        rows.append((name, number(1e3 * total, 0), ", ".join(f"{k} {1e3 * v:.0f}" for k, v in stages.items())))
+        rows.append((name, Number(1e3 * total, 0), ", ".join(f"{k} {1e3 * v:.0f}" for k, v in stages.items())))
     return [Table("Time on Cones, ms", ("preset", "total", "by stage"), tuple(rows))]
 
 

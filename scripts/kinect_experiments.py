@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.batch.presets import find_config, list_presets
-from depthcli.core.cameras.triangulation import disparity_of_depth
+from depthcli.core.cameras.geometry import disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, color8
 from depthcli.data.formats.images import read_image
@@ -37,7 +37,7 @@ from depthcli.data.generated.kinect_scenes import SEQUENCE_KINDS, KinectSample, 
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
-from depthcli.evaluation.report import Table, number
+from depthcli.evaluation.render import Number, Table
 from depthcli.methods.kinect.config import RefineKinectConfig
 
 SETS = ("middlebury_v2", "middlebury_2005", "middlebury_2006")
@@ -53,13 +53,13 @@ Refine = Callable[[RgbdFrame], Any]
 
 
 def preset(name: str, settings: list[str] | None = None) -> Refine:
-    """Return the pipeline of a preset of refine-kinect."""
+    """What a preset of refine-kinect computes; ``raw`` is the measurement itself."""
     pipeline: Refine = load_config(RefineKinectConfig, find_config("refine-kinect", name), settings or []).pipeline
     return pipeline
 
 
 def refined(name: str, run: Refine | None, frame: RgbdFrame) -> NDArray[np.float32]:
-    """Return the refined map as (H, W) disparity, pixels."""
+    """(H, W) disparity in pixels."""
     return frame.disparity if run is None else disparity_of_depth(run(frame).depth.values, frame.fb)
 
 
@@ -73,7 +73,7 @@ def sample(scene: StereoScene, fattening: int) -> KinectSample:
 
 
 def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, title: str) -> None:
-    """Print a row a method: MAE by set and region, means over scenes."""
+    """A row a method: MAE by set and region, means over scenes."""
     cells: dict[tuple[str, str, str], list[float]] = {}
     for folder in SETS:
         for scene in scenes(data, folder):
@@ -88,7 +88,7 @@ def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, tit
                     )
             print(f"{folder}/{scene.name}", file=sys.stderr)
     rows = [
-        (name, *(number(_mean(cells[name, folder, region]), 3) for folder in SETS for region in REGIONS))
+        (name, *(Number(_mean(cells[name, folder, region]), 3) for folder in SETS for region in REGIONS))
         for name in methods
     ]
     header = ("method", *(f"{folder.removeprefix('middlebury_')} {region}" for folder in SETS for region in REGIONS))
@@ -96,7 +96,7 @@ def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, tit
 
 
 def real(data: Path, methods: dict[str, Refine | None]) -> None:
-    """Print a row a frame: MAE in blocks that were taken out, mm, mean of several random patterns of blocks."""
+    """A row a frame: MAE in blocks that were taken out, mm, mean of several random patterns of blocks."""
     scenes = [
         scene
         for folder in sorted(data.glob("rgbd_*"))
@@ -112,12 +112,12 @@ def real(data: Path, methods: dict[str, Refine | None]) -> None:
         for pattern in range(PATTERNS):
             holes = _blocks(np.isfinite(frame.depth), PATTERNS * number_ + pattern)
             depth = np.where(holes, np.float32(np.nan), frame.depth)
-            holed = RgbdFrame(frame.color, depth, frame.fb, frame.intrinsics)
+            asked = RgbdFrame(frame.color, depth, frame.fb, frame.intrinsics)
             for name, run in methods.items():
-                values = holed.depth if run is None else run(holed).depth.values
+                values = asked.depth if run is None else run(asked).depth.values
                 error = 1000 * np.abs(values[holes] - frame.depth[holes])
                 errors[name].append(_mean(error[np.isfinite(error)].tolist()))
-        cells = [number(_mean(errors[name]), 1) for name in methods]
+        cells = [Number(_mean(errors[name]), 1) for name in methods]
         rows.append((f"{scene.folder.parent.name}/{scene.name}", *cells))
     print(
         Table(
@@ -129,7 +129,7 @@ def real(data: Path, methods: dict[str, Refine | None]) -> None:
 
 
 def _blocks(known: NDArray[np.bool_], seed: int) -> NDArray[np.bool_]:
-    """Return known pixels in random blocks, 10 % of all known ones."""
+    """Known pixels in random blocks, 10 % of all known ones."""
     rng = np.random.Generator(np.random.PCG64([seed, 0xB10C]))
     taken = np.zeros_like(known)
     wanted = 0.1 * np.count_nonzero(known)
@@ -141,7 +141,7 @@ def _blocks(known: NDArray[np.bool_], seed: int) -> NDArray[np.bool_]:
 
 
 def view(data: Path, methods: dict[str, Refine | None], fattening: int) -> None:
-    """Print a row a method: PSNR of the left image moved to the right view; scenes where it beats the first."""
+    """A row a method: PSNR of the left image warped to the right view, and on how many scenes it beats the first."""
     found: dict[str, list[float]] = {name: [] for name in methods}
     for folder in SETS:
         for scene in scenes(data, folder):
@@ -152,7 +152,7 @@ def view(data: Path, methods: dict[str, Refine | None], fattening: int) -> None:
     rows = [
         (
             name,
-            number(_mean(values), 2),
+            Number(_mean(values), 2),
             f"{sum(a > b for a, b in zip(values, found[first], strict=True))}/{len(values)}",
         )
         for name, values in found.items()
@@ -161,22 +161,22 @@ def view(data: Path, methods: dict[str, Refine | None], fattening: int) -> None:
 
 
 def _psnr(left: NDArray[np.uint8], right: NDArray[np.uint8], disparity: NDArray[np.float32]) -> float:
-    """Return the PSNR, dB, of the left image moved to the right view; of several pixels the nearest stays."""
+    """Every left pixel goes to x - d of the right view; of several the nearest stays; holes do not count."""
     rows, cols = np.nonzero(np.isfinite(disparity))
     d = disparity[rows, cols]
     target = np.rint(cols - d).astype(np.int64)
     inside = (target >= 0) & (target < left.shape[1])
     rows, cols, d, target = rows[inside], cols[inside], d[inside], target[inside]
     order = np.lexsort((d, rows * left.shape[1] + target))
-    warped = np.full(left.shape, -1, np.int16)
-    warped[rows[order], target[order]] = left[rows[order], cols[order]]
-    both = warped[..., 0] >= 0
-    error = warped[both].astype(np.float64) - right[both]
+    seen = np.full(left.shape, -1, np.int16)
+    seen[rows[order], target[order]] = left[rows[order], cols[order]]
+    both = seen[..., 0] >= 0
+    error = seen[both].astype(np.float64) - right[both]
     return float(10 * np.log10(255**2 / np.mean(error**2)))
 
 
 def speed(methods: dict[str, Refine | None]) -> None:
-    """Print a row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
+    """A row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
     from depthcli.data.generated.kinect_scenes import make_kinect_scene
 
     frame = simulate_kinect(*make_kinect_scene("foreground", 0, 640, 480), 0).frame()
@@ -196,13 +196,13 @@ def speed(methods: dict[str, Refine | None]) -> None:
             times[1].append(time.perf_counter() - middle)
         ours, peer = (statistics.median(kept[2:]) for kept in times)
         fastest = min(times[0]) / min(times[1])
-        rows.append((name, number(ours, 3), number(ours / peer, 2), number(fastest, 2)))
+        rows.append((name, Number(ours, 3), Number(ours / peer, 2), Number(fastest, 2)))
     header = ("method", "seconds", "Telea = 1", "fastest runs")
     print(Table("640 x 480, one process, warm", header, tuple(rows)).markdown())
 
 
 def sequence(seeds: int) -> None:
-    """Print a row a kind of sequence: MAE along it and frame by frame, all and where an object has just left."""
+    """A row a kind of sequence: MAE along it and frame by frame, all and where an object has just left."""
     pipeline = preset("sequence")
     rows = []
     for kind in SEQUENCE_KINDS:
@@ -219,13 +219,13 @@ def sequence(seeds: int) -> None:
                     found[name].append(float(np.nanmean(error)))
                     if left.any():
                         found[f"{name} left"].append(float(np.nanmean(error[left])))
-        rows.append((kind, *(number(_mean(values), 3) for values in found.values())))
+        rows.append((kind, *(Number(_mean(values), 3) for values in found.values())))
     header = ("kind", "sequence", "frame by frame", "sequence, just left", "frame by frame, just left")
     print(Table(f"Sequences of 10 frames, {seeds} seeds: MAE, px", header, tuple(rows)).markdown())
 
 
 def soak(frames: int) -> None:
-    """Print seconds a frame and memory along one sequence of 640 x 480."""
+    """Seconds a frame and memory along one sequence of 640 x 480."""
     pipeline = preset("sequence")
     shown = [made.frame() for made in make_kinect_sequence("moving", 40, 0, 640, 480, 40)]
     state, rows, times = None, [], []
@@ -236,7 +236,7 @@ def soak(frames: int) -> None:
         if number_ + 1 in (frames // 10, frames // 2, frames):
             memory = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
             mean, middle = statistics.fmean(times), statistics.median(times)
-            rows.append((str(number_ + 1), number(1000 * mean, 1), number(1000 * middle, 1), number(memory, 1)))
+            rows.append((str(number_ + 1), Number(1000 * mean, 1), Number(1000 * middle, 1), Number(memory, 1)))
     header = ("frames", "mean, ms", "median, ms", "resident, MiB")
     print(Table("A sequence of 640 x 480", header, tuple(rows)).markdown())
 
@@ -253,8 +253,8 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=parts, default=parts)
     parser.add_argument("--fattening", type=int, default=4)
     parser.add_argument("--frames", type=int, default=300, help="of the soak")
-    presets = [name for _, name, _ in list_presets("refine-kinect") if name != "sequence"]
-    parser.add_argument("--presets", nargs="+", default=presets)
+    usual = [name for _, name, _ in list_presets("refine-kinect") if name != "sequence"]
+    parser.add_argument("--presets", nargs="+", default=usual)
     options = parser.parse_args()
     methods: dict[str, Refine | None] = {"raw": None, **{name: preset(name) for name in options.presets}}
     if "simulated" in options.only:

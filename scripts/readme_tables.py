@@ -107,7 +107,7 @@ def table(name: str) -> str:
     if name == "layouts":
         return _rows(("layout", "files"), ((f"`{each.name}`", each.wants) for each in layouts()))
     if name == "protocols":
-        found = ((f"`{n}`", protocols.load(n).title) for n in protocols.names())
+        found = ((f"`{n}`", protocols.load(n).presentation.title) for n in protocols.names())
         return _rows(("protocol", "what it measures"), found)
     if name == "confidence":
         return _rows(("measure", "what it is"), ((f"`{n}`", text) for n, text in measures().items()))

@@ -33,8 +33,8 @@ from depthcli.data.formats.volumes import linear, simple_itk
 from depthcli.data.generated.deformed_volumes import smooth_noise
 from depthcli.data.scenes.volume_pair import VolumePairScene
 from depthcli.data.walk import discover_scenes
-from depthcli.evaluation.protocols.registration import area, correlation, ranks
-from depthcli.evaluation.report import Table, number
+from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.methods.registration._volume import gaussian, resample
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.feature.mind import Mind
@@ -59,8 +59,8 @@ def spearman(one: Values, other: Values) -> float:
 def row(pair: str, what: str, score: Values, true: Values, in_mm: bool = True) -> tuple[str, ...]:
     expected = np.asarray(score, np.float64)
     millimeters = (float(np.abs(expected - true).mean()), float(expected.mean())) if in_mm else (np.nan, np.nan)
-    figures = (spearman(expected, true), area(expected, true > 3), *millimeters, float(true.mean()))
-    return pair, what, *(number(v, 3 if k < 2 else 2) for k, v in enumerate(figures)), str(len(true))
+    figures = (spearman(expected, true), roc_area(expected, true > 3), *millimeters, float(true.mean()))
+    return pair, what, *(Number(v, 3 if k < 2 else 2) for k, v in enumerate(figures)), str(len(true))
 
 
 def at_points(result: RegistrationResult, values: NDArray[np.float32], places: NDArray[np.float64]) -> Values:
@@ -247,7 +247,7 @@ def shifts(scenes: list[VolumePairScene]) -> list[Table]:
             chosen = inside[::2, ::2, ::2]
             confidence, error = (float(v[chosen].mean()) for v in (result.certainty, result.expected_error))
             sure = 100 * float((result.certainty[chosen] > 0.95).mean())
-            rows.append((scene.name, str(shift), f"{confidence:.3f}", f"{sure:.1f} %", number(error)))
+            rows.append((scene.name, str(shift), f"{confidence:.3f}", f"{sure:.1f} %", Number(error)))
     head = ("pair", "shift", "mean confidence", "above .95", "expected")
     return [Table("Whole shifts, in voxels, inside the mask", head, tuple(rows))]
 
@@ -259,7 +259,7 @@ def speed() -> list[Table]:
     Mind()(volume, other)
     began = time.perf_counter()
     channels = Mind()(volume, other)
-    rows = [("6-channel MIND, both volumes", number(time.perf_counter() - began))]
+    rows = [("6-channel MIND, both volumes", Number(time.perf_counter() - began))]
     small = tuple(np.ascontiguousarray(c[:, :16, :16, :16]) for c in channels)
     search(small[0], small[1], 1.0, stride=2)
     for span in ("cube", "planes", "axes"):
@@ -268,7 +268,7 @@ def speed() -> list[Table]:
             began = time.perf_counter()
             search(*channels, 1.0, span=span, stride=2)  # type: ignore[arg-type]
             times.append(time.perf_counter() - began)
-        rows.append((f"search: {span}", number(min(times))))
+        rows.append((f"search: {span}", Number(min(times))))
     return [Table(f"{volume.size / 1e6:.1f} million voxels, R 5, h 3", ("step", "seconds"), tuple(rows))]
 
 

@@ -23,9 +23,9 @@ from depthcli.core.frames import StereoPair
 from depthcli.data.generated.stereo_scenes import make_scene
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
-from depthcli.evaluation.report import Table, number
+from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.scores import bad_rate
-from depthcli.evaluation.summary import average_ranks
+from depthcli.evaluation.statistics import average_ranks
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline import StereoPipeline
 
@@ -57,7 +57,7 @@ def preset(name: str) -> StereoPipeline:
 
 
 def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
-    """Return the twelve figures: nonocc, all, disc of every scene."""
+    """The twelve figures: nonocc, all, disc of every scene."""
     by_name = {item.name.rpartition("/")[2]: item for item in discover_scenes(data)}
     figures: list[float] = []
     for name in SCENES:
@@ -69,7 +69,7 @@ def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
 
 
 def repetitive(pipeline: StereoPipeline, seed: int) -> float:
-    """Return the error on the visible pixels of a generated scene with repeating patterns."""
+    """Error on the visible pixels of a generated scene with repeating patterns."""
     scene = make_scene("repetitive", seed=seed)
     values = pipeline(StereoPair(scene.left, scene.right), scene.max_disparity).disparity.values
     return bad_rate(values, scene.disparity_left, scene.nonocc)
@@ -83,7 +83,7 @@ def main() -> None:
     ours = {row: measure(preset(name), options.data) for row, name in ROWS.items()}
 
     rows = [
-        (row, *(f"{t:.2f} / {o:.2f}" for t, o in zip(thesis, ours[row], strict=False)), number(np.mean(ours[row])))
+        (row, *(f"{t:.2f} / {o:.2f}" for t, o in zip(thesis, ours[row], strict=False)), Number(np.mean(ours[row])))
         for row, thesis in THESIS_2_1.items()
     ]
     title = "Table 2.1: Tsukuba, bad > 1 px (thesis / ours)"
@@ -93,8 +93,8 @@ def main() -> None:
     rank = average_ranks(np.array(list(table.values())))
     rows = []
     for (name, row12), r in zip(table.items(), rank, strict=True):
-        cells = [" / ".join(number(v) for v in row12[3 * k : 3 * k + 3]) for k in range(4)]
-        rows.append((name, number(r), *cells, number(np.mean(row12))))
+        cells = [" / ".join(Number(v) for v in row12[3 * k : 3 * k + 3]) for k in range(4)]
+        rows.append((name, Number(r), *cells, Number(np.mean(row12))))
     header = ("method", "average rank", *SCENES, "mean of 12")
     print(Table("Table 2.2: bad > 1 px, nonocc / all / disc", header, tuple(rows)).markdown())
 
@@ -103,7 +103,7 @@ def main() -> None:
         rows = []
         for row, name in ROWS.items():
             errors = [repetitive(preset(name), seed) for seed in seeds]
-            rows.append((row, *(number(e) for e in errors), number(np.mean(errors))))
+            rows.append((row, *(Number(e) for e in errors), Number(np.mean(errors))))
         header = ("", *(f"seed {seed}" for seed in seeds), "mean")
         print(Table("Generated repetitive scenes: nonocc, bad > 1 px", header, tuple(rows)).markdown())
 

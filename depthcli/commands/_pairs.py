@@ -13,8 +13,9 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
-    from depthcli.batch.console import Column, Reporter
-    from depthcli.batch.task import Outcome
+    from depthcli.batch.making import Outcome
+    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.tables import Column
     from depthcli.core.frames import StereoPair
     from depthcli.core.maps import DisparityMap
     from depthcli.data.formats.pictures import Palette
@@ -49,14 +50,14 @@ class PairCommand(ConfigCommand[Any, StereoScene]):
 
     def memory_of(self, config: Any, scene: StereoScene) -> int | None:
         """By the size of the left image; None where key points tell the range; InputError where nothing does."""
-        from depthcli.data.formats.headers import image_size
+        from depthcli.batch.plan import shape_of
 
         low, top = asked_range(config, scene)
         if top is None and config.calibration is None:
             raise _no_range(scene)
         if top is None or isinstance(low, str) or isinstance(top, str):
             return None
-        need: int = self.peak_bytes(config, image_size(scene.left)[:2], top - low)
+        need: int = self.peak_bytes(config, shape_of(scene.left), top - low)
         if config.tiles == "never" or self.in_tiles(config) is None:
             return need
         most: int = config.tile_memory << 20
@@ -76,7 +77,7 @@ class PairCommand(ConfigCommand[Any, StereoScene]):
 
     def columns(self) -> tuple[Column, ...]:
         """Size of the map, share of pixels with a value, share that was measured rather than filled."""
-        from depthcli.batch.console import SIZE, Column, percent
+        from depthcli.batch.tables import SIZE, Column, percent
 
         return (SIZE, Column("density", percent("density")), Column("measured", percent("measured")))
 
@@ -100,10 +101,10 @@ class PairCommand(ConfigCommand[Any, StereoScene]):
 
     def _check_calibration(self, config: Any) -> None:
         if config.calibration is not None:
-            from depthcli.data.formats.rigs import read_rig
+            from depthcli.data.formats.stereo_rig import read_stereo_rig
 
             how = config.calibration
-            read_rig([Path(file) for file in how.files], how.unit, how.fisheye, how.cameras)
+            read_stereo_rig([Path(file) for file in how.files], how.unit, how.fisheye, how.cameras)
 
     def files(self, config: Any, scene: StereoScene) -> dict[str, Path]:
         """The pair, and the calibration that rectifies it."""
@@ -126,8 +127,8 @@ class PairCommand(ConfigCommand[Any, StereoScene]):
         """
         import numpy as np
 
+        from depthcli.batch.making import Outcome
         from depthcli.batch.resources import show_bytes
-        from depthcli.batch.task import Outcome
         from depthcli.commands._rectified import rectified_pair
         from depthcli.commands._save import save_stereo
         from depthcli.core.maps import Status

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.core.cameras.rig import RectifiedRig
+    from depthcli.core.cameras.stereo_rig import RectifiedRig
     from depthcli.core.frames import StereoPair
     from depthcli.data.scenes.stereo import StereoScene
     from depthcli.methods.stereo.config import Calibration
@@ -26,11 +26,11 @@ def calibration_files(calibration: Calibration | None) -> dict[str, Path]:
 
 def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[Any]) -> RectifiedRig:
     """How images of these sizes are rectified; InputError where the calibration cannot be read or is not theirs."""
-    from depthcli.data.formats.rigs import read_rig
+    from depthcli.data.formats.stereo_rig import read_stereo_rig
 
     sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
     paths = [Path(file) for file in calibration.files]
-    rig = read_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
+    rig = read_stereo_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
     return rig.rectified(*sizes, calibration.alpha)
 
 
@@ -59,9 +59,9 @@ def rectified_pair(
 
 def save_views(folder: Path, left: NDArray[Any], right: NDArray[Any], rig: Any, top: int | None = None) -> None:
     """``left.png``, ``right.png`` and, where ``rig`` has metric depth, ``calib.txt`` with the search range."""
-    from depthcli.core.cameras.rig import RectifiedRig
+    from depthcli.core.cameras.stereo_rig import RectifiedRig
+    from depthcli.data.formats.calibration import write_geometry
     from depthcli.data.formats.images import write_png
-    from depthcli.data.formats.pair_geometry import write_geometry
 
     for name, view in (("left", left), ("right", right)):
         write_png(folder / f"{name}.png", view)
@@ -80,7 +80,7 @@ def row_errors(points: tuple[Points, Points], rig: Any) -> tuple[dict[str, Any],
     """How far the rows of matched points are apart before and after, and a warning where that is too much."""
     import numpy as np
 
-    from depthcli.core.cameras.rig import RectifiedRig
+    from depthcli.core.cameras.stereo_rig import RectifiedRig
     from depthcli.methods.stereo.rectification import row_error
 
     moved = rig.points(*points)

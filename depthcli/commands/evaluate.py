@@ -1,34 +1,34 @@
 """Compare the maps of one or more runs with the ground truth, side by side.
 
 A run is a folder that ``depthcli`` made, or a folder of maps by another program; which files are a scene's map, how it
-is read and what it scores is up to the scene's protocol (``depthcli/evaluation/protocols``).
+is read and how it is scored is decided by the scene's protocol (``depthcli/evaluation/protocols``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from depthcli.batch.command import SOME_FAILED, Command, Values
+from depthcli.batch.reporter import Reporter
 from depthcli.commands._options import LAYOUT, SCENES
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 
 if TYPE_CHECKING:
-    from depthcli.batch.console import Reporter
+    from depthcli.commands._scoring import Scoring
     from depthcli.data.scenes import Scene
-    from depthcli.evaluation.protocols import Settings
-    from depthcli.evaluation.results import EvaluationReport, Result
+    from depthcli.evaluation.comparison import EvaluationReport
+    from depthcli.evaluation.protocols import AnyProtocol, Settings
     from depthcli.report.page import Page
 
 HTML = (
     Option("html", bool, "Also write report.html, to look at maps and errors in a browser.", default=False),
-    Option("html_budget", str, "Size beyond which its pictures are scaled down, full ones beside it.", "SIZE",
-           default="50MB"),
+    Option("html_budget", str, "Size of its pictures beyond which they are scaled down, full ones beside the file.",
+           "SIZE", default="50MB"),
 )  # fmt: skip
-# Of a truth file that lies in no scene's folder and has no --protocol.
-_PLAIN = "middlebury_v2"
+_DEFAULT_PROTOCOL = "middlebury_v2"  # of a truth file that lies in no scene's folder, without --protocol
 
 
 class EvaluateCommand(Command):
@@ -36,33 +36,34 @@ class EvaluateCommand(Command):
 
     @property
     def arguments(self) -> tuple[Option, ...]:
-        """The runs."""
+        """The runs to compare."""
         about = "Run folders, folders of others' maps, or single maps."
         return (Option("runs", Path, about, "RUN...", many=True, required=True),)
 
     @property
     def options(self) -> tuple[Option, ...]:
-        """What to compare with, and how."""
+        """Ground truth, output and options of the protocols."""
         return (
             Option("truth", Path, "Folder of scenes with ground truth; for single maps, a file.", "DIR", required=True),
-            Option("output", Path, "Folder for scores, pictures and the report; without it they are printed alone.",
+            Option("output", Path, "Folder for scores, pictures and report. Default: tables are printed, no more.",
                    "DIR", short="-o"),
             SCENES,
             LAYOUT,
-            Option("protocol", str, "How to score, such as kitti-2015, instead of what the scenes name.", "NAME"),
+            Option("protocol", str, "How to score, such as kitti-2015. Default: as each scene's data set.", "NAME"),
             Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", least=1e-6),
-            Option("resolution", str, "Size of the ground truth of Middlebury v3, where it cannot be told.", "F|H|Q"),
+            Option("resolution", str, "Size of Middlebury v3's truth. Default: by a known scene's width.", "F|H|Q"),
             Option("resize", str, "Bring depth maps and their truth to one size, nearest neighbor.", "WxH"),
-            Option("threshold", float, "Error above which a pixel is wrong, not the benchmark's.", "T", least=1e-6),
+            Option("threshold", float, "Error above which pixels are wrong, not the benchmark's.", "T", least=1e-6),
             Option("format", str, "Print wide tables: latex, markdown or csv; best bold, second underlined.", "FORMAT"),
             *HTML,
         )  # fmt: skip
 
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Evaluate and print the tables; the exit code."""
-        from depthcli.batch.json_csv import to_json
-        from depthcli.evaluation.matrix import FORMATS, written
+        """Evaluate and print the tables; return the exit code."""
+        from depthcli.batch.record import to_json
         from depthcli.evaluation.protocols import Settings, parse_size
+        from depthcli.evaluation.render import FORMATS
+        from depthcli.evaluation.tables import report_text, wide_tables
 
         resolution, resize = (values["resolution"] or "").upper() or None, parse_size(values["resize"])
         settings = Settings(values["scale"], resolution, values["threshold"], resize)
@@ -76,9 +77,9 @@ class EvaluateCommand(Command):
         if values["json"]:
             reporter.data(to_json(report.to_dict()))
         elif form is not None:
-            reporter.data(written(report, form))
+            reporter.data("\n".join(FORMATS[form](table) for table in wide_tables(report)))
         elif not values["quiet"]:
-            reporter.data(report.text())
+            reporter.data(report_text(report))
         if values["output"] is not None:
             reporter.info(f"report and error pictures in {values['output']}")
         return SOME_FAILED if report.failed else 0
@@ -109,10 +110,10 @@ def evaluate(
     scenes : shell patterns of scene names
     layout : layout of ``truth``; None recognizes it
     protocol : its name; None: what every scene names
-    settings : what a user said about the evaluation
-    reporter : told about progress, failures and suspicions
-    kinds : kinds of item to evaluate; None: all, or what ``protocol`` scores
-    page : is filled and written into its folder; None for none
+    settings : options of the protocols
+    reporter : shows progress, failures and warnings
+    kinds : kinds of scene to evaluate; None: all, or what ``protocol`` scores
+    page : is filled and written into its folder; or None
 
     Raises
     ------
@@ -122,50 +123,35 @@ def evaluate(
     OutputError
         The results cannot be written.
     """
-    from depthcli.batch.console import Reporter
-    from depthcli.batch.json_csv import to_csv, to_json
-    from depthcli.batch.run_folder import saved_config
     from depthcli.commands._scoring import Scoring
-    from depthcli.data.formats.atomic import remove_leftovers, write_text
+    from depthcli.data.formats.atomic import remove_leftovers
+    from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.protocols import Settings, load
-    from depthcli.evaluation.results import EvaluationReport, run_names
 
     reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), Path(truth)
-    places = [Path(run) for run in runs]
-    if not places:
-        raise InputError("no run to evaluate")
-    if absent := [place for place in places if not (place.is_dir() or place.is_file())]:
-        raise InputError(f"{absent[0]}: no such folder")
-    judge = None if protocol is None else load(protocol)(settings)
-    items = _scenes(truth, kinds if judge is None else [judge.kind], layout, scenes, reporter)
-    if not items:
-        if judge is None:
-            reporter.info(f"{truth}: in no scene's folder; scored as {_PLAIN} (--protocol says otherwise)")
-        items = [(judge or load(_PLAIN)(settings)).single(truth)]
-    if len(items) > 1 and any(place.is_file() for place in places):
-        raise InputError(f"a single map wants a single scene, {truth} has {len(items)}: give a file, or --scenes")
+    places = _find_runs(runs)
+    scored_by = None if protocol is None else load(protocol)(settings)
+    found = _find_truth(truth, scored_by, kinds, layout, scenes, settings, reporter)
+    if len(found) > 1 and any(place.is_file() for place in places.values()):
+        raise InputError(f"a single map wants a single scene, {truth} has {len(found)}: give a file, or --scenes")
     target = None if output is None else Path(output)
     if target is not None:
         remove_leftovers(target)
-    job = Scoring(dict(zip(run_names(places), places, strict=True)), truth, target, judge, settings, page)
-    results: list[Result] = []
+    scoring = Scoring(places, truth, target, scored_by, settings, page)
+    results = []
     with reporter:
-        reporter.start(len(items), 0, "evaluate")
-        short = [item.name.rpartition("/")[2] for item in items]
-        for item, name in zip(items, short, strict=True):
-            results += (found := job.results(item, alone=short.count(name) == 1))
-            reporter.step(any(result.error for result in found))
+        reporter.start(len(found), 0, "evaluate")
+        short = [scene.name.rpartition("/")[2] for scene in found]
+        for scene, name in zip(found, short, strict=True):
+            of_scene = scoring.results(scene, unique=short.count(name) == 1)
+            results += of_scene
+            reporter.step(any(result.error for result in of_scene))
     for name in vars(settings):
-        taken = any(name in each.takes for each in job.judges.values())
-        if getattr(settings, name) is not None and job.judges and not taken:
-            reporter.info(f"--{name} makes no difference to {', '.join(job.judges)}")
-    report = EvaluationReport(tuple(job.runs), tuple(results), job.judges, truth)
-    if target is not None:
-        write_text(target / "scores.csv", to_csv(report.rows()))
-        write_text(target / "scores.json", to_json(report.to_dict()))
-        write_text(target / "report.md", report.markdown())
-    if page is not None:
-        page.write(report, to_json(report.to_dict()), {run: saved_config(place) for run, place in job.runs.items()})
+        taken = any(name in each.takes for each in scoring.protocols.values())
+        if getattr(settings, name) is not None and scoring.protocols and not taken:
+            reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
+    report = EvaluationReport(tuple(places), tuple(results), scoring.protocols, truth)
+    _write(report, scoring)
     for warning in report.warnings:
         reporter.info(f"warning: {warning}")
     for result in report.failed:
@@ -174,7 +160,7 @@ def evaluate(
 
 
 def new_page(command: Command, values: Values, output: Path | None) -> Page | None:
-    """The page that ``HTML`` asks for; ConfigError where there is no place for it."""
+    """Return the page that ``--html`` requests, or None; ConfigError where there is no folder for it."""
     if not values["html"]:
         return None
     if output is None:
@@ -185,20 +171,57 @@ def new_page(command: Command, values: Values, output: Path | None) -> Page | No
     return Page(output, command.line(values), parse_bytes(values["html_budget"], "--html-budget"))
 
 
-def _scenes(truth: Path, kinds: Any, layout: str | None, scenes: Sequence[str], reporter: Reporter) -> list[Scene]:
+def _find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
+    """Name -> folder or file of every run."""
+    from depthcli.evaluation.comparison import run_names
+
+    places = [Path(run) for run in runs]
+    if not places:
+        raise InputError("no run to evaluate")
+    if absent := [place for place in places if not (place.is_dir() or place.is_file())]:
+        raise InputError(f"{absent[0]}: no such folder")
+    return dict(zip(run_names(places), places, strict=True))
+
+
+def _find_truth(
+    truth: Path,
+    scored_by: AnyProtocol | None,
+    kinds: Iterable[type[Scene]] | None,
+    layout: str | None,
+    patterns: Sequence[str],
+    settings: Settings,
+    reporter: Reporter,
+) -> list[Scene]:
     """All scenes with ground truth, and those that cannot be used; of a file, the scene whose truth it is."""
     from depthcli.data.walk import discover_scenes, scene_with_file
+    from depthcli.evaluation.protocols import load
 
     if truth.is_file():
         holding = scene_with_file(truth)
-        return [] if holding is None else [holding]
-    found = discover_scenes(truth, kinds, layout, scenes, reporter.info)
-    found = [item for item in found if item.problem or item.has_truth]
-    if not any(item.has_truth and not item.problem for item in found):
+        if holding is None and scored_by is None:
+            reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")
+        return [holding or (scored_by or load(_DEFAULT_PROTOCOL)(settings)).single(truth)]
+    found = discover_scenes(truth, kinds if scored_by is None else [scored_by.kind], layout, patterns, reporter.info)
+    found = [scene for scene in found if scene.problem or scene.has_truth]
+    if not any(scene.has_truth and not scene.problem for scene in found):
         if found:
             raise InputError(found[0].problem)
         raise InputError(f"{truth}: no scene there has ground truth (looked for disp_left, disp0GT.pfm, disp2, ...)")
     return found
+
+
+def _write(report: EvaluationReport, scoring: Scoring) -> None:
+    from depthcli.batch.record import saved_config, to_csv, to_json
+    from depthcli.data.formats.atomic import write_text
+    from depthcli.evaluation.tables import report_markdown
+
+    scores = to_json(report.to_dict())
+    if scoring.output is not None:
+        write_text(scoring.output / "scores.csv", to_csv([record.row() for record in report.records()]))
+        write_text(scoring.output / "scores.json", scores)
+        write_text(scoring.output / "report.md", report_markdown(report))
+    if scoring.page is not None:
+        scoring.page.write(report, scores, {run: saved_config(place) for run, place in scoring.runs.items()})
 
 
 COMMAND = EvaluateCommand()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from depthcli.commands._pairs import PairCommand, asked_range
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import InputError
 from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
@@ -27,18 +26,9 @@ class FuseCommand(PairCommand):
 
         return FuseConfig
 
-    def config(self, values: Mapping[str, Any]) -> BaseModel:
-        """The config, with the network that it names."""
-        config: BaseModel = with_network(super().config(values))
-        return config
-
     def files(self, config: Any, scene: StereoScene) -> dict[str, Path]:
-        """The pair, the volumes made elsewhere, and the network that chooses among maps."""
-        from depthcli.data.formats.networks import network_path
-
-        name = config.network_name
-        network = {} if name is None else {"network": network_path(name)}
-        return super().files(config, scene) | self._volumes(config, scene) | network
+        """The pair, and the volumes made elsewhere."""
+        return super().files(config, scene) | self._volumes(config, scene)
 
     def match(self, config: Any, scene: StereoScene, pair: StereoPair, top: int) -> StereoResult:
         """Fuse, then finish as ``stereo`` does."""
@@ -64,24 +54,6 @@ class FuseCommand(PairCommand):
         names = {measure.volume for measure in config.measures if measure.volume is not None}
         last = scene.name.rpartition("/")[2]
         return {name: scene.left.parent / name.replace("{scene}", last) for name in sorted(names)}
-
-
-def with_network(config: Any) -> Any:
-    """Return the config with the arrays of the network that it names, if it names one.
-
-    Raises
-    ------
-    ConfigError
-        The network cannot be read, or was trained for other maps.
-    """
-    from depthcli.data.formats.networks import network_path, read_network
-
-    if config.network_name is None:
-        return config
-    try:
-        return config.with_network(read_network(network_path(config.network_name)))
-    except InputError as error:
-        raise ConfigError(f"maps.choice.weights: {error}") from None
 
 
 COMMAND = FuseCommand()

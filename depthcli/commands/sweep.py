@@ -10,10 +10,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import SOME_FAILED, Command, Values
-from depthcli.batch.json_csv import Row
-from depthcli.commands._batch import ConfigCommand
-from depthcli.commands._options import LAYOUT, OUTPUT, RUN, SCENES, run_options
+from depthcli.batch.command import SOME_FAILED, Command, Row, Values
+from depthcli.commands._batch import ConfigCommand, run_options
+from depthcli.commands._options import HOW, LAYOUT, OUTPUT, SCENES
 from depthcli.commands.evaluate import HTML, evaluate, new_page
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
@@ -21,10 +20,10 @@ from depthcli.core.option import Option
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from depthcli.batch.console import Reporter
+    from depthcli.batch.reporter import Reporter
     from depthcli.batch.sweep import Axis, Combination, Effect
     from depthcli.data.scenes import Scene
-    from depthcli.evaluation.results import EvaluationReport, Section
+    from depthcli.evaluation.comparison import EvaluationReport, Section
 
 _RUNS = "runs"
 _MOST_SHOWN = 20
@@ -53,7 +52,7 @@ class SweepCommand(Command):
             LAYOUT,
             SCENES,
             Option("set", str, "Override one key in all runs; repeatable.", "KEY=VALUE", many=True),
-            *RUN,
+            *HOW,
             Option("dry_run", bool, "Only list the runs, and how many scenes of each are done.", default=False),
             *HTML,
         )
@@ -111,9 +110,9 @@ def _say_plan(
     values: Values,
     reporter: Reporter,
 ) -> int:
-    from depthcli.batch.console import aligned
-    from depthcli.batch.dry_run import DONE, plan
-    from depthcli.batch.json_csv import to_json
+    from depthcli.batch.plan import DONE, plan
+    from depthcli.batch.record import to_json
+    from depthcli.batch.tables import aligned
 
     rows = []
     for name, own in each.items():
@@ -155,10 +154,10 @@ def _say_result(
     reporter: Reporter,
 ) -> None:
     """The runs by their figure, and what every key does to it; also as ``sweep.csv`` and ``sweep.json``."""
-    from depthcli.batch.json_csv import to_csv, to_json
+    from depthcli.batch.record import to_csv, to_json
     from depthcli.batch.sweep import document_of, effects
     from depthcli.data.formats.atomic import write_text
-    from depthcli.evaluation.tables import mean
+    from depthcli.evaluation.statistics import mean_of_known
 
     rows: list[Row] = []
     documents, texts = [], []
@@ -169,9 +168,9 @@ def _say_result(
         found = effects(axes, {chosen[run]: figures[run] for run in report.runs}, headline.larger_is_better)
         for run in order:
             settings = {axis.key: value for axis, value in zip(axes, chosen[run], strict=True)}
-            seconds = mean(r.seconds for r in section.of(run))
+            seconds = mean_of_known(r.seconds for r in section.of(run))
             rows.append({"protocol": section.protocol.name, "run": run, **settings, headline.heading: figures[run],
-                         "seconds": seconds, "missing": section.lacking(run)})  # fmt: skip
+                         "seconds": seconds, "missing": section.n_missing(run)})  # fmt: skip
         documents.append({"protocol": section.protocol.name, "headline": headline.heading, "unit": headline.unit,
                           "larger_is_better": headline.larger_is_better, "best": order[0],
                           "runs": [row for row in rows if row["protocol"] == section.protocol.name],
@@ -188,17 +187,21 @@ def _say_result(
 
 
 def _text(section: Section, order: Sequence[str], figures: Mapping[str, float], found: Sequence[Effect]) -> str:
-    from depthcli.evaluation.report import Table, number
-    from depthcli.evaluation.tables import mean
+    from depthcli.evaluation.render import Number, Table
+    from depthcli.evaluation.statistics import mean_of_known
 
     headline = section.protocol.headline
-    rows = [(run, number(figures[run]), number(mean(r.seconds for r in section.of(run)))) for run in order]
-    what = f"{headline.heading}{f', {headline.unit}' if headline.unit else ''}"
+    rows = [(run, Number(figures[run]), Number(mean_of_known(r.seconds for r in section.of(run)))) for run in order]
+    what = headline.heading_with_unit
     more = f"; the first {_MOST_SHOWN} of {len(order)}" if len(order) > _MOST_SHOWN else ""
-    runs = Table(f"{section.protocol.title}: the best first{more}", ("run", what, "seconds"), tuple(rows[:_MOST_SHOWN]))
+    runs = Table(
+        f"{section.protocol.presentation.title}: the best first{more}",
+        ("run", what, "seconds"),
+        tuple(rows[:_MOST_SHOWN]),
+    )
     lines = [
-        (effect.key if first else "", value, str(effect.runs[value]), number(mean_), number(effect.best[value]),
-         number(effect.spread) if first else "", number(100 * effect.share, 0) if first else "")
+        (effect.key if first else "", value, str(effect.runs[value]), Number(mean_), Number(effect.best[value]),
+         Number(effect.spread) if first else "", Number(100 * effect.share, 0) if first else "")
         for effect in found
         for first, (value, mean_) in zip((True, *[False] * len(effect.means)), effect.means.items(), strict=False)
     ]  # fmt: skip

@@ -16,7 +16,7 @@ PERCENTAGES = (5, *range(10, 101, 5))
 
 @dataclass(frozen=True)
 class Sparsification:
-    """A sparsification curve and its areas; the error is an error rate in [0, 1], or a length.
+    """A sparsification curve and its areas; the errors are error rates in [0, 1], or lengths.
 
     Areas are integrals over the whole range of shares, (0, 1], of the exact curve, so that a perfect ranking
     has exactly the optimal one. For error rates that is e + (1 - e) ln(1 - e) (Hu & Mordohai, PAMI 2012). Beside
@@ -25,11 +25,11 @@ class Sparsification:
 
     Attributes
     ----------
-    percentages : share of the most confident pixels, percent
-    errors, best : mean error among them, and what the best ranking would have
-    mean : mean error of all pixels, which is the area of a measure that knows nothing
-    auc, optimal : areas of the two curves
-    auc_5_100, optimal_5_100 : the same by the trapezoid from 5 to 100 %
+    percentages : shares of the most confident pixels, percent
+    errors, best : mean error among them, and that of the best possible ranking
+    mean : mean error of all pixels, which is the area of a random ranking
+    auc, optimal : areas of ``errors`` and ``best``
+    auc_5_100, optimal_5_100 : areas by the trapezoid from 5 to 100 %
     pixels : number of pixels
     """
 
@@ -59,27 +59,27 @@ class Sparsification:
         return self.mean - self.auc
 
     def areas(self) -> dict[str, float]:
-        """All areas by name."""
+        """Return all areas by name."""
         names = ("auc", "optimal", "mean", "ratio", "ause", "aurg", "auc_5_100", "optimal_5_100")
         return {name: getattr(self, name) for name in names}
 
 
 def sparsification(confidence: NDArray[Any], error: NDArray[Any]) -> Sparsification:
-    """Sparsification curve of one confidence measure; see :func:`sparsifications`."""
+    """Compute the sparsification curve of one confidence measure; see :func:`sparsifications`."""
     return sparsifications({"": confidence}, {"": error})["", ""]
 
 
 def sparsifications(
     confidences: Mapping[str, NDArray[Any]], errors: Mapping[str, NDArray[Any]]
 ) -> dict[tuple[str, str], Sparsification]:
-    """Sparsification curves of confidence measures, each for every kind of error.
+    """Compute the sparsification curves of confidence measures, each for every kind of error.
 
     Pixels of equal confidence have no order among themselves: a share that ends inside such a group gets the
     group's mean error for its part, so the curve does not depend on the order of the pixels.
 
     Parameters
     ----------
-    confidences : (N,) higher is surer, +inf the surest, NaN less sure than any number
+    confidences : (N,) higher is more confident, +inf the most; NaN less confident than any number
     errors : (N,) bool, wrong or right; or float, absolute errors
 
     Raises
@@ -92,12 +92,12 @@ def sparsifications(
         raise ValueError(f"want (N,) arrays of one length N > 0, got {sorted(shapes)}")
     amounts = {name: error.astype(np.float64) for name, error in errors.items()}
     best = {name: _curve(_groups(-amount), amount) for name, amount in amounts.items()}
-    found = {}
+    made = {}
     for confidence, values in confidences.items():
         groups = _groups(values)
         for name, amount in amounts.items():
             (curve, auc), (lowest, optimal) = _curve(groups, amount), best[name]
-            found[confidence, name] = Sparsification(
+            made[confidence, name] = Sparsification(
                 percentages=PERCENTAGES,
                 errors=tuple(curve.tolist()),
                 best=tuple(lowest.tolist()),
@@ -108,17 +108,17 @@ def sparsifications(
                 optimal_5_100=float(np.trapezoid(lowest, dx=0.05)),
                 pixels=int(amount.size),
             )
-    return found
+    return made
 
 
 def _groups(confidence: NDArray[Any]) -> NDArray[np.intp]:
-    """Number of every pixel's group of equal confidence, the surest first."""
+    """Number of every pixel's group of equal confidence, the most confident first."""
     # numpy sorts NaN behind everything and takes all of them for one value.
     return np.unique(-confidence.astype(np.float64), return_inverse=True)[1]
 
 
 def _curve(group: NDArray[np.intp], error: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Mean error at ``PERCENTAGES``, and the integral of the mean error of the surest share p over p in (0, 1]."""
+    """Mean error at ``PERCENTAGES``, and its integral over all shares in (0, 1]."""
     n = error.size
     share = np.append(0, np.cumsum(np.bincount(group))) / n
     total = np.append(0.0, np.cumsum(np.bincount(group, weights=error))) / n

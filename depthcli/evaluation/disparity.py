@@ -1,8 +1,8 @@
-"""What the stereo protocols share: disparity maps and their truth, files, error pictures, suspicions."""
+"""What the stereo protocols share: disparity maps and their truth, and warnings about wrong scales."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,18 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.disparity import MAP_SUFFIXES, read_disparity
+from depthcli.data.formats.disparity import read_disparity
 from depthcli.data.formats.pictures import STATUS_PALETTE
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene, StereoTruth
-from depthcli.evaluation.pictures import LEGEND_TEXT, error_picture
+from depthcli.evaluation.map_files import DisparityFiles
+from depthcli.evaluation.presentation import LEGEND_TEXT, Presentation
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import MISSING_IS_BAD, Measure, Score, Tally
 
 Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]
 
-_DENSE, _DENSE_TOP = 24, 6.0  # thresholds of a plot, and the largest, pixels
+PRESENTATION = Presentation(
+    unit="px", quantity="disparity", threshold_axis="threshold, px", legend=LEGEND_TEXT, visible_region="nonocc",
+    palette=STATUS_PALETTE,
+)  # fmt: skip
+"""Common to all stereo protocols, which add title and note."""
+
+_N_DENSE, _MAX_DENSE_PX = 24, 6.0  # number of evenly spaced thresholds of a plot, and the largest
 
 
 @dataclass(frozen=True)
@@ -52,49 +59,42 @@ class DisparityTruth:
 class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     """A protocol for (H, W) float32 disparity maps in pixels, NaN = no value."""
 
-    unit = "px"
     kind = StereoScene
-    places = ("{scene}/disp_left", "{scene}", "disp_0/{scene}", "low_res_two_view/{scene}")
-    suffixes = MAP_SUFFIXES
-    curve_masks: ClassVar[tuple[str, ...]] = ("nonocc", "all")
-    legend = LEGEND_TEXT
-    quantity = "disparity"
-    threshold_axis = "threshold, px"
-    visible = "nonocc"
-    palette = STATUS_PALETTE
+    files = DisparityFiles()
+    curve_regions: ClassVar[tuple[str, ...]] = ("nonocc", "all")
     thresholds: ClassVar[tuple[float, ...]]
-    """Pixels; the one of the settings is added."""
+    """Thresholds of the tables, pixels; that of the settings is added."""
     default_threshold: ClassVar[float]
-    """Of the headline."""
+    """Threshold of the headline, pixels."""
     rule: ClassVar[Measure] = Measure("bad", "%", convention=MISSING_IS_BAD, worst=100.0)
-    """The headline, but for its threshold."""
+    """The headline without its threshold."""
 
     @property
     def headline(self) -> Measure:
-        """The benchmark's own, or the same with the user's threshold."""
+        """``rule`` at the benchmark's threshold, or at the user's."""
         return self.at(self.settings.threshold or self.default_threshold)
 
     def at(self, threshold: float) -> Measure:
-        """The headline's measure at another threshold."""
+        """Return the headline's measure at another threshold."""
         return replace(self.rule, threshold=threshold)
 
-    chosen: tuple[float, ...] | None = None
-    """Instead of ``thresholds``, for a plot."""
+    plot_thresholds: tuple[float, ...] | None = None
+    """Thresholds to take instead of ``thresholds``, set on the copy that computes a plot."""
 
     @property
     def all_thresholds(self) -> list[float]:
-        """The benchmark's and the user's."""
-        if self.chosen is not None:
-            return list(self.chosen)
+        """The benchmark's thresholds and the user's, ascending."""
+        if self.plot_thresholds is not None:
+            return list(self.plot_thresholds)
         own = [] if self.settings.threshold is None else [self.settings.threshold]
         return sorted({*self.thresholds, *own})
 
     def masks(self, stored: StereoTruth) -> Masks:
-        """Masks of the evaluation, from what the files give: those of ``mask_order``, and any other."""
+        """Return name -> mask of every region, from what the files give."""
         return {**stored.masks, "all": stored.masks.get("all", ~np.isnan(stored.disparity))}
 
     def truth(self, scene: Scene) -> DisparityTruth:
-        """Ground truth with masks."""
+        """Return the ground truth of the left view with its masks."""
         scene.check()
         if not isinstance(scene, StereoScene):
             raise InputError(f"{scene.folder}: {scene.name} is no stereo pair, which {self.name} scores")
@@ -102,44 +102,19 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         if np.isnan(stored.disparity).all():
             raise InputError(f"{scene.disparity_left}: the ground truth has no known pixel")
         masks = self.masks(stored)
+        ordered = {name: masks[name] for name in self.ordered(masks)}
         return DisparityTruth(
-            stored.disparity,
-            {name: masks[name] for name in self.ordered(masks)},
-            stored.noc,
-            stored.scale,
-            scene.max_disparity,
-            scene.round_disparity,
+            stored.disparity, ordered, stored.noc, stored.scale, scene.max_disparity, scene.round_disparity
         )
 
     def single(self, truth: Path) -> Scene:
-        """A disparity map alone, without masks; integer codes have the scale of the settings."""
+        """Return a scene of one disparity map without masks; integer codes have the scale of the settings."""
         scale = None if truth.suffix.lower() == ".pfm" else self.settings.scale
-        return StereoScene(
-            name=truth.stem,
-            folder=truth.parent,
-            protocol=self.name,
-            left=truth,
-            disparity_left=truth,
-            disparity_scale=scale,
-        )
-
-    def candidates(self, folder: Path, scene: str) -> Iterator[Path]:
-        """Also result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, ``..._s.pfm`` where only that is there."""
-        yield from super().candidates(folder, scene)
-        inside = folder / scene
-        kit = sorted(path for path in inside.glob("disp0*.pfm") if not path.stem.startswith("disp0GT"))
-        dense = [path for path in kit if not path.stem.endswith("_s")] or kit
-        named = [path for path in dense if path.stem == f"disp0{folder.resolve().name}"] or dense
-        if len(named) > 1:
-            raise InputError(f"{inside}: both {named[0].name} and {named[1].name}; keep one method in a folder")
-        yield from named
-
-    def looked_for(self, names: Sequence[str]) -> str:
-        """The kit's names too."""
-        return super().looked_for(names).replace("(looked for ", "(looked for SCENE/disp0METHOD.pfm, ")
+        return StereoScene(name=truth.stem, folder=truth.parent, protocol=self.name, left=truth, disparity_left=truth,
+                           disparity_scale=scale)  # fmt: skip
 
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
-        """The map in pixels: a PFM as it is; 8-bit codes have the truth's scale where the settings have none."""
+        """Return the map in pixels; 8-bit codes have the truth's scale where the settings have none."""
         codes = truth.scale if truth.scale is not None and truth.scale < 256 else None
         scale = None if path.suffix.lower() == ".pfm" else self.settings.scale
         estimate = read_disparity(path, scale, scale_8bit=codes)
@@ -150,7 +125,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         return estimate
 
     def resized(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """The estimate on the truth's grid.
+        """Return the estimate on the truth's grid.
 
         Raises
         ------
@@ -162,68 +137,63 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         return estimate
 
     def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """The values that are compared: here as they are."""
+        """Return the values that are compared, here the estimate as it is."""
         return self.resized(estimate, truth)
 
     def nothing(self, truth: DisparityTruth) -> Disparity:
-        """A map of NaN."""
+        """Return a map of NaN."""
         return np.full_like(truth.disparity, np.nan)
 
-    def reference(self, truth: DisparityTruth, mask: str) -> Disparity:
-        """The truth that a region is compared with."""
+    def reference(self, truth: DisparityTruth, region: str) -> Disparity:
+        """Return the truth that a region is compared with."""
         return truth.disparity
 
     def regions(self, truth: DisparityTruth) -> Masks:
-        """Pixels of the masks whose truth is known."""
+        """Return the pixels of the masks whose truth is known."""
         return {name: mask & ~np.isnan(self.reference(truth, name)) for name, mask in truth.masks.items()}
 
     def error(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """(H, W) float32, pixels: single precision, as in the benchmarks' programs."""
+        """Return (H, W) float32, pixels: single precision, as in the benchmarks' programs."""
         return difference(self.fit(estimate, truth), truth.disparity)
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """(H, W) float32, pixels."""
+        """Return (H, W) float32, pixels, as they are compared."""
         return self.fit(estimate, truth)
 
     def true_values(self, truth: DisparityTruth) -> Disparity:
-        """(H, W) float32, pixels."""
+        """Return (H, W) float32, pixels."""
         return truth.disparity
 
     def tallies(self, estimate: Disparity, truth: DisparityTruth) -> list[Tally]:
-        """The errors by region."""
+        """Return the errors of every region."""
         error = self.error(estimate, truth)
         return [Tally(name, error[region]) for name, region in self.regions(truth).items()]
 
     def dense(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
-        """The headline's measure at its thresholds and others up to 6 px, or twice the user's."""
-        many, mask = copy(self), next(iter(self.regions(truth)))
-        top = max(_DENSE_TOP, 2 * (self.settings.threshold or 0.0))
-        many.chosen = tuple(sorted({*self.all_thresholds, *(top * k / _DENSE for k in range(1, _DENSE + 1))}))
-        scores = many.scores(estimate, replace(truth, masks={mask: truth.masks[mask]}))
+        """Compute the headline's metric at its thresholds and at others up to 6 px, or twice the user's."""
+        many, main = copy(self), next(iter(self.regions(truth)))
+        top = max(_MAX_DENSE_PX, 2 * (self.settings.threshold or 0.0))
+        many.plot_thresholds = tuple(
+            sorted({*self.all_thresholds, *(top * k / _N_DENSE for k in range(1, _N_DENSE + 1))})
+        )
+        scores = many.scores(estimate, replace(truth, masks={main: truth.masks[main]}))
         return [s for s in scores if s.measure.threshold is not None and s.measure == self.at(s.measure.threshold)]
 
-    def picture(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.uint8]:
-        """(H, W, 3) RGB: right and wrong by the headline's rule."""
-        regions = self.regions(truth)
-        everything = regions.get("all", ~np.isnan(truth.disparity))
-        fitted, wrong = self.fit(estimate, truth), self.wrong(estimate, truth)
-        return error_picture(fitted, wrong, everything, truth.masks.get(self.visible))
-
     def warnings(self, estimate: Disparity, truth: DisparityTruth) -> list[str]:
-        """A scale that looks wrong."""
-        said = scale_warning(self.resized(estimate, truth), truth.disparity)
-        return [] if said is None else [said]
+        """Return a line where the scale looks wrong."""
+        warning = scale_warning(self.resized(estimate, truth), truth.disparity)
+        return [] if warning is None else [warning]
 
 
 def difference(estimate: Disparity, truth: Disparity) -> Disparity:
-    """Absolute difference in single precision; NaN where one of the two has no value."""
+    """Return the absolute difference in single precision; NaN where one of the two has no value."""
     with np.errstate(over="ignore", invalid="ignore"):
         error: Disparity = np.abs(estimate - truth)
     return error
 
 
 def size(array: NDArray[Any]) -> str:
-    """Width x height."""
+    """Return the size of an (H, W) array as text: width x height."""
     return f"{array.shape[1]} x {array.shape[0]}"
 
 
@@ -238,10 +208,10 @@ _HINTS = {
 
 
 def scale_warning(estimate: Disparity, truth: Disparity) -> str | None:
-    """Say so where the estimate looks like the truth in another unit, the most frequent mistake.
+    """Return a warning where the estimate looks like the truth in another unit, the most frequent mistake.
 
-    Looks at the ratio estimate / truth: a warning needs half of the pixels within 8 % of one of the usual
-    factors (16, 4, 256, 1/2 ...; -1 for a swapped sign).
+    That is so where the ratio estimate / truth of half of the pixels lies within 8 % of one factor: a power of two,
+    3, one of their reciprocals, or -1 for a swapped sign. None: no warning.
 
     Parameters
     ----------
@@ -258,10 +228,7 @@ def scale_warning(estimate: Disparity, truth: Disparity) -> str | None:
         if abs(middle / factor - 1) < 0.08 and np.mean(np.abs(ratio / factor - 1) < 0.08) >= 0.5:
             if factor == -1:
                 return "the values are about -1 times the truth: the sign is swapped"
-            said = f"{factor:g}" if factor >= 1 else f"1/{1 / factor:g}"
-            hint = _HINTS.get(factor, "")
-            return (
-                f"the values are about {said} times the truth (median ratio {middle:.3g}): "
-                f"a wrong scale?{' ' + hint if hint else ''}"
-            )
+            name = f"{factor:g}" if factor >= 1 else f"1/{1 / factor:g}"
+            hint = f"a wrong scale? {_HINTS.get(factor, '')}".rstrip()
+            return f"the values are about {name} times the truth (median ratio {middle:.3g}): {hint}"
     return None

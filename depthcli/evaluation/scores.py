@@ -1,7 +1,7 @@
-"""Scores: one number each, and everything that it stands on.
+"""Scores: single numbers, each with all that it takes to read it rightly.
 
-Benchmarks differ in what counts as an error, and above all in what a missing value counts as. A :class:`Score`
-therefore carries its mask, denominator and density, and its :class:`Measure` the threshold and the convention.
+Benchmarks differ in what counts as an error, and above all in how they treat missing values. A :class:`Score`
+therefore carries its region, denominator and density, and its :class:`Measure` the threshold and the convention.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ ESTIMATED_ONLY = "estimated pixels only"
 
 @dataclass(frozen=True)
 class Measure:
-    """What a score measures; equal measures are averaged and compared.
+    """What a score measures; scores of equal measures are averaged and compared.
 
     Attributes
     ----------
     metric : ``bad``, ``D1``, ``avgerr`` ...
     unit : ``%``, ``px``, ``mm`` ... or empty
-    threshold : in the protocol's unit, or None where the measure has none
-    convention : what a missing value counts as
-    worst : what an scene without a map counts as in a mean; None: the measure has no bound, and a mean over scenes
-        that lack a map is no number
-    larger_is_better : a score of 1 beats one of 0
+    threshold : in the protocol's unit, or None where the metric has none
+    convention : how missing values are counted
+    worst : value that a scene without a map counts as in a mean; None: the metric has no bound, and a mean over
+        scenes of which one has no map is NaN
+    larger_is_better : True where a score of 1 is better than one of 0
     label : heading of a table's column; made from metric and threshold where it is empty
     """
 
@@ -49,32 +49,46 @@ class Measure:
         """The label, or metric and threshold."""
         return self.label or (self.metric if self.threshold is None else f"{self.metric} {self.threshold:g}")
 
+    @property
+    def heading_with_unit(self) -> str:
+        """The heading, with the unit behind a comma where there is one."""
+        return f"{self.heading}, {self.unit}" if self.unit else self.heading
+
+
+Key = tuple[Measure, str]
+"""A measure and the region that it is taken in."""
+
 
 @dataclass(frozen=True)
 class Score:
-    """One number.
+    """The value of one measure in one region.
 
     Attributes
     ----------
-    measure, mask : what was measured, and the region it was taken in
-    value : NaN where there is no pixel to take it over
-    pixels : denominator (or points, voxels)
-    density : percent of the region's pixels with known truth that the map answers; NaN for an empty region
+    measure, region : what was measured, and the name of the region
+    value : NaN where the region has no pixel to take it over
+    pixels : denominator: number of pixels (points, voxels) that the value is taken over
+    density : percentage of the region's pixels with known truth where the map has a value; NaN for an empty region
     wrong : number of wrong pixels, or None where the measure counts none
     """
 
     measure: Measure
-    mask: str
+    region: str
     value: float
     pixels: int
     density: float
     wrong: int | None = None
 
+    @property
+    def key(self) -> Key:
+        """Measure and region."""
+        return self.measure, self.region
+
     def row(self) -> dict[str, Any]:
-        """All of it as plain values."""
+        """Return all fields as plain values, the region as ``mask``."""
         m = self.measure
         return {
-            "metric": m.metric, "mask": self.mask, "threshold": m.threshold, "value": self.value, "unit": m.unit,
+            "metric": m.metric, "mask": self.region, "threshold": m.threshold, "value": self.value, "unit": m.unit,
             "wrong": self.wrong, "pixels": self.pixels, "density": self.density, "convention": m.convention,
         }  # fmt: skip
 
@@ -85,40 +99,40 @@ class Tally:
 
     Attributes
     ----------
-    mask : name of the region
+    region : its name
     error : (N,) float, absolute errors of its pixels with known truth, NaN = no estimate
     """
 
-    mask: str
+    region: str
     error: NDArray[np.floating[Any]]
 
     @cached_property
     def valid(self) -> NDArray[np.floating[Any]]:
-        """The errors of the estimated pixels."""
+        """(M,) errors of the estimated pixels."""
         valid: NDArray[np.floating[Any]] = self.error[~np.isnan(self.error)]
         return valid
 
     @cached_property
     def density(self) -> float:
-        """Percent of the pixels that have an estimate."""
+        """Percentage of the pixels that have an estimate."""
         return percent(int(np.count_nonzero(~np.isnan(self.error))), self.error.size)
 
     def rate(self, measure: Measure, wrong: NDArray[np.bool_]) -> Score:
-        """Percent of the pixels in ``wrong``, which may be fewer than the region's."""
-        count = int(np.count_nonzero(wrong))
-        return Score(measure, self.mask, percent(count, wrong.size), wrong.size, self.density, count)
+        """Return the percentage of True in ``wrong``, an array of all or some of the region's pixels."""
+        n_wrong = int(np.count_nonzero(wrong))
+        return Score(measure, self.region, percent(n_wrong, wrong.size), wrong.size, self.density, n_wrong)
 
     def number(self, measure: Measure, value: float, pixels: int) -> Score:
-        """A value that counts no pixels."""
-        return Score(measure, self.mask, value, pixels, self.density)
+        """Return the score of a measure that counts no wrong pixels."""
+        return Score(measure, self.region, value, pixels, self.density)
 
-    def means(self, unit: str = "px", convention: str = ESTIMATED_ONLY) -> list[Score]:
-        """``avgerr`` and ``rms`` over the estimated pixels."""
+    def means(self) -> list[Score]:
+        """Return ``avgerr`` and ``rms`` in pixels of disparity, over the estimated pixels."""
         error = self.valid.astype(np.float64)
         mean, square = (float(v.mean()) if v.size else math.nan for v in (error, error * error))
         return [
-            self.number(Measure("avgerr", unit, convention=convention), mean, error.size),
-            self.number(Measure("rms", unit, convention=convention), math.sqrt(square), error.size),
+            self.number(Measure("avgerr", "px", convention=ESTIMATED_ONLY), mean, error.size),
+            self.number(Measure("rms", "px", convention=ESTIMATED_ONLY), math.sqrt(square), error.size),
         ]
 
 
@@ -128,7 +142,7 @@ def bad_rate(
     region: NDArray[np.bool_],
     threshold: float = 1.0,
 ) -> float:
-    """Percent of a region's pixels whose value is off by more than ``threshold`` or missing.
+    """Return the percentage of a region's pixels whose value is missing or off by more than ``threshold``.
 
     Parameters
     ----------
@@ -140,33 +154,33 @@ def bad_rate(
 
 
 def percent(part: int, whole: int) -> float:
-    """NaN of nothing."""
+    """Return ``part`` as a percentage of ``whole``; NaN where that is 0."""
     return 100.0 * part / whole if whole else math.nan
 
 
 def float_sum(values: NDArray[np.float32]) -> float:
-    """Sum as a C program's ``float`` accumulator gives it, one value after the other: what the benchmarks print."""
+    """Return the sum in single precision, one value added after the other, as the benchmarks' C programs do."""
     return float(np.cumsum(values, dtype=np.float32)[-1]) if values.size else 0.0
 
 
 def find_score(
-    scores: Sequence[Score], metric: str, mask: str, threshold: float | None = None, convention: str | None = None
+    scores: Sequence[Score], metric: str, region: str, threshold: float | None = None, convention: str | None = None
 ) -> Score:
-    """The one score of that name.
+    """Return the one score of that metric, region and, where they are given, threshold and convention.
 
     Raises
     ------
     KeyError
-        There is none, or more than one fits.
+        No score fits, or several do.
     """
     fitting = [
         s
         for s in scores
-        if (s.measure.metric, s.mask) == (metric, mask)
+        if (s.measure.metric, s.region) == (metric, region)
         and threshold in (None, s.measure.threshold)
         and convention in (None, s.measure.convention)
     ]
     if len(fitting) != 1:
-        what = f"{metric}, mask {mask}, threshold {threshold}, convention {convention}"
+        what = f"{metric}, region {region}, threshold {threshold}, convention {convention}"
         raise KeyError(f"{len(fitting)} scores for {what}" if fitting else f"no score {what}")
     return fitting[0]

@@ -1,107 +1,163 @@
-"""Tables of an evaluation, made from what a protocol declares."""
+"""Tables of an evaluation: its records arranged in rows and columns, as narrow tables to be read and as wide ones.
+
+Narrow tables have a row for every run or scene and a column for every measure or region. Wide tables have a row for
+every run, a column for every scene or measure, and ranked numbers: they are for papers and for the page.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
-import numpy as np
+from depthcli.evaluation.comparison import EvaluationReport, Section
+from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.results import COMMON_MEAN, MEAN, Curve
+from depthcli.evaluation.scores import Key, Score
+from depthcli.evaluation.statistics import mean_of_known
 
-from depthcli.evaluation.report import Table, number
-from depthcli.evaluation.results import Curve, EvaluationReport, Section
-from depthcli.evaluation.scores import Measure, Score
-from depthcli.evaluation.summary import average_ranks
+_MISSING = "*: scenes without a map count as wholly wrong; where a measure has no worst value there is no mean over all"
+_MAX_SCENE_COLUMNS = 4  # of a narrow table; more scenes are its rows
 
-_STAR = "*: scenes without a map count as wholly wrong; where a measure has no worst value there is no mean over all"
+
+def short(scene: str) -> str:
+    """Return a scene's name without its data set."""
+    return scene.rpartition("/")[2]
+
+
+def report_text(report: EvaluationReport) -> str:
+    """Return all tables and warnings of an evaluation for a terminal."""
+    blocks = [table.text() for table in report_tables(report)]
+    if report.warnings:
+        blocks.append("".join(f"warning: {line}\n" for line in report.warnings))
+    return "\n".join(blocks)
+
+
+def report_markdown(report: EvaluationReport) -> str:
+    """Return ``report.md``: all tables and warnings, with links to error pictures and plots."""
+
+    def link(path: str) -> str:
+        return path.replace(" ", "%20").replace("(", "%28").replace(")", "%29")
+
+    runs = ", ".join(f"`{run}`" for run in report.runs)
+    out = ["# Evaluation", "", f"Ground truth: `{report.truth}`. Runs: {runs}.", ""]
+    out += [f"**Warning:** {line}\n" for line in report.warnings]
+    out += [table.markdown() for table in report_tables(report)]
+    out += ["## Error pictures", ""]
+    out += [f"{p.name}: {p.presentation.legend}.\n" for p in report.protocols.values() if p.presentation.legend]
+    for r in report.results:
+        if not r.error:
+            out += [f"{r.run}, {r.scene}:", "", f"![{r.scene}]({link(r.picture)})", ""]
+            out += [f"![{of}, {region}]({link(path)})\n" for (region, of), path in r.plots.items()]
+    return "\n".join(out)
+
+
+def report_tables(report: EvaluationReport) -> list[Table]:
+    """Return all narrow tables of an evaluation."""
+    made = [table for section in report.sections for table in section_tables(section)]
+    return made + overview(report) + comparisons(report) + further_tables(report)
+
+
+def section_tables(section: Section) -> list[Table]:
+    """Return the narrow tables of one data set, the summary first."""
+    made = [summary(section), *details(section)]
+    if len(section.scenes) > 1 and (len(section.runs) > 1 or not section.protocol.presentation.scene_rows):
+        made.append(headline_by_scene(section))
+    for run in section.runs:
+        kept = [result.pooled for result in section.of(run) if result.pooled is not None]
+        made += section.protocol.presentation.tables(run, kept) if kept else []
+    return made
 
 
 def summary(section: Section) -> Table:
-    """A row a run: the headline by region, the one figure, the average rank; a second row over the common scenes."""
-    protocol, headline, main = section.protocol, section.protocol.headline, section.masks[0]
-    over = [(headline, mask) for mask in protocol.figure_masks(section.masks)]
-    ranks = {run: number(rank, 1) for run, rank in average_rank(section, over).items()}
-    several = protocol.averages_masks and len(section.masks) > 1
-    timed = any(not math.isnan(result.seconds) for result in section.results)
+    """Return the headline of every run by region, its single figure and average rank; means over all scenes.
+
+    Where maps are missing, a second row of a run has the means over the common scenes.
+    """
+    protocol, headline = section.protocol, section.protocol.headline
+    keys = [(headline, region) for region in section.regions]
+    ranks = section.average_rank([(headline, region) for region in protocol.figure_regions(section.regions)])
+    with_figure = protocol.averages_regions and len(section.regions) > 1
+    with_times = any(not math.isnan(result.seconds) for result in section.results)
     rows = []
-    for run, common, mark in _run_rows(section):
-        means = section.means(run, common)
-        cells = [_cell(means.get((headline, mask)), mark) for mask in section.masks]
-        cells += [_cell(section.figure(run, common), mark)] * several
-        cells += [ranks[run] if common or not section.incomplete else ""]
-        score = means.get((headline, main))
-        cells += ["-" if score is None else number(score.density, 1)]
-        cells += [number(mean(r.seconds for r in section.of(run, common)))] * timed
-        rows.append((run, _scenes(section, run, common), *cells))
-    header = ["run", "scenes", *section.masks, *["mean of all figures"] * several, "avg rank", f"density {main} %"]
-    title = f"{section.data_set} - {protocol.title} ({headline.heading})"
-    return Table(title, (*header, *["seconds"] * timed), tuple(rows), _note(section))
+    for run, scene, mark in _mean_rows(section):
+        cells: list[str] = [_cell(section, section.score(run, scene, key), mark) for key in keys]
+        cells += [_cell(section, section.figure(run, scene), mark)] * with_figure
+        cells += [Number(ranks[run], 1) if scene == COMMON_MEAN or not section.incomplete else ""]
+        score = section.score(run, scene, keys[0])
+        cells += [Number(math.nan if score is None else score.density, 1)]
+        cells += [Number(mean_of_known(r.seconds for r in section.of(run, scene == COMMON_MEAN)))] * with_times
+        rows.append((run, _n_scenes(section, run, scene), *cells))
+    header = ["run", "scenes", *section.regions, *["mean of all figures"] * with_figure, "avg rank"]
+    header += [f"density {section.regions[0]} %", *["seconds"] * with_times]
+    title = f"{section.data_set} - {protocol.presentation.title} ({headline.heading})"
+    note = "; ".join(filter(None, [protocol.presentation.note, _MISSING if section.incomplete else ""]))
+    return Table(title, tuple(header), tuple(rows), note)
 
 
 def details(section: Section) -> list[Table]:
-    """Every measure: a table a region, with a row a run and scene; or one table of the means alone."""
-    by_scene = section.protocol.scene_rows
+    """Return a table of every measure for each region, with a row for every run and scene, or for the means alone."""
+    scene_rows = section.protocol.presentation.scene_rows
     made: list[Table] = []
-    for mask in section.masks:
-        keys = list(dict.fromkeys((s.measure, mask) for r in section.results for s in r.scores if s.mask == mask))
+    for region in section.regions:
+        keys = [key for key in section.keys if key[1] == region]
         rows = []
-        for run, common, mark in _run_rows(section):
-            if by_scene and not common:
+        for run, scene, mark in _mean_rows(section):
+            if scene_rows and scene == MEAN:
                 rows += [
-                    (run, short(r.scene) + "*" * bool(r.error), *(_cell(r.by_key.get(key)) for key in keys))
+                    (run, short(r.scene) + "*" * bool(r.error), *(_cell(section, r.by_key.get(key)) for key in keys))
                     for r in section.of(run)
                 ]
-            if not by_scene or len(section.scenes) > 1:
-                means = section.means(run, common)
-                name = f"mean of {_scenes(section, run, common)}"
-                rows.append((run, name, *(_cell(means.get(key), mark) for key in keys)))
-        header = ("run", "scene" if by_scene else "scenes", *(measure.heading for measure, _ in keys))
-        title = f"{section.data_set} - {section.protocol.name}, every measure, {mask}"
+            if not scene_rows or len(section.scenes) > 1:
+                cells = (_cell(section, section.score(run, scene, key), mark) for key in keys)
+                rows.append((run, f"mean of {_n_scenes(section, run, scene)}", *cells))
+        header = ("run", "scene" if scene_rows else "scenes", *(measure.heading for measure, _ in keys))
+        title = f"{section.data_set} - {section.protocol.name}, every measure, {region}"
         made.append(Table(title, header, tuple(rows)))
     return made
 
 
-def by_scene(section: Section) -> Table:
-    """The headline of every scene: a row a run where there are few, else a row a scene."""
-    headline, masks, runs = section.protocol.headline, section.masks, section.runs
+def headline_by_scene(section: Section) -> Table:
+    """Return the headline of every scene: a row for every run where scenes are few, else one for every scene."""
+    headline, regions, runs = section.protocol.headline, section.regions, section.runs
     cells = {
-        (r.run, r.scene, mask): _cell(r.by_key.get((headline, mask)), "*" * bool(r.error))
+        (r.run, r.scene, region): _cell(section, r.by_key.get((headline, region)), "*" * bool(r.error))
         for r in section.results
-        for mask in masks
+        for region in regions
     }
     title = f"{section.data_set} - {headline.heading} by scene"
-    if len(section.scenes) <= 4:
-        few = [(run, *(" / ".join(cells[run, s, m] for m in masks) for s in section.scenes)) for run in runs]
-        return Table(f"{title}: {' / '.join(masks)}", ("run", *map(short, section.scenes)), tuple(few))
-    sides = [f"{run}: {m}" if len(runs) > 1 else m for run in runs for m in masks]
-    rows = [(short(s), *(cells[run, s, m] for run in runs for m in masks)) for s in section.scenes]
-    return Table(title, ("scene", *sides), tuple(rows))
+    if len(section.scenes) <= _MAX_SCENE_COLUMNS:
+        by_run = [(run, *(" / ".join(cells[run, s, m] for m in regions) for s in section.scenes)) for run in runs]
+        return Table(f"{title}: {' / '.join(regions)}", ("run", *map(short, section.scenes)), tuple(by_run))
+    header = [f"{run}: {m}" if len(runs) > 1 else m for run in runs for m in regions]
+    rows = [(short(s), *(cells[run, s, m] for run in runs for m in regions)) for s in section.scenes]
+    return Table(title, ("scene", *header), tuple(rows))
 
 
 def overview(report: EvaluationReport) -> list[Table]:
-    """The one figure of every run in every data set; and over all data sets of a protocol, where it has several."""
+    """Return the single figure of every run in every data set and, where a protocol has several, over all of them."""
     if len(report.sections) < 2:
         return []
     together = [s for s in report.by_protocol if sum(o.protocol is s.protocol for o in report.sections) > 1]
     sections = [*report.sections, *together]
     rows = tuple(
-        (run, *(_cell(section.figure(run), "*" * bool(section.lacking(run))) for section in sections))
+        (run, *(_cell(section, section.figure(run), "*" * bool(section.n_missing(run))) for section in sections))
         for run in report.runs
     )
     titles = [f"{section.data_set} ({section.protocol.name})" for section in sections]
-    note = _STAR if any(section.incomplete for section in sections) else ""
+    note = _MISSING if any(section.incomplete for section in sections) else ""
     return [Table("Headline by data set", ("run", *titles), rows, note)]
 
 
-def comparison(report: EvaluationReport) -> list[Table]:
-    """Every further run against the first."""
+def comparisons(report: EvaluationReport) -> list[Table]:
+    """Return the paired comparison of every further run with the first; no table where there is one run."""
     rows = tuple(
         (
             section.protocol.name,
             run,
             report.runs[0],
             *(str(n) for n in (c.scenes, c.wins, c.losses, c.ties)),
-            number(c.mean_difference, 3),
-            number(c.worst_ratio, 3),
+            Number(c.mean_difference, 3),
+            Number(c.worst_ratio, 3),
             f"{c.p_value:.3g}",
         )
         for section, run, c in report.comparisons()
@@ -112,17 +168,17 @@ def comparison(report: EvaluationReport) -> list[Table]:
     return [Table("Paired comparison", header, rows, note)] if rows else []
 
 
-def confidence(report: EvaluationReport) -> list[Table]:
-    """Areas of the sparsification curves, by scene and as means over the scenes."""
+def further_tables(report: EvaluationReport) -> list[Table]:
+    """Return the areas of the sparsification curves, and the maps that are missing; no table where there is none."""
     rows: list[tuple[str, ...]] = []
     groups: dict[tuple[str, str, str, str], list[Curve]] = {}
     for r in report.results:
         for c in r.curves:
-            groups.setdefault((r.run, c.mask, c.confidence, c.of), []).append(c)
-            rows.append((r.run, r.scene, c.mask, c.confidence, c.of, *_areas([c])))
-    for (run, mask, name, of), curves in groups.items():
+            groups.setdefault((r.run, c.region, c.confidence, c.of), []).append(c)
+            rows.append((r.run, r.scene, c.region, c.confidence, c.of, *_areas([c])))
+    for (run, region, name, of), curves in groups.items():
         if len(curves) > 1:
-            rows.append((run, f"mean of {len(curves)}", mask, name, of, *_areas(curves)))
+            rows.append((run, f"mean of {len(curves)}", region, name, of, *_areas(curves)))
     header = ("run", "scene", "mask", "confidence", "of", "AUC", "optimal", "random", "AUC/optimal", "AUSE", "AURG",
               "AUC 5-100", "optimal 5-100")  # fmt: skip
     note = (
@@ -130,58 +186,109 @@ def confidence(report: EvaluationReport) -> list[Table]:
         "integral over all shares; random: their mean; AUSE, AURG: distance to optimal and random; 5-100: trapezoid "
         "over 5..100 %, as LAF-Net and the survey of Poggi et al. take it"
     )
-    return [Table("Confidence", header, tuple(rows), note)] if rows else []
-
-
-def short(scene: str) -> str:
-    """A scene's name without its data set."""
-    return scene.rpartition("/")[2]
-
-
-def _run_rows(section: Section) -> list[tuple[str, bool, str]]:
-    """(run, over the common scenes only, mark of its numbers), in the order of rows."""
-    kinds = (False, True) if section.incomplete else (False,)
-    return [(run, kind, "" if kind else "*" * bool(section.lacking(run))) for run in section.runs for kind in kinds]
-
-
-def average_rank(section: Section, keys: Sequence[tuple[Measure, str]]) -> dict[str, float]:
-    """Run -> mean rank over the common scenes and (measure, region) pairs; equal values share a rank."""
-    grid = [
-        [
-            (-1 if key[0].larger_is_better else 1) * r.by_key[key].value
-            for r in section.of(run, common=True)
-            for key in keys
-            if key in r.by_key
-        ]
-        for run in section.runs
+    failed = tuple((r.run, r.scene, r.error) for r in report.failed)
+    made = [
+        Table("Confidence", header, tuple(rows), note),
+        Table("Not evaluated", ("run", "scene", "reason"), failed),
     ]
-    ranks = average_ranks(np.array(grid, np.float64).reshape(len(section.runs), -1))
-    return {run: float(rank) for run, rank in zip(section.runs, ranks, strict=True)}
+    return [table for table in made if table.rows]
 
 
-def _cell(score: Score | None, mark: str = "") -> str:
-    return "-" if score is None or math.isnan(score.value) else number(score.value) + mark
+def wide_tables(report: EvaluationReport) -> list[Table]:
+    """Return the wide tables: of every section the headline by scene, then the means of all measures, by region."""
+    made = []
+    for section in report.sections:
+        made += [wide_by_scene(section, (section.protocol.headline, region)) for region in section.regions]
+        made += [wide_by_measure(section, region) for region in section.regions]
+    return made
 
 
-def _scenes(section: Section, run: str, common: bool) -> str:
-    if common:
+Column = tuple[str, list[Number], bool | None, str]
+"""Heading, number of every run, whether larger is better (None: not ranked), and the scene it speaks of, or empty."""
+
+
+def wide_by_scene(section: Section, key: Key) -> Table:
+    """Return one measure in one region: a column for every scene, then the means and, where they are known, times."""
+    measure, region = key
+    columns: list[Column] = []
+    for scene in section.scenes:
+        results = [next(r for r in section.of(run) if r.scene == scene) for run in section.runs]
+        if any(key in r.by_key for r in results):
+            cells = [_cell(section, r.by_key.get(key), "*" * bool(r.error)) for r in results]
+            columns.append((short(scene), cells, measure.larger_is_better, scene))
+    if len(section.scenes) > 1:
+        heading = section.protocol.presentation.mean_heading
+        columns.append(_means(section, key, MEAN, heading))
+        if section.common and section.incomplete:
+            columns.append(_means(section, key, COMMON_MEAN, f"{heading} of {len(section.common)} common"))
+        if measure == section.protocol.headline and len(section.runs) > 1:
+            ranks = [Number(rank, 1) for rank in section.average_rank([key]).values()]
+            columns.append(("avg rank", ranks, False, ""))
+    return _wide(section, f"{section.data_set}: {measure.heading_with_unit}, {region}", columns)
+
+
+def wide_by_measure(section: Section, region: str) -> Table:
+    """Return the means over the scenes of every measure in one region, a column for each."""
+    columns = [_means(section, key, MEAN, key[0].heading) for key in section.keys if key[1] == region]
+    many = len(section.scenes)
+    over = f"means over {many} scenes" if many > 1 else short(section.scenes[0])
+    return _wide(section, f"{section.data_set}: {over}, {region}", columns)
+
+
+def _means(section: Section, key: Key, scene: str, heading: str) -> Column:
+    cells = []
+    for run in section.runs:
+        mark = "*" * bool(scene == MEAN and section.n_missing(run))
+        cells.append(_cell(section, section.score(run, scene, key), mark))
+    return heading, cells, key[0].larger_is_better, ""
+
+
+def _wide(section: Section, title: str, columns: list[Column]) -> Table:
+    """A wide table of these columns, and of the mean seconds a scene, megapixel and billion pixels x disparities."""
+    runs = [section.of(run) for run in section.runs]
+    times = {
+        "seconds": [mean_of_known(r.seconds for r in results) for results in runs],
+        "s/MP": [mean_of_known(1e6 * r.seconds / r.size for r in results if r.size) for results in runs],
+        "s/GD": [
+            mean_of_known(1e9 * r.seconds / (r.size * r.disparities) for r in results if r.size and r.disparities)
+            for results in runs
+        ],
+    }
+    known = {heading: values for heading, values in times.items() if not all(map(math.isnan, values))}
+    columns = columns + [(heading, [Number(v) for v in values], False, "") for heading, values in known.items()]
+    rows = tuple((run, *(cells[i] for _, cells, _, _ in columns)) for i, run in enumerate(section.runs))
+    note = "*: no map, counted as wholly wrong; means over scenes that all runs have beside" * section.incomplete
+    return Table(
+        title,
+        ("run", *(heading for heading, *_ in columns)),
+        rows,
+        note,
+        (None, *(larger for _, _, larger, _ in columns)),
+        ("", *(scene for *_, scene in columns)),
+    )
+
+
+def _mean_rows(section: Section) -> list[tuple[str, str, str]]:
+    """(run, ``MEAN`` or ``COMMON_MEAN``, mark of its numbers) of every row of means."""
+    scenes = (MEAN, COMMON_MEAN) if section.incomplete else (MEAN,)
+    return [
+        (run, scene, "*" * bool(scene == MEAN and section.n_missing(run))) for run in section.runs for scene in scenes
+    ]
+
+
+def _cell(section: Section, score: Score | None, mark: str = "") -> Number:
+    return Number(math.nan if score is None else score.value, section.protocol.presentation.digits, mark)
+
+
+def _n_scenes(section: Section, run: str, scene: str) -> str:
+    if scene == COMMON_MEAN:
         return f"{len(section.common)} common"
-    total, lacking = len(section.scenes), section.lacking(run)
-    return f"{total}, {lacking} missing*" if lacking else str(total)
-
-
-def _note(section: Section) -> str:
-    return "; ".join(filter(None, [section.protocol.note, _STAR if section.incomplete else ""]))
+    n_missing = section.n_missing(run)
+    return f"{len(section.scenes)}, {n_missing} missing*" if n_missing else str(len(section.scenes))
 
 
 def _areas(curves: Sequence[Curve]) -> tuple[str, ...]:
     areas = [c.line.areas() for c in curves]
-    means = {name: mean(each[name] for each in areas) for name in areas[0]}
+    means = {name: mean_of_known(each[name] for each in areas) for name in areas[0]}
     means["ratio"] = means["auc"] / means["optimal"] if means["optimal"] > 0 else math.nan
-    return tuple(number(value, 2 if name == "ratio" else 4) for name, value in means.items())
-
-
-def mean(values: Iterable[float]) -> float:
-    """Mean of those that are numbers, NaN of none."""
-    present = [v for v in values if not math.isnan(v)]
-    return math.fsum(present) / len(present) if present else math.nan
+    return tuple(Number(value, 2 if name == "ratio" else 4) for name, value in means.items())

@@ -1,4 +1,4 @@
-"""Colors of the page, as tables that Python and the page's script index alike."""
+"""Colors of the page, as tables that are indexed in the same way here and in the page's script."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ NO_VALUE = (90, 90, 90)
 
 
 def words(right: str, wrong: str) -> tuple[str, ...]:
-    """The kinds in words."""
+    """Return the kinds of pixel in words."""
     return ("truth unknown", right, wrong, f"{right}, occluded", f"{wrong}, occluded", "no value")
 
 
 @cache
 def scale() -> NDArray[np.uint8]:
-    """(256, 3) RGB: viridis, perceptually uniform, readable without color vision."""
+    """Return (256, 3) RGB of the map's scale: viridis, perceptually uniform, readable without color vision."""
     grey = np.arange(256, dtype=np.uint8)[:, None]
     table: NDArray[Any] = cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
     return np.ascontiguousarray(table, np.uint8)
@@ -41,14 +41,14 @@ def scale() -> NDArray[np.uint8]:
 
 @cache
 def error_scales() -> NDArray[np.uint8]:
-    """(6, 64, 3) RGB: by kind of pixel and size of the error."""
+    """Return (6, 64, 3) RGB by kind of pixel and size of the error."""
     share = np.linspace(0, 1, 64)[:, None]
     ends = [[np.array([int(end[k : k + 2], 16) for k in (1, 3, 5)]) for end in _RAMPS[kind]] for kind in range(6)]
     return np.stack([np.rint(first + share * (last - first)) for first, last in ends]).astype(np.uint8)
 
 
 def map_picture(values: NDArray[np.floating[Any]], low: float, high: float) -> NDArray[np.uint8]:
-    """(H, W) numbers as (H, W, 3) RGB over [low, high]."""
+    """Return (H, W) numbers as (H, W, 3) RGB of the scale over [low, high]."""
     picture = scale()[_index(values, low, high, 256)]
     picture[np.isnan(values)] = NO_VALUE
     return picture
@@ -57,29 +57,29 @@ def map_picture(values: NDArray[np.floating[Any]], low: float, high: float) -> N
 def kinds(
     known: NDArray[np.bool_], hidden: NDArray[np.bool_], wrong: NDArray[np.bool_], missing: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    """Kind of every pixel, (H, W) uint8."""
+    """Return the kind of every pixel, (H, W) uint8."""
     kind = np.where(wrong, np.where(hidden, HIDDEN_WRONG, WRONG), np.where(hidden, HIDDEN_RIGHT, RIGHT))
     kind = np.where(missing, EMPTY, kind)
     return np.where(known, kind, UNKNOWN).astype(np.uint8)
 
 
 def error_picture(kind: NDArray[np.uint8], error: NDArray[np.floating[Any]], top: float) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB: hue by kind of pixel, lightness by error, the darkest from ``top`` on."""
+    """Return (H, W, 3) RGB: hue by kind of pixel, lightness by error, the darkest from ``top`` on."""
     return error_scales()[kind, _index(error, 0.0, top, 64)]
 
 
 def over(
-    picture: NDArray[np.uint8], nothing: NDArray[np.bool_], under: NDArray[np.uint8] | None, opacity: float
+    picture: NDArray[np.uint8], nothing: NDArray[np.bool_], beneath: NDArray[np.uint8] | None, opacity: float
 ) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB of a map over what it describes, which shows through, and alone where there is ``nothing``."""
-    if under is None or opacity >= 1:
+    """Return the (H, W, 3) RGB picture of a map blended with the image ``beneath``, which is alone at ``nothing``."""
+    if beneath is None or opacity >= 1:
         return picture
-    mixed = np.rint(opacity * picture + (1 - opacity) * under).astype(np.uint8)
-    return np.where(nothing[..., None], under, mixed)
+    mixed = np.rint(opacity * picture + (1 - opacity) * beneath).astype(np.uint8)
+    return np.where(nothing[..., None], beneath, mixed)
 
 
 def grey(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W) grey levels as (H, W, 3) RGB."""
+    """Return (H, W) grey levels as (H, W, 3) RGB."""
     return np.repeat(levels[..., None], 3, axis=2)
 
 

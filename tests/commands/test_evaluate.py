@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.batch.console import Reporter
+from depthcli.batch.reporter import Reporter
 from depthcli.cli import main
 from depthcli.commands.evaluate import COMMAND, evaluate
 from depthcli.core.errors import InputError
@@ -24,6 +24,7 @@ from depthcli.evaluation import protocols
 from depthcli.evaluation.disparity import DisparityProtocol
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.results import Result
+from depthcli.evaluation.tables import report_tables, report_text
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real scenes of ../shared/data are not here")
@@ -79,7 +80,7 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     report = evaluate([perfect, wrong], truth, tmp_path / "out")
     assert report.failed == []
     assert report.warnings == []
-    text = report.text()
+    text = report_text(report)
     assert "perfect" in text
     assert "mean of all figures" in text
     for row in rows(tmp_path / "out"):
@@ -143,7 +144,7 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     assert "32 x 10" in reasons["run", "b"]
     assert "damaged PFM" in reasons["broken", "a"]
     assert "too dark" in reasons["told", "a"]
-    assert "Not evaluated" in report.text()
+    assert "Not evaluated" in report_text(report)
     assert sum(row["metric"] == "failed" for row in rows(tmp_path / "out")) == 4
     assert {r["run"] for r in json.loads((tmp_path / "out" / "scores.json").read_text())["failed"]} == {
         "run", "broken", "told",
@@ -170,7 +171,7 @@ def test_wrong_scale_is_said(tmp_path: Path, truth: Path):
     report = evaluate([run], truth, tmp_path / "out")
     assert len(report.warnings) == 1
     assert "run: a: the values are about 16 times the truth" in report.warnings[0]
-    assert report.warnings[0] in report.text()
+    assert report.warnings[0] in report_text(report)
 
 
 def test_scale_of_the_maps_can_be_said(tmp_path: Path, truth: Path):
@@ -193,7 +194,7 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     write_pfm(run / "b" / "confidence_small.pfm", np.zeros((3, 3), np.float32))
     np.save(run / "b" / "confidence_levels.npy", np.full(SHAPE, -3, np.int16))
     report = evaluate([run], truth, tmp_path / "out")
-    curves = {(c.mask, c.confidence, c.of): c.line for c in report.results[0].curves}
+    curves = {(c.region, c.confidence, c.of): c.line for c in report.results[0].curves}
     assert list(curves) == list(itertools.product(("nonocc", "all"), ("blind", "oracle"), ("bad", "error")))
     assert curves["nonocc", "blind", "bad"].auc == pytest.approx(0.25)
     assert curves["nonocc", "oracle", "bad"].errors[14] == 0  # 75 % of the pixels are right
@@ -203,8 +204,8 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     assert curves["all", "oracle", "bad"].pixels == 24 * 32
     # Negative numbers are confidences, not missing codes.
     assert {c.confidence for c in report.results[1].curves} == {"levels"}
-    assert "AUC/optimal" in report.text()
-    assert "AUSE" in report.text()
+    assert "AUC/optimal" in report_text(report)
+    assert "AUSE" in report_text(report)
     plot = (tmp_path / "out" / "curves" / "run" / "a_nonocc_bad.svg").read_text()
     assert all(f"{name} {curves['nonocc', name, 'bad'].auc:.4f}" in plot for name in ("blind", "oracle"))
     assert "confidence_small.pfm" in report.warnings[0]
@@ -286,7 +287,7 @@ def test_kitti_pairs_end_to_end(tmp_path: Path):
     report = evaluate([run], DATA / "kitti_eval_pairs", tmp_path / "out", protocol="kitti-2015")
     found = [round(r.value("D1", "occ", 3.0, "estimated pixels only"), 2) for r in report.results]
     assert found == [4.19, 3.54, 8.30]
-    assert "4.19" in report.text()
+    assert "4.19" in report_text(report)
     assert read_disparity(run / "pair_01.png").shape == (375, 1242)
 
 
@@ -341,7 +342,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     assert means["both", "avgerr", "all", None]["value"] == pytest.approx(0.75)
     assert math.isnan(means["easy", "avgerr", "all", None]["value"])
     assert means["easy", "avgerr", "all", None]["value_common"] == 0
-    text, markdown = report.text(), (tmp_path / "out" / "report.md").read_text()
+    text, markdown = report_text(report), (tmp_path / "out" / "report.md").read_text()
     for said in ("2, 1 missing*", "50.00*", "1 common", "*: scenes without a map count as wholly wrong"):
         assert said in text
         assert said in markdown
@@ -356,7 +357,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     assert written["easy", "*common mean", "bad", "all", "1.0"]["value"] == "0.0"
     assert written["easy", "*mean", "avgerr", "all", ""]["value"] == ""
     # Ranks and comparisons are over what both have: a tie.
-    (summary, *_) = report.tables()
+    (summary, *_) = report_tables(report)
     column = summary.header.index("avg rank")
     assert [row[column] for row in summary.rows] == ["", "1.5", "", "1.5"]
     ((_, _, comparison),) = report.comparisons()
@@ -365,7 +366,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
 
 def test_a_complete_set_has_one_mean(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth) + 3, "b": exact(truth)})
-    text = evaluate([run], truth, None).text()
+    text = report_text(evaluate([run], truth, None))
     assert "*" not in text
     assert "common" not in text
     assert not (tmp_path / "out").exists()
@@ -391,7 +392,7 @@ def test_two_protocols_side_by_side(tmp_path: Path, truth: Path):
     report = evaluate(runs, truth, tmp_path / "out")
     assert [(s.data_set, s.protocol.name) for s in report.sections] == [("set", "kitti_2015"), ("set", "middlebury_v2")]
     assert [section.protocol.name for section, _, _ in report.comparisons()] == ["kitti_2015", "middlebury_v2"]
-    overview = next(table for table in report.tables() if table.title == "Headline by data set")
+    overview = next(table for table in report_tables(report) if table.title == "Headline by data set")
     assert overview.header == ("run", "set (kitti_2015)", "set (middlebury_v2)")
     assert [row[1:] for row in overview.rows] == [("0.00", "0.00"), ("100.00", "0.00")]
 
@@ -401,7 +402,7 @@ def test_one_map_at_a_glance(tmp_path: Path, truth: Path, capsys: pytest.Capture
     write_pfm(tmp_path / "m.pfm", good + 2)
     # The file of a scene brings the scene's masks and scale.
     report = evaluate([tmp_path / "m.pfm"], truth / "a" / "disp_left.png", None)
-    assert report.results[0].scores[0].mask == "nonocc"
+    assert report.results[0].scores[0].region == "nonocc"
     assert bad(report.results[0]) == 100
     # Any other file stands for itself.
     shutil.copy(truth / "a" / "disp_left.png", tmp_path / "gt.png")
@@ -444,7 +445,7 @@ def test_seconds_of_the_report_are_shown(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     scenes = [{"scene": name, "status": "done", "seconds": {"cost": 1.5, "refinement": 0.5}} for name in ("a", "b")]
     (run / "report.json").write_text(json.dumps({"scenes": scenes}))
-    (summary, *_) = evaluate([run], truth, None).tables()
+    (summary, *_) = report_tables(evaluate([run], truth, None))
     assert (summary.header[-1], summary.rows[0][-1]) == ("seconds", "2.00")
 
 

@@ -1,4 +1,4 @@
-"""The protocols against closed forms, slow twins, and what the benchmarks' own programs print."""
+"""The protocols against closed forms, naive references, and what the benchmarks' own programs print."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def everywhere(truth: np.ndarray, mask: str = "all") -> DisparityTruth:
 
 
 def pick(scores: list[Score], metric: str, t: float | None = None, convention: str | None = None) -> Score:
-    (mask,) = {score.mask for score in scores}
+    (mask,) = {score.region for score in scores}
     return find_score(scores, metric, mask, t, convention)
 
 
@@ -70,7 +70,7 @@ def test_truth_scores_best_nothing_worst_and_the_headline_is_there(name, mask):
     truth = everywhere((2 + np.arange(60, dtype=np.float32) / 16).reshape(6, 10), mask)
     judge = make(name)
     for scores, best in ((judge.scores(truth.disparity, truth), True), (judge.missing(truth), False)):
-        headline = next(s for s in scores if (s.measure, s.mask) == (judge.headline, mask))
+        headline = next(s for s in scores if (s.measure, s.region) == (judge.headline, mask))
         assert headline.value == (0 if best else 100)
         for s in scores:
             worst = s.measure.worst
@@ -140,7 +140,7 @@ def test_mean_of_a_map_that_answers_nothing_is_not_taken_over_fewer():
 
 @given(st.integers(0, 10**6))
 @settings(max_examples=40, deadline=None)
-def test_v2_agrees_with_twin(seed):
+def test_v2_agrees_with_the_naive_one(seed):
     estimate, truth, mask = random_maps(seed)
     scores = make("middlebury_v2").scores(estimate, DisparityTruth(truth, {"all": mask}))
     for t in (0.5, 0.75, 1.0, 1.5, 2.0):
@@ -178,7 +178,7 @@ def test_masks_that_are_not_given_follow_from_both_views():
 
 @given(st.integers(0, 10**6), st.sampled_from([1, 2, 4]), st.booleans(), st.sampled_from("FHQ"))
 @settings(max_examples=40, deadline=None)
-def test_v3_agrees_with_twin(seed, factor, rounded, size):
+def test_v3_agrees_with_the_naive_one(seed, factor, rounded, size):
     _, truth, mask = random_maps(seed, (12, 16))
     estimate, _, _ = random_maps(seed + 1, (12 // factor, 16 // factor))
     full = {"F": 1, "H": 2, "Q": 4}[size]
@@ -245,7 +245,7 @@ def test_v3_means_weigh_the_hard_scenes_half():
 
 @given(st.integers(0, 10**6))
 @settings(max_examples=40, deadline=None)
-def test_eth3d_agrees_with_twin(seed):
+def test_eth3d_agrees_with_the_naive_one(seed):
     estimate, truth, mask = random_maps(seed, (13, 90))
     scores = make("eth3d").scores(estimate, DisparityTruth(truth, {"all": mask}))
     for t in (0.5, 1.0, 2.0, 4.0):
@@ -270,7 +270,7 @@ def test_eth3d_counts_the_estimated_pixels_and_neither_clips_nor_rounds():
 
 @given(st.integers(0, 10**6))
 @settings(max_examples=60, deadline=None)
-def test_kitti_agrees_with_twin(seed):
+def test_kitti_agrees_with_the_naive_one(seed):
     estimate, truth, mask = random_maps(seed)
     png = naive.submitted(estimate)
     filled = interpolate_background(png)
@@ -346,11 +346,11 @@ def test_kitti_regions():
     scores = make("kitti_2012").scores(np.full((1, 5), 10, np.float32), DisparityTruth(occ, masks, noc))
     assert find_score(scores, "avgerr", "noc", None, INTERPOLATED).value == 1
     assert find_score(scores, "avgerr", "occ", None, INTERPOLATED).value == 0
-    assert judge.figure_masks(judge.ordered(masks)) == ["occ"]
-    assert make("kitti_2012").figure_masks(["noc", "occ"]) == ["noc"]
+    assert judge.figure_regions(judge.ordered(masks)) == ["occ"]
+    assert make("kitti_2012").figure_regions(["noc", "occ"]) == ["noc"]
 
 
-# Suspicions
+# Warnings
 
 
 @pytest.mark.parametrize("name", STEREO)
@@ -438,7 +438,7 @@ def test_numbers_of_the_eth3d_program(holes, mask, printed):
 def test_numbers_of_evaluate_scene_flow(holes, mask, printed):
     """``stats_disp_*_0.txt`` for two frames: D1 of background, foreground and all, each interpolated and estimated."""
     judge = make("kitti_2015")
-    mean = {(s.measure.metric, s.mask, s.measure.convention): s for s in judge.mean(_kitti_frames(judge, holes))}
+    mean = {(s.measure.metric, s.region, s.measure.convention): s for s in judge.mean(_kitti_frames(judge, holes))}
     keys = [(f"{mask}{part}", c) for part in ("_bg", "_fg", "") for c in (INTERPOLATED, ESTIMATED_ONLY)]
     found = [mean["D1", m, c].value for m, c in keys] + [mean["D1", mask, INTERPOLATED].density]
     assert " ".join(f"{value / 100:.6f}" for value in found) == printed

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.evaluation.protocols.registration import area, classes, correlation, ranks
+from depthcli.evaluation.protocols.registration import error_classes
+from depthcli.evaluation.statistics import correlation, ranks, roc_area
 
 
 def test_ranks_share_ties():
@@ -23,9 +24,9 @@ def test_correlation():
 def test_area_counts_pairs_in_order():
     score, bad = np.array([1.0, 2.0, 2.0, 5.0]), np.array([False, True, False, True])
     in_order = [1.0, 0.5, 1.0, 1.0]  # (2 against 1), (2 against 2), (5 against 1), (5 against 2)
-    assert area(score, bad) == pytest.approx(sum(in_order) / 4)
-    assert np.isnan(area(score, np.ones(4, bool)))
+    assert roc_area(score, bad) == pytest.approx(sum(in_order) / 4)
+    assert np.isnan(roc_area(score, np.ones(4, bool)))
 
 
 def test_classes():
-    assert classes(np.array([0.0, 2.99, 3.0, 5.99, 6.0, 40.0])).tolist() == [0, 0, 1, 1, 2, 2]
+    assert error_classes(np.array([0.0, 2.99, 3.0, 5.99, 6.0, 40.0])).tolist() == [0, 0, 1, 1, 2, 2]

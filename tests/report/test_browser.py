@@ -14,8 +14,8 @@ import pytest
 
 from depthcli.commands.evaluate import evaluate
 from depthcli.data.formats.disparity import read_disparity, read_plane
+from depthcli.report.packing import unpack
 from depthcli.report.page import Page
-from depthcli.report.planes import unpack
 from tests.report.conftest import ODD, SHAPE, truth_of
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -161,7 +161,7 @@ def test_tables_sort_and_choose(browser: Any, made: Path):
         table.locator("thead th").nth(column[0] - 1).click()
         cells = [float(t) for t in table.locator(f"tbody tr > :nth-child({column[0]})").all_inner_texts()]
         assert cells == sorted(cells)[::direction]
-    visit.page.locator("select.mask").select_option("all")
+    visit.page.locator("select.region").select_option("all")
     visit.page.locator("select.measure").select_option("bad 2")
     assert visit.page.locator(".matrix.on caption").inner_text().endswith("bad 2, %, all")
     assert visit.page.locator(".matrix:visible").count() == 1

@@ -22,13 +22,16 @@ from depthcli.data.formats.volumes import Grid, read_volume
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import RegistrationTruth
 from depthcli.data.walk import BrokenScene
+from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.map_files import MapFiles
+from depthcli.evaluation.presentation import Presentation
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
-from depthcli.evaluation.results import EvaluationReport, Result
+from depthcli.evaluation.results import Result
 from depthcli.evaluation.scores import Measure, Score
 from depthcli.report import colors
+from depthcli.report.packing import cuts, pack, pack_bytes, thinned, unpack
 from depthcli.report.page import Page
-from depthcli.report.planes import cuts, pack, pack_bytes, thinned, unpack
 from tests.report.conftest import ODD, SHAPE
 
 
@@ -230,7 +233,7 @@ def test_packing(low: float, high: float):
 class Boxes(Protocol[Any, Any]):
     """Volumes without a single number a voxel to show: errors alone."""
 
-    title, unit, kind, places = "boxes", "mm", Scene, ("{scene}",)
+    kind, files, presentation = Scene, MapFiles(("{scene}",), ()), Presentation("boxes", "mm")
     headline = Measure("mean", "mm")
 
     def truth(self, item: Scene) -> Any:
@@ -274,28 +277,38 @@ def test_volumes_show_slices_of_their_errors(tmp_path: Path):
         assert np.array_equal(unpack(run["wrong"]), plane > 100)
 
 
-class Points(Boxes):
-    """The same at some voxels: a list of points, on a grid or on none."""
+INSIDE = np.zeros((4, 6, 8), bool)
+INSIDE[1:3, 2:, ::2] = True
 
-    places_of = np.zeros((4, 6, 8), bool)
-    places_of[1:3, 2:, ::2] = True
-    on_grid = True
+
+class OnGrid(Presentation):
+    """Points shown at the voxels of ``INSIDE``."""
+
+    def on_grid(self, points: Any, truth: Any) -> Any:
+        full = np.full(INSIDE.shape, False if points.dtype == bool else np.nan)
+        full[INSIDE] = points
+        return full
+
+
+class Points(Boxes):
+    """The same at some voxels: a list of points, on a grid."""
+
+    presentation = OnGrid("points", "mm")
 
     def truth(self, item: Scene) -> Any:
-        return np.zeros(np.count_nonzero(self.places_of))
+        return np.zeros(np.count_nonzero(INSIDE))
 
-    def laid_out(self, points: Any, truth: Any) -> Any:
-        if not self.on_grid:
-            return None
-        full = np.full(self.places_of.shape, False if points.dtype == bool else np.nan)
-        full[self.places_of] = points
-        return full
+
+class PointsWithoutGrid(Points):
+    """The same, on no grid."""
+
+    presentation = Presentation("points", "mm")
 
 
 @pytest.mark.parametrize("on_grid", [True, False])
 def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
-    judge, item, page = Points(), BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
-    judge.on_grid = on_grid
+    judge = Points() if on_grid else PointsWithoutGrid()
+    item, page = BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
     truth = judge.truth(item)
     points = np.arange(truth.size, dtype=float) * 4
     result = Result("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
@@ -307,9 +320,9 @@ def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
     assert "1 run, 1 scene of" in reader.text
     if on_grid:
         view = json.loads(reader.scripts["data-0"])["views"][2]
-        assert np.array_equal(unpack(view["region"]) > 0, Points.places_of[2])
+        assert np.array_equal(unpack(view["region"]) > 0, INSIDE[2])
         error = unpack(view["runs"]["run"]["error"])
-        assert np.allclose(error[Points.places_of[2]], points[truth.size // 2 :], atol=0.01)
+        assert np.allclose(error[INSIDE[2]], points[truth.size // 2 :], atol=0.01)
         assert np.array_equal(unpack(view["runs"]["run"]["wrong"]), np.nan_to_num(error) > 100)
 
 
@@ -319,7 +332,7 @@ def test_volumes_are_cut_across_every_axis():
     assert [volume[cut.index].shape for cut in every] == [(6, 8)] * 4 + [(4, 8)] * 6 + [(4, 6)] * 8
     assert np.array_equal(volume[every[7].index], volume[:, 3])
     assert every[7].axes == ("x", "z")
-    few = cuts(volume.shape, most=volume.size)
+    few = cuts(volume.shape, max_pixels=volume.size)
     assert [(cut.axis, cut.place) for cut in few] == [(0, 2), (1, 0), (1, 3), (2, 1), (2, 4), (2, 7)]
     assert {cut.axis for cut in cuts((1, 6, 8))} == {0}
     assert cuts((3, 4))[0].name == ""
@@ -355,10 +368,10 @@ def test_registration_errors_lie_in_their_volume():
     inside[1, 1:3] = True
     judge, error = RegistrationProtocol(), np.arange(10, dtype=np.float32)
     dense = registration_truth(error, grid, None, inside)
-    volume = judge.laid_out(judge.true_values(dense), dense)
+    volume = judge.presentation.on_grid(judge.true_values(dense), dense)
     assert np.array_equal(volume[inside], error)
     assert np.isnan(volume[~inside]).all()
-    assert np.array_equal(judge.laid_out(error > 3, dense), np.nan_to_num(volume) > 3)
+    assert np.array_equal(judge.presentation.on_grid(error > 3, dense), np.nan_to_num(volume) > 3)
 
 
 def test_landmarks_are_balls_in_their_volume():
@@ -366,7 +379,7 @@ def test_landmarks_are_balls_in_their_volume():
     judge, error = RegistrationProtocol(), np.array([1, 2, 3], np.float32)
     places = np.array([[20.2, 30.0, 40.4], [0, 0, 0], [20.2, 30.0, 42.0]])  # z, y, x; one at a corner
     truth = registration_truth(error, grid, places, None)
-    volume = judge.laid_out(error, truth)
+    volume = judge.presentation.on_grid(error, truth)
     assert volume.shape == (40, 96, 128)
     z, y, x = np.indices(volume.shape)
     for place, value in zip(np.rint(places[:2]), error[:2], strict=True):
@@ -375,7 +388,7 @@ def test_landmarks_are_balls_in_their_volume():
     assert (volume[20, 30, 42], volume[20, 30, 38]) == (3, 1)
     assert np.count_nonzero(~np.isnan(volume)) < 100
     assert judge.size(truth) == 40 * 96 * 128
-    assert judge.spacing(truth) == (2.0, 1.0, 1.0)
+    assert judge.presentation.spacing(truth) == (2.0, 1.0, 1.0)
 
 
 def test_slices_show_the_fixed_volume_beneath(volumes: Path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -15,9 +15,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.core.cameras.camera import Intrinsics
-    from depthcli.core.cameras.kinect import KinectCalibration
-    from depthcli.core.frames import RgbdFrame, SparseFrame
+    from depthcli.core.cameras.geometry import KinectCalibration
+    from depthcli.core.frames import Intrinsics, RgbdFrame, SparseFrame
+
+KINECT_BASELINE = 0.075
+"""Projector to camera of the first Kinect and of the sensors built like it, meters."""
 
 _METERS = (".pfm", ".npy")
 _USUAL_NAMES = ("color", "rgb", "image", "depth")
@@ -112,7 +114,6 @@ class RgbdScene(Scene):
         """
         import numpy as np
 
-        from depthcli.core.cameras.kinect import KINECT_BASELINE, KINECT_FOCAL_LENGTH
         from depthcli.core.frames import RgbdFrame, color8
         from depthcli.data.formats.images import read_image
 
@@ -130,7 +131,7 @@ class RgbdScene(Scene):
             )
         if not np.isfinite(depth).any():
             raise InputError(f"{self.depth}: no pixel has a depth")
-        fb = self.fb or (intrinsics.fx if intrinsics else KINECT_FOCAL_LENGTH) * KINECT_BASELINE
+        fb = self.fb or (intrinsics.fx if intrinsics else 580.0) * KINECT_BASELINE
         return RgbdFrame(color, depth, fb, intrinsics)
 
     def load_sparse(self) -> SparseFrame:
@@ -207,7 +208,7 @@ class RgbdScene(Scene):
         return np.where(mask == 255, np.float32(np.nan), depth)
 
     def _intrinsics(self) -> Intrinsics | None:
-        from depthcli.core.cameras.camera import Intrinsics
+        from depthcli.core.frames import Intrinsics
 
         return None if self.intrinsics is None else Intrinsics(*self.intrinsics)
 
@@ -215,7 +216,8 @@ class RgbdScene(Scene):
         """Color at the depth camera's resolution, and the depth as the color camera sees it."""
         import cv2
 
-        from depthcli.core.cameras.kinect import kinect_v1
+        from depthcli.core.cameras.geometry import kinect_v1
+        from depthcli.core.frames import Intrinsics
         from depthcli.data.formats.kinect import read_kinect_calibration, read_kinect_raw
 
         raw = read_kinect_raw(self.depth)
@@ -227,9 +229,13 @@ class RgbdScene(Scene):
             # Where the color image is finer than the depth, most of its pixels would meet no point.
             color = cv2.resize(color, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
         camera = calibration.color.scaled(factor)
-        scaled = replace(calibration, color=camera)
+        scaled = type(calibration)(
+            calibration.depth, camera, calibration.rotation, calibration.translation, calibration.offset,
+            calibration.factor, calibration.beta, calibration.alpha,
+        )  # fmt: skip
         depth = scaled.register(scaled.depth_of_raw(raw), (color.shape[0], color.shape[1]))
-        return color, depth, camera.intrinsics
+        m = camera.matrix
+        return color, depth, Intrinsics(float(m[0, 0]), float(m[1, 1]), float(m[0, 2]), float(m[1, 2]))
 
     @staticmethod
     def _factor(calibration: KinectCalibration, color: NDArray[np.uint8]) -> float:

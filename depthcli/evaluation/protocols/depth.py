@@ -10,23 +10,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.triangulation import disparity_of_depth
+from depthcli.core.cameras.geometry import disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.data.formats.depth import read_depth
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene, RgbdTruth
-from depthcli.evaluation.pictures import LEGEND_TEXT, error_picture
+from depthcli.evaluation.map_files import MapFiles
+from depthcli.evaluation.presentation import LEGEND_TEXT, Presentation
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally
 
 Depth = NDArray[np.float32]
 
-_RATIOS = (1.05, 1.10, 1.25, 1.25**2, 1.25**3)
-_WRONG = 1.05  # ratio beyond which a pixel is shown as wrong
-_METERS = (".pfm", ".npy")
-_EITHER = (".tif", ".tiff")  # codes, or meters
+_RATIOS = (1.05, 1.10, 1.25, 1.25**2, 1.25**3)  # of delta, as in ClearGrasp and the evaluations of NYU
+_WRONG_RATIO = 1.05  # from which on a pixel is shown as wrong: the smallest of delta
+_METERS = (".pfm", ".npy")  # endings of maps in meters
+_CODES_OR_METERS = (".tif", ".tiff")
+_CODES_PER_METER = 1000.0  # millimeters, where neither file nor settings say otherwise
 
 
 @dataclass(frozen=True)
@@ -58,27 +60,26 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     how many have none.
     """
 
-    title = "Depth: mean absolute error, mm; estimated pixels only"
-    unit = "mm"
-    note = "MAE, RMSE: mm; REL, delta: of the true depth; px: of the sensor's disparity; coverage: pixels with a value"
     kind = RgbdScene
-    places = ("{scene}/depth", "{scene}")
-    suffixes = (".pfm", ".npy", ".png", ".pgm", ".tif", ".tiff")
-    mask_order = ("all", "gap", "occluded", "specular", "mismatch", "measured", "object", "transparent")
-    legend = LEGEND_TEXT
-    quantity = "depth"
-    threshold_axis = "ratio to the truth"
-    palette = DEPTH_STATUS_PALETTE
+    files = MapFiles(("{scene}/depth", "{scene}"), (".pfm", ".npy", ".png", ".pgm", ".tif", ".tiff"))
+    presentation = Presentation(
+        title="Depth: mean absolute error, mm; estimated pixels only",
+        unit="mm",
+        note=(
+            "MAE, RMSE: mm; REL: mean of |error| / true depth; delta: % of the estimated pixels within that ratio "
+            "of the truth; px: of the sensor's disparity; coverage: % of the pixels with known truth that have a value"
+        ),
+        legend=LEGEND_TEXT,
+        quantity="depth",
+        threshold_axis="ratio to the truth",
+        palette=DEPTH_STATUS_PALETTE,
+    )
+    region_order = ("all", "gap", "occluded", "specular", "mismatch", "measured", "object", "transparent")
     takes = ("scale", "threshold", "resize")
-    mae = Measure("MAE", "mm", convention=ESTIMATED_ONLY)
-
-    @property
-    def headline(self) -> Measure:
-        """The mean absolute error."""
-        return self.mae
+    headline = Measure("MAE", "mm", convention=ESTIMATED_ONLY)
 
     def truth(self, scene: Scene) -> DepthTruth:
-        """True depth with its regions, at the size of the settings."""
+        """Return the true depth with its regions, at the size of the settings."""
         stored = scene.truth()
         if not isinstance(stored, RgbdTruth):
             raise InputError(f"{scene.folder}: {scene.name} has no true depth, which {self.name} scores")
@@ -88,21 +89,21 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
             raise InputError(f"{scene.folder}: the true depth of {scene.name} has no known pixel")
         masks = {name: self._resized(mask.astype(np.uint8)) > 0 for name, mask in stored.masks.items()}
         regions = {"all": known, **{name: mask & known for name, mask in masks.items()}}
-        scale = getattr(scene, "depth_scale", 1000.0)
+        scale = getattr(scene, "depth_scale", _CODES_PER_METER)
         return DepthTruth(depth, {name: regions[name] for name in self.ordered(regions)}, stored.fb, scale)
 
     def single(self, truth: Path) -> Scene:
-        """A depth map alone, without masks."""
-        scale = self.settings.scale or 1000.0
+        """Return a scene of one depth map without masks."""
+        scale = self.settings.scale or _CODES_PER_METER
         return RgbdScene(
             name=truth.stem, folder=truth.parent, protocol=self.name, color=truth, depth=truth, depth_true=truth,
             depth_scale=scale,
         )  # fmt: skip
 
     def read(self, path: Path, scene: Scene, truth: DepthTruth) -> Depth:
-        """The map in meters; integer codes have the truth's scale where the settings have none."""
+        """Return the map in meters; integer codes have the truth's scale where the settings have none."""
         suffix = path.suffix.lower()
-        meters = suffix in _METERS or (suffix in _EITHER and read_plane(path).dtype.kind == "f")
+        meters = suffix in _METERS or (suffix in _CODES_OR_METERS and read_plane(path).dtype.kind == "f")
         scale = None if meters else self.settings.scale or truth.scale
         estimate = self._resized(read_depth(path, scale))
         if estimate.shape != truth.depth.shape:
@@ -117,46 +118,42 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         return resized
 
     def nothing(self, truth: DepthTruth) -> Depth:
-        """A map of NaN."""
+        """Return a map of NaN."""
         return np.full_like(truth.depth, np.nan)
 
     def regions(self, truth: DepthTruth) -> dict[str, NDArray[np.bool_]]:
-        """The masks, where the truth is known."""
+        """Return the masks, where the truth is known."""
         return truth.regions
 
     def error(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.float64]:
-        """(H, W) float64, millimeters."""
+        """Return (H, W) float64, millimeters."""
         return 1000.0 * np.abs(estimate.astype(np.float64) - truth.depth)
 
     def values(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.floating[Any]]:
-        """(H, W) float64, millimeters."""
+        """Return (H, W) float64, millimeters."""
         return 1000.0 * estimate.astype(np.float64)
 
     def true_values(self, truth: DepthTruth) -> NDArray[np.floating[Any]]:
-        """(H, W) float64, millimeters."""
+        """Return (H, W) float64, millimeters."""
         return 1000.0 * truth.depth.astype(np.float64)
 
     def wrong(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.bool_]:
-        """Pixels off by more than 5 %, or by more than the settings' threshold in mm."""
+        """Return True for pixels off by 5 % and more, or by more than the settings' threshold in mm."""
         if self.settings.threshold is not None:
             far: NDArray[np.bool_] = self.error(estimate, truth) > self.settings.threshold
             return far
-        wrong: NDArray[np.bool_] = _ratio(estimate, truth.depth) >= _WRONG
+        wrong: NDArray[np.bool_] = _ratio(estimate, truth.depth) >= _WRONG_RATIO
         return wrong
 
     def dense(self, estimate: Depth, truth: DepthTruth) -> list[Score]:
-        """Delta at ratios up to 1.5."""
+        """Compute delta at ratios up to 1.5."""
         name, region = next(iter(truth.regions.items()))
         tally = Tally(name, self.error(estimate, truth)[region])
         inside = _ratio(estimate, truth.depth)[region][~np.isnan(tally.error)]
         return [_delta(tally, inside, 1 + k / 100) for k in range(1, 51)]
 
-    def picture(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.uint8]:
-        """(H, W, 3) RGB: right and wrong by the ratio 1.05."""
-        return error_picture(estimate, self.wrong(estimate, truth), truth.regions["all"])
-
     def scores(self, estimate: Depth, truth: DepthTruth) -> list[Score]:
-        """Every measure in every region."""
+        """Compute every measure in every region."""
         error, ratio = self.error(estimate, truth), _ratio(estimate, truth.depth)
         pixels = None
         if truth.fb is not None:
@@ -164,37 +161,35 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         scores: list[Score] = []
         for name, region in truth.regions.items():
             tally = Tally(name, error[region])
-            valid = tally.valid
-            mean, square = (float(v.mean()) if v.size else np.nan for v in (valid, valid * valid))
-            relative = (error[region] / (1000.0 * truth.depth[region]))[~np.isnan(tally.error)]
+            known = ~np.isnan(tally.error)
+            square = _mean(tally, replace(self.headline, metric="RMSE"), tally.valid * tally.valid)
+            relative = (error[region] / (1000.0 * truth.depth[region]))[known]
             scores += [
-                tally.number(self.mae, mean, valid.size),
-                tally.number(replace(self.mae, metric="RMSE"), float(np.sqrt(square)), valid.size),
-                tally.number(
-                    Measure("REL", "", convention=ESTIMATED_ONLY), float(relative.mean()) if valid.size else np.nan,
-                    valid.size,
-                ),
-            ]  # fmt: skip
-            inside = ratio[region][~np.isnan(tally.error)]
-            scores += [_delta(tally, inside, limit) for limit in _RATIOS]
+                _mean(tally, self.headline, tally.valid),
+                replace(square, value=float(np.sqrt(square.value))),
+                _mean(tally, Measure("REL", "", convention=ESTIMATED_ONLY), relative),
+                *(_delta(tally, ratio[region][known], limit) for limit in _RATIOS),
+            ]
             if pixels is not None:
-                off = pixels[region][~np.isnan(tally.error)]
-                in_pixels = Measure("MAE", "px", convention=ESTIMATED_ONLY, label="MAE px")
-                scores.append(tally.number(in_pixels, float(off.mean()) if off.size else np.nan, off.size))
-                bad = Measure("bad", "%", 1.0, ESTIMATED_ONLY, label="bad 1 px")
-                scores.append(tally.rate(bad, off > 1.0))
+                off = pixels[region][known]
+                scores.append(_mean(tally, Measure("MAE", "px", convention=ESTIMATED_ONLY, label="MAE px"), off))
+                scores.append(tally.rate(Measure("bad", "%", 1.0, ESTIMATED_ONLY, label="bad 1 px"), off > 1.0))
             coverage = Measure("coverage", "%", worst=0.0, larger_is_better=True)
             scores.append(tally.number(coverage, tally.density, tally.error.size))
         return scores
 
 
+def _mean(tally: Tally, measure: Measure, values: NDArray[np.floating[Any]]) -> Score:
+    return tally.number(measure, float(values.mean()) if values.size else np.nan, values.size)
+
+
 def _delta(tally: Tally, ratios: NDArray[np.float64], limit: float) -> Score:
-    """Percentage of the estimated pixels, whose ratios are given, within a ratio of the truth."""
+    """Return the percentage of ``ratios``, those of the estimated pixels, below a limit."""
     measure = Measure("delta", "%", round(limit, 4), ESTIMATED_ONLY, larger_is_better=True, label=f"delta {limit:.4g}")
     return tally.number(measure, 100.0 * float(np.mean(ratios < limit)) if ratios.size else np.nan, ratios.size)
 
 
 def _ratio(estimate: Depth, truth: Depth) -> NDArray[np.float64]:
-    """The larger of z / z_true and z_true / z; NaN where one is unknown."""
+    """Return the larger of z / z_true and z_true / z; NaN where one is unknown."""
     quotient = estimate.astype(np.float64) / truth
     return np.maximum(quotient, 1.0 / quotient)

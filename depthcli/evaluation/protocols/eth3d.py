@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth
+from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally
 
-QUANTILES = (50, 90, 95, 99)
+QUANTILES = (50, 90, 95, 99)  # percent, as printed by the program
 MISSING_NOT_COUNTED = "estimated pixels only; an empty map counts as bad"
 
 
@@ -21,20 +21,23 @@ class Eth3d(DisparityProtocol):
     value is 100 % bad. The quantile A_q is element floor(q n / 100) of the n sorted errors.
     """
 
-    title = "ETH3D two-view: bad pixels among the estimated ones, %"
-    note = "bad: % of the estimated pixels; coverage: % of all pixels; avgerr, rms, A50 ...: px, estimated pixels only"
+    presentation = replace(
+        PRESENTATION,
+        title="ETH3D two-view: bad pixels among the estimated ones, %",
+        note="bad: % of the estimated pixels; coverage: % of all pixels; avgerr, rms, A50 ...: px, estimated pixels",
+    )
     thresholds = (0.5, 1.0, 2.0, 4.0)
     default_threshold = 1.0
     rule = Measure("bad", "%", convention=MISSING_NOT_COUNTED, worst=100.0)
 
     def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Values beyond the width, of either sign, are no values."""
+        """Return the estimate without the values, of either sign, that are beyond the image's width."""
         fitted = self.resized(estimate, truth)
         with np.errstate(invalid="ignore"):
             return np.where(np.abs(fitted) > fitted.shape[1], np.float32(np.nan), fitted)
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
-        """``bad`` at four thresholds, ``coverage``, ``avgerr``, ``rms`` and quantiles."""
+        """Compute ``bad`` at four thresholds, ``coverage``, ``avgerr``, ``rms`` and quantiles."""
         return [score for tally in self.tallies(estimate, truth) for score in self._measures(tally)]
 
     def _measures(self, tally: Tally) -> list[Score]:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from depthcli.data.formats.disparity import KITTI_SCALE
 from depthcli.data.scenes.stereo import StereoTruth
-from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth, Masks, difference
+from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks, difference
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, float_sum
 
 INTERPOLATED = "background-interpolated"
-_EMPTY = np.float32(-1)
+_EMPTY = np.float32(-1)  # value of a row without any, as the kit writes it
 
 
 class Kitti2012(DisparityProtocol):
@@ -27,32 +27,35 @@ class Kitti2012(DisparityProtocol):
     -1 there, and so it does here: its pixels are wrong, and count in the average error by that value.
     """
 
-    title = "KITTI 2012: outliers > 3 px, %; background-interpolated maps"
-    note = "out, avgerr: background-interpolated maps; est: estimated pixels only; means: every frame counts once"
-    mask_order: ClassVar[tuple[str, ...]] = ("noc", "occ")
-    curve_masks = ("noc", "occ")
-    visible = "noc"
+    presentation = replace(
+        PRESENTATION,
+        title="KITTI 2012: outliers > 3 px, %; background-interpolated maps",
+        note="out, avgerr: background-interpolated maps; est: estimated pixels only; means: every frame counts once",
+        visible_region="noc",
+    )
+    region_order: ClassVar[tuple[str, ...]] = ("noc", "occ")
+    curve_regions = ("noc", "occ")
     thresholds = (2.0, 3.0, 4.0, 5.0)
     default_threshold = 3.0
     rule = Measure("out", "%", convention=INTERPOLATED, worst=100.0)
 
     def masks(self, stored: StereoTruth) -> Masks:
-        """``noc`` where there is such a file, and ``occ``, all pixels."""
+        """Return ``noc``, the visible pixels, where there is such a file, and ``occ``, all pixels."""
         known = {"occ": known_kitti(stored.disparity)}
         return known if stored.noc is None else {"noc": known_kitti(stored.noc), **known}
 
-    def reference(self, truth: DisparityTruth, mask: str) -> Disparity:
-        """``disp_noc`` has its own values."""
-        return truth.noc if truth.noc is not None and mask.startswith("noc") else truth.disparity
+    def reference(self, truth: DisparityTruth, region: str) -> Disparity:
+        """Return the values of ``disp_noc`` for its regions, those of ``disp_occ`` for all others."""
+        return truth.noc if truth.noc is not None and region.startswith("noc") else truth.disparity
 
     def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """As the PNG holds it: codes 1 to 65535, 256 a pixel."""
+        """Return the values that a 16-bit PNG holds: codes 1 to 65535, 256 a pixel."""
         values = self.resized(estimate, truth)
         codes = np.clip(np.rint(values.astype(np.float64) * KITTI_SCALE), 1, 65535) / KITTI_SCALE
         return np.where(known_kitti(values), codes, np.nan).astype(np.float32)
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
-        """Every measure on the interpolated map, then on the estimated pixels."""
+        """Compute every measure on the interpolated map, then on the estimated pixels."""
         as_is = self.fit(estimate, truth)
         filled = interpolate_background(as_is)
         filled[np.isnan(filled)] = _EMPTY
@@ -68,7 +71,7 @@ class Kitti2012(DisparityProtocol):
         return scores
 
     def measures(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
-        """``out`` at the thresholds and ``avgerr``."""
+        """Compute ``out`` at the thresholds and ``avgerr`` from the errors and the true values of a region."""
         est = "est " if convention == ESTIMATED_ONLY else ""
         scores = [
             tally.rate(Measure("out", "%", t, convention, 100.0, label=f"{est}out {t:g}"), error > np.float32(t))
@@ -79,7 +82,7 @@ class Kitti2012(DisparityProtocol):
         return [*scores, tally.number(average, value, error.size)]
 
     def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
-        """The mean over the frames, summed in single precision as by the kit."""
+        """Compute the mean over the frames, summed in single precision as by the kit."""
         mean = super().pool(scores, weights)
         unit = 100.0 if mean.measure.unit == "%" else 1.0
         values = np.array([s.value / unit for s in scores if not math.isnan(s.density)], np.float32)
@@ -88,7 +91,7 @@ class Kitti2012(DisparityProtocol):
 
 
 def known_kitti(disparity: Disparity) -> NDArray[np.bool_]:
-    """Pixels with a value: a negative one is none."""
+    """Return True for pixels with a value, which negative ones are not."""
     with np.errstate(invalid="ignore"):
         known: NDArray[np.bool_] = disparity >= 0
     return known

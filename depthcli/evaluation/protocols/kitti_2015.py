@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.data.scenes.stereo import StereoTruth
-from depthcli.evaluation.disparity import Disparity, DisparityTruth, Masks, difference
+from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityTruth, Masks, difference
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, Kitti2012
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, percent
 
@@ -22,11 +23,15 @@ class Kitti2015(Kitti2012):
     outliers and average errors of KITTI 2012 stand beside D1, pooled too.
     """
 
-    title = "KITTI 2015: D1, %; background-interpolated maps"
-    note = "D1: > 3 px and >= 5 %; out, avgerr: as KITTI 2012; est: estimated pixels only; means: all frames pooled"
-    mask_order = ("occ", "occ_bg", "occ_fg", "noc", "noc_bg", "noc_fg")
-    curve_masks = ("occ", "noc")
-    pooling = "pooled"
+    presentation = replace(
+        PRESENTATION,
+        title="KITTI 2015: D1, %; background-interpolated maps",
+        note="D1: > 3 px and >= 5 %; out, avgerr: as KITTI 2012; est: estimated pixels only; means: all frames pooled",
+        visible_region="noc",
+        mean_heading="pooled",
+    )
+    region_order = ("occ", "occ_bg", "occ_fg", "noc", "noc_bg", "noc_fg")
+    curve_regions = ("occ", "noc")
 
     @property
     def headline(self) -> Measure:
@@ -34,7 +39,7 @@ class Kitti2015(Kitti2012):
         return _d1(INTERPOLATED) if self.settings.threshold is None else self.at(self.settings.threshold)
 
     def masks(self, stored: StereoTruth) -> Masks:
-        """Of both kinds of truth all pixels, and background and objects where there is an object map."""
+        """Return all pixels of ``occ`` and ``noc``, and their background and objects where there is an object map."""
         masks = super().masks(stored)
         if stored.objects is not None:
             for name in list(masks):
@@ -42,33 +47,33 @@ class Kitti2015(Kitti2012):
         return masks
 
     def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:
-        """By the D1 rule, or the user's threshold."""
+        """Return True where the D1 rule, or the user's threshold, is broken."""
         if self.settings.threshold is not None:
             return super().wrong(estimate, truth)
         return is_d1(difference(self.fit(estimate, truth), truth.disparity), truth.disparity)
 
     def measures(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
-        """``D1``, then those of KITTI 2012."""
+        """Compute ``D1``, then the measures of KITTI 2012."""
         return [tally.rate(_d1(convention), is_d1(error, truth)), *super().measures(tally, error, truth, convention)]
 
     def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
-        """Over all pixels of all frames: wrong ones / all, or errors / all."""
+        """Compute a score over all pixels of all frames: wrong pixels / all pixels, or the mean error."""
         pixels = sum(s.pixels for s in scores)
         # What a region holds, of which scores over the estimated pixels know only a share.
         sizes = [s.pixels if s.measure.convention == INTERPOLATED or not s.density > 0 else 100 * s.pixels / s.density
                  for s in scores]  # fmt: skip
         answered = math.fsum(n * s.density for n, s in zip(sizes, scores, strict=True) if n)
         density = answered / math.fsum(sizes) if pixels else math.nan
-        measure, mask = scores[0].measure, scores[0].mask
+        measure, region = scores[0].measure, scores[0].region
         counts = [s.wrong for s in scores if s.wrong is not None]
         if counts:
-            return Score(measure, mask, percent(sum(counts), pixels), pixels, density, sum(counts))
+            return Score(measure, region, percent(sum(counts), pixels), pixels, density, sum(counts))
         value = math.fsum(s.value * s.pixels for s in scores if s.pixels) / pixels if pixels else math.nan
-        return Score(measure, mask, value, pixels, density)
+        return Score(measure, region, value, pixels, density)
 
 
 def is_d1(error: Disparity, truth: Disparity) -> NDArray[np.bool_]:
-    """Wrong by the D1 rule; NaN is not. A truth of 0 px is off by more than 5 % wherever the error is above 3 px."""
+    """Return True where an error is above 3 px and at least 5 % of the truth, which may be 0; False for NaN."""
     with np.errstate(invalid="ignore", divide="ignore"):
         wrong: NDArray[np.bool_] = (error > 3) & ((error / np.abs(truth)).astype(np.float64) > 0.05)
     return wrong

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.filters.discontinuity import discontinuity_mask
 from depthcli.data.scenes.stereo import StereoTruth
-from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth, Masks
-from depthcli.evaluation.masks import derive_masks
+from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks
 from depthcli.evaluation.scores import Score
 
 
@@ -18,23 +21,49 @@ class MiddleburyV2(DisparityProtocol):
     estimated pixels. Masks that the files do not give are derived where both views' truth is known.
     """
 
-    title = "Middlebury v2: bad pixels, %; missing counts as bad"
+    presentation = replace(PRESENTATION, title="Middlebury v2: bad pixels, %; missing counts as bad", scene_rows=False)
     thresholds = (0.5, 0.75, 1.0, 1.5, 2.0)
     default_threshold = 1.0
-    averages_masks = True
-    scene_rows = False
+    averages_regions = True
 
     def masks(self, stored: StereoTruth) -> Masks:
-        """Those of the files, then derived ones."""
+        """Return the masks of the files, and derived ones in place of those that are missing."""
         masks = super().masks(stored)
         if stored.right is not None and stored.right.shape == stored.disparity.shape:
             masks = {**derive_masks(stored.disparity, stored.right, masks.get("nonocc")), **masks}
         return masks
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
-        """``bad`` at five thresholds, ``avgerr`` and ``rms``."""
+        """Compute ``bad`` at five thresholds, ``avgerr`` and ``rms``."""
         scores = []
         for tally in self.tallies(estimate, truth):
             scores += [tally.rate(self.at(t), ~(tally.error <= np.float32(t))) for t in self.all_thresholds]
             scores += tally.means()
         return scores
+
+
+def derive_masks(
+    left: NDArray[np.float32], right: NDArray[np.float32], nonocc: NDArray[np.bool_] | None = None
+) -> dict[str, NDArray[np.bool_]]:
+    """Compute evaluation masks from the ground truth of both views, as the Middlebury v2 ones were made.
+
+    Parameters
+    ----------
+    left, right : (H, W) float32, pixels, NaN = unknown
+    nonocc : (H, W) bool, where a better one is known than the one that would be derived
+
+    Returns
+    -------
+    ``nonocc``, ``all``, ``disc`` : (H, W) bool. all: left truth known. nonocc: all, right truth at
+    round(x - d) known and within 1 px. disc: near a jump of more than 2 px (unknown counted as 0) or an
+    occluded pixel, inside nonocc.
+    """
+    known = ~np.isnan(left)
+    filled = np.where(known, left, 0).astype(np.float32)
+    if nonocc is None:
+        rows, cols = np.indices(left.shape)
+        target = cols - np.floor(filled + 0.5).astype(np.int64)
+        other = right[rows, np.clip(target, 0, left.shape[1] - 1)]
+        with np.errstate(invalid="ignore"):
+            nonocc = known & (target >= 0) & (np.abs(other - left) <= 1)
+    return {"nonocc": nonocc, "all": known, "disc": discontinuity_mask(filled, nonocc, known)}

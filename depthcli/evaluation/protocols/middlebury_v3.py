@@ -9,19 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.data.scenes import Scene
-from depthcli.evaluation.disparity import Disparity, DisparityProtocol, DisparityTruth, size
+from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, size
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Measure, Score, Tally, float_sum
 
-QUANTILES = (50, 90, 95, 99)
-_FACTORS = {"F": 1, "H": 2, "Q": 4}
+QUANTILES = (50, 90, 95, 99)  # percent, as printed by the SDK
+_FACTORS = {"F": 1, "H": 2, "Q": 4}  # full size / size of a resolution
 # Full-size widths of the training scenes; those of 2014 lie between 2632 and 2964 pixels.
 _FULL_WIDTHS = {"ArtL": 1388, "Teddy": 1800}
 _SCENES = ("Adirondack", "ArtL", "Jadeplant", "Motorcycle", "MotorcycleE", "Piano", "PianoL", "Pipes", "Playroom",
            "Playtable", "PlaytableP", "Recycle", "Shelves", "Teddy", "Vintage")  # fmt: skip
 # The site's average weighs the hard scenes with 4 % and the other ten with 8 %.
 _HARD = ("PianoL", "Playroom", "Playtable", "Shelves", "Vintage")
-# A value beyond so many search ranges is no value.
-_ABSURD = 1000
+_MAX_RANGES = 1000  # a value beyond so many search ranges is no value, as the SDK's "infinite" ones
 
 
 class MiddleburyV3(DisparityProtocol):
@@ -35,26 +34,30 @@ class MiddleburyV3(DisparityProtocol):
     means the same at every size.
     """
 
-    title = "Middlebury v3: bad pixels, missing ones included, %"
-    note = (
-        "thresholds: px of the full size (in brackets: of this size); bad, invalid, totbad: % of all pixels; avgerr, "
-        "rms, A50 ...: px of this size, valid pixels only; PianoL, Playroom, Playtable, Shelves, Vintage count half"
+    presentation = replace(
+        PRESENTATION,
+        title="Middlebury v3: bad pixels, missing ones included, %",
+        note=(
+            "thresholds: px of the full size (in brackets: of this size); bad, invalid, totbad: % of all pixels; "
+            "avgerr, rms, A50 ...: px of this size, valid pixels only; "
+            "PianoL, Playroom, Playtable, Shelves, Vintage count half"
+        ),
+        threshold_axis="threshold, px of the full size",
     )
     thresholds = (0.5, 1.0, 2.0, 4.0)
     default_threshold = 2.0
-    threshold_axis = "threshold, px of the full size"
     takes = ("scale", "threshold", "resolution")
     rule = Measure("totbad", "%", convention=MISSING_IS_BAD, worst=100.0)
 
     def weight(self, scene: str) -> float:
-        """As in the site's average."""
+        """Return 0.5 for a hard scene and 1 for all others, as in the site's average."""
         return 0.5 if scene.rpartition("/")[2] in _HARD else 1.0
 
     def truth(self, scene: Scene) -> DisparityTruth:
-        """Ground truth with the size of the benchmark's full image.
+        """Return the ground truth with the factor to the benchmark's full size.
 
-        That is ``resolution``; without it, it is told from the width of a training scene of the benchmark, and
-        other scenes are taken for full size.
+        The factor follows from the setting ``resolution``; without it, from the width of a training scene of the
+        benchmark. Other scenes are taken for full size.
         """
         truth = super().truth(scene)
         width = truth.disparity.shape[1]
@@ -67,7 +70,7 @@ class MiddleburyV3(DisparityProtocol):
         return replace(truth, factor=factor)
 
     def resized(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Nearest neighbor, values multiplied; only an exact half or quarter of the truth's size fits."""
+        """Return the estimate at the truth's size, nearest neighbor; only its exact half or quarter can be resized."""
         factor = truth.disparity.shape[1] // estimate.shape[1]
         if factor not in (1, 2, 4) or truth.disparity.shape != tuple(factor * n for n in estimate.shape):
             raise ValueError(
@@ -78,26 +81,26 @@ class MiddleburyV3(DisparityProtocol):
             return np.repeat(np.repeat(estimate * np.float32(factor), factor, axis=0), factor, axis=1)
 
     def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Scaled up, clipped to the range, rounded where the truth is."""
+        """Return the estimate scaled up, clipped to the range, and rounded where the truth is."""
         fitted = self.resized(estimate, truth)
         if truth.max_disparity is not None:
             factor = truth.disparity.shape[1] // estimate.shape[1]
             # The range of the smaller image, rounded up to whole pixels, at the truth's size.
             top = np.float32(factor * math.ceil(truth.max_disparity / factor))
-            fitted[fitted > max(abs(float(top)), 1.0) * _ABSURD] = np.nan
+            fitted[fitted > max(abs(float(top)), 1.0) * _MAX_RANGES] = np.nan
             fitted = np.minimum(fitted, top)
-        least = np.nanmin(truth.disparity, initial=np.float32(0))  # of pairs that are cropped or converge
-        fitted = np.maximum(fitted, least)
+        # The truth is negative in pairs that are cropped or converge.
+        fitted = np.maximum(fitted, np.nanmin(truth.disparity, initial=np.float32(0)))
         return np.floor(fitted + np.float32(0.5)) if truth.round_disparity else fitted
 
     def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:
-        """By the headline's threshold at this size."""
+        """Return True where the error is above the headline's threshold at this size."""
         assert self.headline.threshold is not None
         wrong: NDArray[np.bool_] = self.error(estimate, truth) > np.float32(self.headline.threshold / truth.factor)
         return wrong
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
-        """``bad`` and ``totbad`` at four thresholds, ``invalid``, ``avgerr``, ``rms`` and quantiles."""
+        """Compute ``bad`` and ``totbad`` at four thresholds, ``invalid``, ``avgerr``, ``rms`` and quantiles."""
         return [score for tally in self.tallies(estimate, truth) for score in _measures(self, tally, truth.factor)]
 
 

@@ -23,6 +23,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.winners import Gathered
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.stereo.adjustment import Adjust, adjusted
 from depthcli.methods.stereo.coarse import Prior, glimpses_of, halved
@@ -36,7 +37,6 @@ from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
-from depthcli.methods.stereo.tiled_winners import TiledWinners
 from depthcli.methods.stereo.tiles import Candidates, Margins, Tile
 from depthcli.methods.stereo.volume import CostMinima, CostVolume, RefinementContext, StereoResult
 
@@ -148,11 +148,11 @@ def _level(
     allowed: int,
     clock: Clock,
     held: int = 0,
-) -> tuple[StereoResult, TiledWinners]:
+) -> tuple[StereoResult, Gathered]:
     """One size: costs and winners by tile, then refinement of the whole map."""
     plan = _plan(matcher, pair, top, prior, margins, allowed, held)
     clock.stop("plan")
-    gathered = TiledWinners(pair.shape, any(isinstance(step, Subpixel) for step in matcher.refinement))
+    gathered = Gathered(pair.shape, any(isinstance(step, Subpixel) for step in matcher.refinement))
     confidence: dict[str, NDArray[np.float32]] = {}
     for tile in plan:
         volume, spans = _tile_volume(matcher, pair, tile, prior, clock)
@@ -338,7 +338,7 @@ def _filled(disparity: DisparityMap, coarse: NDArray[np.float32]) -> DisparityMa
 def _refined(
     disparity: DisparityMap,
     steps: Sequence[Refinement],
-    gathered: TiledWinners,
+    gathered: Gathered,
     pair: StereoPair,
     top: int,
     prior: Prior | None = None,

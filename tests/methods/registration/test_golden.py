@@ -9,7 +9,7 @@ import pytest
 
 from depthcli.core.volumes import RegisteredPair
 from depthcli.data.formats.volumes import Grid, linear
-from depthcli.evaluation.protocols.registration import correlation, ranks
+from depthcli.evaluation.statistics import correlation, ranks
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from tests.scenes import DATA
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from depthcli.algorithms.plane_fitting.window_slopes import BLOCK, difference_limits
 from depthcli.device import DeviceArray, Kernels
 from depthcli.methods.stereo.on_device import PIXELS, DeviceEvidence, DeviceMap
 from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
+from depthcli.methods.stereo.slopes import BLOCK, difference_limits
 
 _KERNELS = Kernels(__package__, "slanted.cl")
 _MEDIANS = Kernels(__package__, "medians.cl")
@@ -40,7 +40,7 @@ def run(method: SlantedMedian, disparity: DeviceMap, evidence: DeviceEvidence) -
 def _slopes(
     known: DeviceArray, trust: DeviceArray, image: DeviceArray, radius: int, evidence: DeviceEvidence
 ) -> DeviceArray:
-    """As :func:`depthcli.algorithms.plane_fitting.window_slopes.slopes`, (2, H, W)."""
+    """As :func:`depthcli.methods.stereo.slopes.slopes`, (2, H, W)."""
     device = evidence.pair.device
     height, width = known.shape
     step, limits, spread = difference_limits(radius)

@@ -1,0 +1,1 @@
+"""Operations on plain arrays that several packages share."""

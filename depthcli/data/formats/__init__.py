@@ -1,1 +1,0 @@
-"""Files: one module a format."""

@@ -1,0 +1,268 @@
+"""Runs compared: the results of a data set under one protocol, their means and ranks, and the whole evaluation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from depthcli.core.errors import InputError
+from depthcli.evaluation.protocols import AnyProtocol
+from depthcli.evaluation.results import COMMON_MEAN, MEAN, Record, Result
+from depthcli.evaluation.scores import Key, Score
+from depthcli.evaluation.statistics import Comparison, average_ranks, compare
+
+
+@dataclass(frozen=True)
+class Section:
+    """The results of one data set under one protocol; every run has a result for every scene.
+
+    A run's mean over **all** scenes counts a scene without a map as wholly wrong. The mean over the **common** scenes,
+    of which every run has a map, compares what was computed. Ranks are taken over the common scenes alone.
+    """
+
+    data_set: str
+    protocol: AnyProtocol
+    runs: tuple[str, ...]
+    results: tuple[Result, ...]
+
+    @cached_property
+    def scenes(self) -> list[str]:
+        """Names of all scenes, in the order of the results."""
+        return list(dict.fromkeys(result.scene for result in self.results))
+
+    @cached_property
+    def common(self) -> frozenset[str]:
+        """Names of the scenes of which every run has a map."""
+        return frozenset(self.scenes) - {result.scene for result in self.results if result.error}
+
+    @cached_property
+    def regions(self) -> list[str]:
+        """Names of the regions, in the protocol's order; the first is the main region."""
+        return self.protocol.ordered(score.region for result in self.results for score in result.scores)
+
+    @cached_property
+    def keys(self) -> list[Key]:
+        """All pairs of measure and region that have a score."""
+        return list(dict.fromkeys(score.key for result in self.results for score in result.scores))
+
+    @property
+    def incomplete(self) -> bool:
+        """True where some run has no map of some scene."""
+        return len(self.common) < len(self.scenes)
+
+    def of(self, run: str, common: bool = False) -> list[Result]:
+        """Return one run's results of all scenes, or of the common ones."""
+        return [r for r in self.results if r.run == run and (not common or r.scene in self.common)]
+
+    def n_missing(self, run: str) -> int:
+        """Return the number of scenes of which a run has no map."""
+        return sum(bool(result.error) for result in self.of(run))
+
+    @cached_property
+    def mean_records(self) -> list[Record]:
+        """The means of every run, measure and region, over all scenes (``MEAN``) and common ones (``COMMON_MEAN``)."""
+        made = []
+        for run in self.runs:
+            common = {score.key: score for score in self.protocol.mean(self.of(run, common=True))}
+            n_missing = self.n_missing(run)
+            missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
+            where = {"run": run, "data_set": self.data_set, "protocol": self.protocol.name}
+            for score in self.protocol.mean(self.of(run)):
+                of_common = common.get(score.key, replace(score, value=math.nan, density=math.nan))
+                note = f"over the {len(self.common)} scenes that all runs have"
+                made.append(Record(scene=MEAN, score=score, note=f"over {len(self.scenes)} scenes{missing}", **where))
+                made.append(Record(scene=COMMON_MEAN, score=of_common, note=note, **where))
+        return made
+
+    @cached_property
+    def _scores(self) -> dict[tuple[str, str, Key], Score]:
+        records = [record for result in self.results for record in result.records()] + self.mean_records
+        return {(r.run, r.scene, r.score.key): r.score for r in records if r.score is not None}
+
+    def score(self, run: str, scene: str, key: Key) -> Score | None:
+        """Return one run's score of a scene, of ``MEAN`` or of ``COMMON_MEAN``; None where there is none."""
+        return self._scores.get((run, scene, key))
+
+    def figure(self, run: str, scene: str = MEAN) -> Score | None:
+        """Return the single figure of a run over all scenes (``MEAN``) or the common ones (``COMMON_MEAN``).
+
+        It is the headline over the protocol's regions for it; None where the run has no score.
+        """
+        keys = [(self.protocol.headline, region) for region in self.protocol.figure_regions(self.regions)]
+        if len(keys) == 1:  # the mean of that region, which a protocol may compute in its own way
+            return self.score(run, scene, keys[0])
+        pairs = [
+            (score, self.protocol.weight(result.scene))
+            for result in self.of(run, scene == COMMON_MEAN)
+            for key in keys
+            if (score := result.by_key.get(key)) is not None
+        ]
+        return self.protocol.pool(*zip(*pairs, strict=True)) if pairs else None
+
+    def dense(self, run: str) -> list[Score]:
+        """Return the means over all scenes of one metric at many thresholds."""
+        return self.protocol.pooled((r.dense, r.scene) for r in self.of(run))
+
+    def signed(self, run: str) -> list[float]:
+        """Return one run's headline in the main region by scene, signed so that lower is better; NaN without a map."""
+        headline = self.protocol.headline
+        scores = [None if r.error else r.by_key.get((headline, self.regions[0])) for r in self.of(run)]
+        sign = -1 if headline.larger_is_better else 1
+        return [math.nan if score is None else sign * score.value for score in scores]
+
+    def average_rank(self, keys: Sequence[Key]) -> dict[str, float]:
+        """Return run -> mean rank over the common scenes and (measure, region) pairs; equal values share a rank."""
+        grid = [
+            [
+                (-1 if key[0].larger_is_better else 1) * r.by_key[key].value
+                for r in self.of(run, common=True)
+                for key in keys
+                if key in r.by_key
+            ]
+            for run in self.runs
+        ]
+        ranks = average_ranks(np.array(grid, np.float64).reshape(len(self.runs), -1))
+        return {run: float(rank) for run, rank in zip(self.runs, ranks, strict=True)}
+
+    def row(self, run: str, score: Score, common: Score | None) -> dict[str, Any]:
+        """Return a mean over all scenes (``value``) and over the common ones (``value_common``) as plain values."""
+        return {
+            "run": run, "data_set": self.data_set, "protocol": self.protocol.name, **score.row(),
+            "scenes": len(self.scenes), "missing": self.n_missing(run), "common": len(self.common),
+            "value_common": math.nan if common is None else common.value,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class EvaluationReport:
+    """All results of an evaluation, in the order of the scenes, then of the runs.
+
+    Attributes
+    ----------
+    runs : names of the runs
+    results : one for every scene and run
+    protocols : name -> protocol, of all that the results name
+    truth : folder or file of the ground truth
+    """
+
+    runs: tuple[str, ...]
+    results: tuple[Result, ...]
+    protocols: dict[str, AnyProtocol]
+    truth: Path
+
+    @property
+    def failed(self) -> list[Result]:
+        """Results without a usable map or truth."""
+        return [result for result in self.results if result.error]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What looks wrong with the maps, one line each."""
+        return [f"{r.run}: {r.scene}: {r.warning}" for r in self.results if r.warning]
+
+    @property
+    def n_scenes(self) -> int:
+        """Number of scenes."""
+        return len({result.scene for result in self.results})
+
+    @cached_property
+    def sections(self) -> list[Section]:
+        """A section for every data set and protocol that has scores."""
+        return self._sections(lambda result: result.data_set)
+
+    @cached_property
+    def by_protocol(self) -> list[Section]:
+        """A section for every protocol, with the scenes of all data sets."""
+        return self._sections(lambda result: "all scenes")
+
+    def _sections(self, name: Callable[[Result], str]) -> list[Section]:
+        groups: dict[tuple[str, str], list[Result]] = {}
+        for result in self.results:
+            if result.scores:
+                groups.setdefault((name(result), result.protocol), []).append(result)
+        return [Section(d, self.protocols[p], self.runs, tuple(results)) for (d, p), results in groups.items()]
+
+    def comparisons(self) -> list[tuple[Section, str, Comparison]]:
+        """Compare every further run with the first, by protocol: the headline in the main region of common scenes."""
+        made = []
+        for section in self.by_protocol:
+            values = [section.signed(run) for run in self.runs]
+            made += [(section, run, compare(values[0], v)) for run, v in zip(self.runs[1:], values[1:], strict=True)]
+        return made
+
+    def records(self) -> list[Record]:
+        """Return every number of the evaluation: of all results, then the means of every section."""
+        made = [record for result in self.results for record in result.records()]
+        return made + [record for section in self.sections for record in section.mean_records]
+
+    def means(self) -> list[dict[str, Any]]:
+        """Return the means of every measure by data set, run and region, as plain values."""
+        made = []
+        for section in self.sections:
+            for mean, common in zip(section.mean_records[::2], section.mean_records[1::2], strict=True):
+                assert mean.score is not None
+                made.append(section.row(mean.run, mean.score, common.score))
+        return made
+
+    def headlines(self) -> list[dict[str, Any]]:
+        """Return the single figure of every run in every data set, as plain values."""
+        return [
+            {**section.row(run, score, section.figure(run, COMMON_MEAN)), "mask": "+".join(regions)}
+            for section in self.sections
+            for regions in [section.protocol.figure_regions(section.regions)]
+            for run in self.runs
+            if (score := section.figure(run)) is not None
+        ]
+
+    def by_threshold(self) -> list[dict[str, Any]]:
+        """Return the lines of the plots against the threshold, one for every run and data set, as plain values."""
+        made = []
+        for section in self.sections:
+            for run in self.runs:
+                if scores := section.dense(run):
+                    m = scores[0].measure
+                    made.append({
+                        "run": run, "data_set": section.data_set, "protocol": section.protocol.name,
+                        "metric": m.metric, "mask": scores[0].region, "unit": m.unit, "convention": m.convention,
+                        "thresholds": [s.measure.threshold for s in scores], "values": [s.value for s in scores],
+                    })  # fmt: skip
+        return made
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values; NaN where there is no number."""
+        return {
+            "truth": str(self.truth),
+            "runs": list(self.runs),
+            "results": [result.to_dict() for result in self.results],
+            "means": self.means(),
+            "headlines": self.headlines(),
+            "by_threshold": self.by_threshold(),
+            "comparisons": [
+                {
+                    "protocol": section.protocol.name,
+                    "run": run,
+                    "against": self.runs[0],
+                    "better": run if c.wins > c.losses else self.runs[0] if c.losses > c.wins else None,
+                    **vars(c),
+                }
+                for section, run, c in self.comparisons()
+            ],
+            "failed": [{"run": r.run, "scene": r.scene, "reason": r.error} for r in self.failed],
+            "warnings": self.warnings,
+        }
+
+
+def run_names(places: Sequence[Path]) -> list[str]:
+    """Return names of folders or files, with as many parents as make them differ; InputError where two are one."""
+    parts = [place.resolve().parts for place in places]
+    for depth in range(1, max(len(p) for p in parts) + 1):
+        names = ["_".join(p[-depth:]).strip("/") or "run" for p in parts]
+        if len(set(names)) == len(names):
+            return names
+    raise InputError("the same run is given twice")

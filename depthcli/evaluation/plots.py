@@ -1,0 +1,236 @@
+"""Plots as SVG, by matplotlib, which is imported where one is drawn; the same numbers give the same bytes."""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from depthcli.evaluation.comparison import Section
+from depthcli.evaluation.curves import PERCENTAGES, Sparsification
+from depthcli.evaluation.results import MEAN
+from depthcli.evaluation.statistics import mean_of_known
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Okabe & Ito's palette without its yellow, which is too pale for a line.
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d1f", "#000000")
+_MARKERS = "osD^vPX*"
+_BOUND = "#777777"
+_SETTINGS = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 10, "axes.spines.top": False,
+             "axes.spines.right": False}  # fmt: skip
+
+
+def plots(section: Section) -> dict[str, str]:
+    """Return caption -> text of an SVG file, of all plots that the section has numbers for."""
+    made = {}
+    measure = section.protocol.headline.heading_with_unit
+    what = f"{measure}, {section.regions[0]}"
+    if len(section.scenes) > 2:
+        made[f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"] = _boxes(section, what)
+    if (curves := _by_threshold(section)) is not None:
+        made["Against the threshold, over all scenes; dots: thresholds of the tables"] = curves
+    if any(not math.isnan(r.seconds) for r in section.results):
+        of_all = f"{measure}, {' + '.join(section.protocol.figure_regions(section.regions))}"
+        made[f"Time against {of_all}: means of a scene"] = _times(section, of_all)
+    for (region, of), svg in _sparsifications(section):
+        made[f"Sparsification, {region}: {'share of wrong pixels' if of == 'bad' else 'mean error'} of the most "
+             "confident pixels; dotted: the best ranking"] = svg  # fmt: skip
+    return made
+
+
+def _boxes(section: Section, what: str) -> str:
+    key = (section.protocol.headline, section.regions[0])
+    rows = [[r.by_key[key].value for r in section.of(run) if key in r.by_key] for run in section.runs]
+    kept = [(run, [v for v in row if not math.isnan(v)]) for run, row in zip(section.runs, rows, strict=True)]
+    kept = [(run, row) for run, row in kept if row]
+    with _figure(height=1.2 + 0.32 * len(kept)) as (axes, out):
+        place = list(range(len(kept), 0, -1))
+        axes.boxplot([row for _, row in kept], positions=place, orientation="horizontal", widths=0.55,
+                     showfliers=False, medianprops={"color": "black"})  # fmt: skip
+        for i, (_, row) in enumerate(kept):
+            axes.plot(row, [place[i]] * len(row), linestyle="", marker="o", ms=4, alpha=0.7, color=_color(i))
+        axes.set_yticks(place, [_plain(run) for run, _ in kept])
+        axes.set_xlabel(_plain(what))
+        axes.set_xlim(left=0)
+    return out[0]
+
+
+def _by_threshold(section: Section) -> str | None:
+    """Lines of what the protocol has at many thresholds; dots: those of the tables."""
+    lines = {run: scores for run in section.runs if (scores := section.dense(run))}
+    if not lines:
+        return None
+    some = next(iter(lines.values()))[0]
+    with _figure() as (axes, out):
+        for i, run in enumerate(section.runs):
+            points = [(s.measure.threshold, s.value) for s in lines.get(run, ()) if s.measure.threshold is not None]
+            _line(axes, i, run, points, marker="")
+            dots = [  # of the tables
+                (m.threshold, score.value)
+                for m, region in section.keys
+                if m.threshold is not None and region == some.region
+                and m == replace(some.measure, threshold=m.threshold) and points and m.threshold <= points[-1][0]
+                and (score := section.score(run, MEAN, (m, region))) is not None
+            ]  # fmt: skip
+            axes.plot([x for x, _ in dots], [y for _, y in dots], linestyle="", marker=_marker(i), ms=4,
+                      color=_color(i))  # fmt: skip
+        axes.set_xlabel(_plain(section.protocol.presentation.threshold_axis))
+        axes.set_ylabel(_plain(f"{some.measure.metric}, {some.measure.unit}, {some.region}"))
+        if not some.measure.larger_is_better:
+            axes.set_ylim(bottom=0)
+        _legend(axes, len(section.runs))
+    return out[0]
+
+
+def _times(section: Section, what: str) -> str:
+    from matplotlib.ticker import LogLocator
+
+    with _figure() as (axes, out):
+        for i, run in enumerate(section.runs):
+            score, seconds = section.figure(run), mean_of_known(r.seconds for r in section.of(run))
+            if score is not None and not math.isnan(score.value + seconds):
+                axes.plot([seconds], [score.value], linestyle="", marker=_marker(i), ms=8, color=_color(i),
+                          label=_plain(run))  # fmt: skip
+        axes.set_xscale("log")
+        low, high = axes.dataLim.intervalx
+        if low > 0:  # room for two round numbers at least
+            axes.set_xlim(low / 2, 2 * high)
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("")
+        axes.set_xlabel("seconds a scene")
+        axes.set_ylabel(_plain(what))
+        axes.set_ylim(0, 1.08 * axes.dataLim.ymax if axes.dataLim.ymax > 0 else 1)
+        _legend(axes, len(section.runs))
+    return out[0]
+
+
+def _sparsifications(section: Section) -> Iterator[tuple[tuple[str, str], str]]:
+    """((region, kind of error), plot): a line a run and confidence, the mean of its scenes' curves."""
+    groups: dict[tuple[str, str], dict[str, list[Any]]] = {}
+    for r in section.results:
+        for c in r.curves:
+            name = f"{r.run}: {c.confidence}" if len(section.runs) > 1 else c.confidence
+            groups.setdefault((c.region, c.of), {}).setdefault(name, []).append(c.line)
+    for (region, of), lines in groups.items():
+        means = {name: [mean_of_known(column) for column in zip(*(c.errors for c in found), strict=True)]
+                 for name, found in lines.items()}  # fmt: skip
+        bests = [
+            [mean_of_known(column) for column in zip(*(c.best for c in found), strict=True)] for found in lines.values()
+        ]
+        with _figure() as (axes, out):
+            for i, name in enumerate(sorted(means, key=lambda name: sum(means[name]))):
+                _line(axes, i, name, list(zip(PERCENTAGES, means[name], strict=True)))
+            for best in [list(b) for b in dict.fromkeys(map(tuple, bests))]:
+                axes.plot(PERCENTAGES, best, linestyle=":", color=_BOUND)
+            axes.set_xlabel("most confident pixels, %")
+            axes.set_ylabel(
+                "share of wrong pixels" if of == "bad" else _plain(f"mean error, {section.protocol.presentation.unit}")
+            )
+            axes.set_ylim(bottom=0)
+            _legend(axes, len(means))
+        yield (region, of), out[0]
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a plot: a name for the legend, points, and whether it is a bound: drawn grey and dotted."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    bound: bool = False
+
+
+def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str) -> str:
+    """Lines with axes, grid and legend, as the text of an SVG file.
+
+    Parameters
+    ----------
+    lines : NaN leaves a gap; from the ninth line on colors are used again, dashed
+    title, x_label, y_label : plain text
+    """
+    with _figure(fixed=True) as (axes, out):
+        for i, line in enumerate(lines):
+            points = list(zip(line.x, line.y, strict=True))
+            if line.bound:
+                axes.plot(line.x, line.y, ":", color=_BOUND, label=_plain(line.name))
+            else:
+                _line(axes, i, line.name, points)
+        axes.set_title(_plain(title, 70), fontsize=10, loc="left")
+        axes.set_xlabel(_plain(x_label))
+        axes.set_ylabel(_plain(y_label))
+        axes.set_ylim(bottom=0)
+        _legend(axes, len(lines))
+    return out[0]
+
+
+def curve_plot(curves: Mapping[str, Sparsification], title: str, of: str) -> str:
+    """Sparsification curves of one region with their bounds, the best first, as the text of an SVG file."""
+    ordered = sorted(curves.items(), key=lambda scene: scene[1].auc)
+    lines = [Line(f"{name} {c.auc:.4f}", c.percentages, c.errors) for name, c in ordered]
+    some = ordered[0][1]
+    lines.append(Line(f"optimal {some.optimal:.4f}", some.percentages, some.best, bound=True))
+    lines.append(Line(f"random {some.mean:.4f}", some.percentages, [some.mean] * len(some.percentages), bound=True))
+    y_label = "error rate" if of == "bad" else "mean absolute error"
+    return line_plot(lines, title, "most confident pixels, %", y_label)
+
+
+@contextmanager
+def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, list[str]]]:
+    """Axes to draw in, and a list that holds the SVG's text afterwards.
+
+    ``fixed`` margins take half the time of those that are fitted to names of any length.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    out: list[str] = []
+    # A name in a script that the font lacks is still a name: the reader's browser has the font.
+    with matplotlib.rc_context(_SETTINGS), warnings.catch_warnings():  # type: ignore[arg-type]
+        warnings.simplefilter("ignore")
+        figure = Figure(figsize=(6.2, height), layout=None if fixed else "constrained")
+        if fixed:
+            figure.subplots_adjust(left=0.11, right=0.68, bottom=0.15, top=0.92)
+        FigureCanvasSVG(figure)
+        axes = figure.add_subplot()
+        axes.grid(color="#e4e4e4")
+        axes.set_axisbelow(True)
+        yield axes, out
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    out.append(text.getvalue())
+
+
+def _line(axes: Axes, i: int, name: str, points: Sequence[tuple[float, float]], marker: str | None = None) -> None:
+    x, y = zip(*points, strict=True) if points else ((), ())
+    style = "-" if i < len(_COLORS) else "--"
+    shape = _marker(i) if marker is None else marker
+    axes.plot(x, y, style, color=_color(i), marker=shape, ms=4, lw=1.4, label=_plain(name))
+
+
+def _legend(axes: Axes, lines: int) -> None:
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, fontsize=9 if lines < 14 else 6)
+
+
+def _color(i: int) -> str:
+    return _COLORS[i % len(_COLORS)]
+
+
+def _marker(i: int) -> str:
+    return _MARKERS[i % len(_MARKERS)]
+
+
+def _plain(text: str, most: int = 40) -> str:
+    """A name, not a formula; short enough to leave room for the plot."""
+    text = text if len(text) <= most else f"{text[: most - 16]}...{text[-12:]}"
+    text = "".join(char if char.isprintable() else "?" for char in text).replace("$", r"\$")
+    return f"\u200b{text}" if text.startswith("_") else text  # else it is left out of the legend

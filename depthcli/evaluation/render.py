@@ -1,0 +1,182 @@
+"""Tables, and their one renderer: aligned text, Markdown, LaTeX, CSV and HTML."""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+BEST, SECOND = 1, 2
+
+
+class Number(str):
+    """A number as tables show it, ``-`` for NaN; it keeps its value, to be ranked and written with all digits.
+
+    Parameters
+    ----------
+    value : the number
+    digits : decimals that are shown
+    mark : written behind the digits, such as ``*``
+    """
+
+    value: float
+    digits: int
+
+    def __new__(cls, value: float, digits: int = 2, mark: str = "") -> Self:
+        """Format the value."""
+        made = super().__new__(cls, "-" if math.isnan(value) else f"{value:.{digits}f}{mark}")
+        made.value, made.digits = float(value), digits
+        return made
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of texts and numbers.
+
+    Attributes
+    ----------
+    title : one line above
+    header : names of the columns
+    rows : one cell a column; those that are a :class:`Number` can be ranked
+    note : explanation below, or empty
+    better : for every column whether larger numbers are better; None: its numbers are not ranked. Empty: none are
+    scenes : full name of the scene that a column speaks of, or empty; one a column, or no entry at all
+    """
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+    better: tuple[bool | None, ...] = ()
+    scenes: tuple[str, ...] = ()
+
+    def column(self, j: int) -> list[str]:
+        """Return the cells of a column."""
+        return [row[j] for row in self.rows]
+
+    def places(self, j: int) -> list[int]:
+        """Return ``BEST``, ``SECOND`` or 0 for every cell of a column; numbers that read alike share a place."""
+        if len(self.rows) < 2 or not self.better or (larger := self.better[j]) is None:
+            return [0] * len(self.rows)
+        cells = [cell if isinstance(cell, Number) else Number(math.nan) for cell in self.column(j)]
+        keys = [(-1.0 if larger else 1.0) * round(cell.value, cell.digits) if cell != "-" else None for cell in cells]
+        ranked = sorted({key for key in keys if key is not None})[:2]
+        return [BEST + ranked.index(key) if key in ranked else 0 for key in keys]
+
+    def shades(self, j: int) -> list[float]:
+        """Return how much worse every number of a column is than the best: 0 the best, 1 twice as bad or worse."""
+        values = [cell.value if isinstance(cell, Number) else math.nan for cell in self.column(j)]
+        known = [v for v in values if not math.isnan(v)]
+        if len(known) < 2 or not self.better or (larger := self.better[j]) is None:
+            return [0.0] * len(values)
+        best = max(known) if larger else min(known)
+        worse = [0.0 if math.isnan(v) else abs(v - best) / max(abs(best), 1e-9) for v in values]
+        return [round(min(share, 1.0), 2) for share in worse]
+
+    def text(self) -> str:
+        """Return aligned columns for a terminal, those of numbers set to the right."""
+        lines = [self.header, *self.rows]
+        widths = [max(len(line[j]) for line in lines) for j in range(len(self.header))]
+        right = self._numeric()
+        out = [self.title] if self.title else []
+        for line in lines:
+            cells = [c.rjust(w) if r else c.ljust(w) for c, w, r in zip(line, widths, right, strict=True)]
+            out.append("  ".join(cells).rstrip())
+        return "\n".join([*out, *filter(None, [self.note])]) + "\n"
+
+    def markdown(self) -> str:
+        """Return a Markdown section: of ranked columns the best bold, the second best underlined."""
+        marks = ["---:" if right else "---" for right in self._numeric()]
+        rows = self._formatted("**{}**", "<u>{}</u>", lambda cell: cell.replace("|", "\\|"))
+        out = [f"## {self.title}", ""] if self.title else []
+        out += ["| " + " | ".join(row) + " |" for row in (rows[0], marks, *rows[1:])]
+        return "\n".join([*out, *(["", self.note] if self.note else [])]) + "\n"
+
+    def latex(self) -> str:
+        r"""Return a ``table`` with booktabs' rules: the best ``\textbf``, the second best ``\underline``."""
+        header, *rows = [
+            " & ".join(row) + " \\\\" for row in self._formatted(r"\textbf{{{}}}", r"\underline{{{}}}", _latex)
+        ]
+        lines = [
+            "% needs \\usepackage{booktabs}",
+            "\\begin{table}",
+            "\\centering",
+            f"\\caption{{{_latex(self.title)}}}",
+            f"\\begin{{tabular}}{{{''.join('r' if right else 'l' for right in self._numeric())}}}",
+            "\\toprule",
+            header,
+            "\\midrule",
+            *rows,
+            "\\bottomrule",
+            "\\end{tabular}",
+            *([f"\\par\\footnotesize {_latex(self.note)}"] if self.note else []),
+            "\\end{table}",
+        ]
+        return "\n".join(lines) + "\n"
+
+    def csv(self) -> str:
+        """Return comma-separated values: numbers with all digits, NaN empty, the title in a column ``table``."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(["table", *self.header])
+        writer.writerows([self.title, *map(_plain, row)] for row in self.rows)
+        return text.getvalue()
+
+    def html(self) -> str:
+        """Return a table of the page, its columns sortable."""
+
+        def row(cells: tuple[str, ...], tag: str) -> str:
+            return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>\n"
+
+        caption = f"<caption>{html.escape(self.title)}</caption>\n" if self.title else ""
+        note = f'<p class="note">{html.escape(self.note)}</p>\n' if self.note else ""
+        body = "".join(row(cells, "td") for cells in self.rows)
+        return (
+            f'<div class="wide"><table class="sortable">\n{caption}<thead>{row(self.header, "th")}</thead>\n'
+            f"<tbody>{body}</tbody>\n</table></div>\n{note}"
+        )
+
+    def _numeric(self) -> list[bool]:
+        return [j > 0 and all(map(_is_number, self.column(j))) for j in range(len(self.header))]
+
+    def _formatted(self, best: str, second: str, escape: Callable[[str], str]) -> list[list[str]]:
+        """Header and rows, escaped; ranked numbers in the formats of their place."""
+        forms = {0: "{}", BEST: best, SECOND: second}
+        places = [self.places(j) for j in range(len(self.header))]
+        rows = [
+            [forms[places[j][i]].format(escape(cell)) for j, cell in enumerate(row)] for i, row in enumerate(self.rows)
+        ]
+        return [[escape(cell) for cell in self.header], *rows]
+
+
+FORMATS: dict[str, Callable[[Table], str]] = {
+    "latex": Table.latex, "markdown": Table.markdown, "csv": Table.csv,
+}  # fmt: skip
+"""Name of a file format -> function that writes a table in it."""
+
+_LATEX = {
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    **{char: "\\" + char for char in "&%$#_{}"}, "<": r"\textless{}", ">": r"\textgreater{}",
+}  # fmt: skip
+
+
+def _latex(text: str) -> str:
+    return "".join(_LATEX.get(char, char) for char in text)
+
+
+def _plain(cell: str) -> str:
+    if not isinstance(cell, Number):
+        return cell
+    return "" if math.isnan(cell.value) else repr(cell.value)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.strip("*") or "0")
+    except ValueError:
+        return text in ("", "-")
+    return True

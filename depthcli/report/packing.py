@@ -1,0 +1,121 @@
+"""Arrays as the page's script reads them: 16-bit codes, deflated, in base64; and the planes that are shown."""
+
+from __future__ import annotations
+
+import base64
+import math
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Packed = dict[str, Any]
+
+_DEFLATE_LEVEL = 4  # of zlib; higher ones take several times as long for a few percent
+_MAX_CODE = 65535
+_AXES = "zyx"
+_MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps its pictures near 10 MB a run
+
+
+def pack(values: NDArray[np.floating[Any]], low: float, high: float, levels: int = _MAX_CODE) -> Packed:
+    """Return numbers within [low, high] as at most ``levels`` codes: 0 for NaN, 1 below low, 65535 above high.
+
+    ``value = origin + code * step``; the step is a power of two, so that disparities in 256ths of a pixel, or depths
+    in millimeters, come back as they are where the range allows.
+
+    Parameters
+    ----------
+    values : (H, W) float, NaN = none
+    """
+    step = 2.0 ** math.ceil(math.log2(max(high - low, 1e-6) / (levels - 8)))
+    return _packed(values, (math.floor(low / step) - 3) * step, step)
+
+
+def _packed(values: NDArray[np.floating[Any]], origin: float, step: float) -> Packed:
+    known = ~np.isnan(values)
+    # Codes of infinite values are clipped, those of NaN overwritten.
+    with np.errstate(invalid="ignore", over="ignore"):
+        scaled = np.clip(np.rint((values.astype(np.float64) - origin) / step), 1, _MAX_CODE)
+    codes = np.where(known, scaled, 0).astype(np.uint16)
+    # Differences have small high bytes, and alike bytes together deflate well.
+    steps = np.diff(codes.ravel(), prepend=np.uint16(0))
+    data = np.concatenate([(steps & 255).astype(np.uint8), (steps >> 8).astype(np.uint8)])
+    return {**_deflated(data, values.shape), "bits": 16, "origin": origin, "step": step}
+
+
+def pack_bytes(values: NDArray[np.uint8] | NDArray[np.bool_]) -> Packed:
+    """Return an (H, W) array of small integers as it is."""
+    return {**_deflated(values.astype(np.uint8).ravel(), values.shape), "bits": 8}
+
+
+def unpack(packed: Packed) -> NDArray[Any]:
+    """Return the array as the page's script unpacks it: float64 with NaN, or uint8."""
+    data = np.frombuffer(zlib.decompress(base64.b64decode(packed["data"])), np.uint8)
+    shape = (packed["height"], packed["width"])
+    if packed["bits"] == 8:
+        return data.reshape(shape)
+    codes = np.cumsum(data[: data.size // 2] + data[data.size // 2 :].astype(np.uint16) * 256, dtype=np.uint16)
+    values = np.where(codes > 0, packed["origin"] + codes * packed["step"], np.nan)
+    return values.reshape(shape)
+
+
+def thinned(packed: Packed, factor: int) -> Packed:
+    """Return the packed array of every ``factor``-th pixel."""
+    values = unpack(packed)[::factor, ::factor]
+    if packed["bits"] == 8:
+        return pack_bytes(values)
+    return _packed(values, packed["origin"], packed["step"])
+
+
+def _deflated(data: NDArray[np.uint8], shape: tuple[int, ...]) -> Packed:
+    text = base64.b64encode(zlib.compress(data.tobytes(), _DEFLATE_LEVEL)).decode("ascii")
+    return {"height": shape[0], "width": shape[1], "data": text}
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A plane of an array that is shown.
+
+    Attributes
+    ----------
+    axis : the axis that it is perpendicular to, -1 for an image itself
+    place, count : index of the slice along that axis, and the number of slices
+    index : of the plane in the array
+    axes : names of the plane's columns and rows
+    """
+
+    axis: int
+    place: int
+    count: int
+    index: tuple[Any, ...]
+    axes: tuple[str, str]
+
+    @property
+    def name(self) -> str:
+        """Axis and place in words; empty for an image."""
+        return "" if self.axis < 0 else f"{_AXES[self.axis]} {self.place} of {self.count}"
+
+
+def cuts(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Cut]:
+    """Return the planes that are shown: an image itself; of a volume (Z, Y, X) slices across every axis.
+
+    The middle slices are among them.
+
+    Parameters
+    ----------
+    max_pixels : of all slices together, about; where a volume has more, every second, third ... slice is taken
+    """
+    if len(shape) == 2:
+        return [Cut(-1, 0, 1, (...,), ("x", "y"))]
+    planes = [tuple(n for other, n in enumerate(shape) if other != axis) for axis in range(3)]
+    axes = [axis for axis in range(3) if min(planes[axis]) > 1] or [0]  # an image of one slice has no others
+    step = max(1, math.ceil(len(axes) * math.prod(shape) / max_pixels))
+    made = []
+    for axis in axes:
+        rows, columns = (name for name in _AXES if name != _AXES[axis])
+        for place in range(shape[axis] // 2 % step, shape[axis], step):
+            index = tuple(place if other == axis else slice(None) for other in range(3))
+            made.append(Cut(axis, place, shape[axis], index, (columns, rows)))
+    return made

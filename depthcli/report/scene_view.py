@@ -1,0 +1,258 @@
+"""A scene as the page shows it: its maps packed for the script, and small pictures for readers without one."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.data.formats.pictures import read_status, status_color, status_words
+from depthcli.data.scenes import Scene
+from depthcli.evaluation.protocols import AnyProtocol
+from depthcli.report import colors
+from depthcli.report.packing import Cut, Packed, cuts, pack, pack_bytes, thinned
+
+_CONFIDENCE_LEVELS = 4096  # of a packed confidence; noise below them would only fill the page
+_MAX_THUMB = 240  # pixels of a small picture's longer side
+_MARGIN = 0.5  # values up to this share of the truth's range beside it are packed, those beyond as out of range
+_JPEG_QUALITY = 88  # at which artifacts are not visible beneath a map
+
+
+@dataclass
+class _ErrorThumb:
+    """What the small error picture of a run is drawn from, once the scene's scale is known."""
+
+    error: NDArray[np.floating[Any]]
+    kind: NDArray[np.uint8]
+    high: float
+    beneath: NDArray[np.uint8] | None
+
+
+@dataclass
+class SceneView:
+    """One scene, filled run by run.
+
+    Attributes
+    ----------
+    name : of the scene
+    protocol : by which it is scored
+    image : (H, W, 3) RGB or (Z, Y, X) grey levels, or None
+    known, hidden : pixels with known truth, and those of them that are occluded; of the shape of the maps
+    data : what the script reads
+    thumbs : run (empty: the scene itself) -> kind of picture -> data URI
+    """
+
+    name: str
+    protocol: AnyProtocol
+    image: NDArray[np.uint8] | None
+    known: NDArray[np.bool_]
+    hidden: NDArray[np.bool_]
+    data: dict[str, Any] = field(default_factory=dict)
+    thumbs: dict[str, dict[str, str]] = field(default_factory=dict)
+    _cuts: list[Cut] = field(default_factory=list)
+    _errors: dict[str, _ErrorThumb] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, protocol: AnyProtocol, scene: Scene, truth: Any) -> SceneView | None:
+        """Return the view of a scene without runs; None where its points lie on no grid."""
+        shown, regions = protocol.presentation, protocol.regions(truth)
+        known = np.logical_or.reduce(list(regions.values()))
+        visible = regions.get(shown.visible_region)
+        hidden = np.zeros_like(known) if visible is None else known & ~visible
+        known_grid, hidden_grid = shown.on_grid(known, truth), shown.on_grid(hidden, truth)
+        if known_grid is None or hidden_grid is None:
+            return None
+        view = cls(scene.name, protocol, shown.image(scene), known_grid, hidden_grid)
+        points = protocol.true_values(truth)
+        view._fill(None if points is None else shown.on_grid(points, truth), shown.spacing(truth))
+        return view
+
+    def _fill(self, true: NDArray[Any] | None, spacing: tuple[float, ...] | None) -> None:
+        """Pack image, truth and regions of every cut; make the small pictures of the scene."""
+        shown, known = self.protocol.presentation, self.known
+        low, high = _range(None if true is None else true[known])
+        self._cuts = cuts(known.shape)
+        self.data = {"name": self.name, "protocol": self.protocol.name, "quantity": shown.quantity, "unit": shown.unit,
+                     "low": low, "high": high, "hidden": bool(self.hidden.any()), "status": {}, "views": [],
+                     "words": colors.words(*shown.verdicts), "opacity": shown.opacity,
+                     "start": self._first_cut()}  # fmt: skip
+        for cut in self._cuts:
+            plane = known[cut.index]
+            packed = None if true is None else pack(np.where(plane, true[cut.index], np.nan), *self._packed_range)
+            picture = self._image_of(cut)
+            across = [1.0, 1.0] if spacing is None else [s for axis, s in enumerate(spacing) if axis != cut.axis]
+            self.data["views"].append(
+                {"name": cut.name, "axis": cut.axis, "axes": cut.axes, "tall": across[0] / across[1],
+                 "width": plane.shape[1], "height": plane.shape[0], "factor": 1,
+                 "image": None if picture is None else _jpeg(picture), "truth": packed,
+                 "region": pack_bytes(plane + 2 * self.hidden[cut.index].astype(np.uint8)), "runs": {}}
+            )  # fmt: skip
+        cut = self._cuts[self.data["start"]]
+        if self.image is not None:
+            flat = self.image if cut.axis < 0 else colors.grey(self.image[cut.index])
+            step = _step(flat.shape[:2])
+            size = (max(1, flat.shape[1] // step), max(1, flat.shape[0] // step))
+            shrunk = np.asarray(cv2.resize(flat, size, interpolation=cv2.INTER_AREA), np.uint8)
+            self.thumbs[""] = {"image": _jpeg(shrunk)}
+        if true is not None:
+            plane = np.where(known[cut.index], true[cut.index], np.nan)
+            self.thumbs.setdefault("", {})["truth"] = self._map_thumb(plane)
+
+    def _first_cut(self) -> int:
+        """The cut to begin with: of the first axis the one with most known pixels, of such ones the most central."""
+        first = [number for number, cut in enumerate(self._cuts) if cut.axis == self._cuts[0].axis]
+        middle = self._cuts[0].count // 2
+        n_known = {n: int(np.count_nonzero(self.known[self._cuts[n].index])) for n in first}
+        return max(first, key=lambda n: (n_known[n], -abs(self._cuts[n].place - middle)))
+
+    @property
+    def _packed_range(self) -> tuple[float, float]:
+        low, high = self.data["low"], self.data["high"]
+        return low - _MARGIN * (high - low), high + _MARGIN * (high - low)
+
+    def add(self, run: str, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, NDArray[Any]]) -> None:
+        """Add one run's map, with the status and confidence maps beside it."""
+        protocol, known = self.protocol, self.known
+
+        def on_grid(points: NDArray[Any] | None) -> Any:
+            return None if points is None else protocol.presentation.on_grid(points, truth)
+
+        error = np.where(known, on_grid(protocol.error(estimate, truth)), np.nan)
+        wrong = on_grid(protocol.wrong(estimate, truth)) & known
+        values, true = on_grid(protocol.values(estimate, truth)), on_grid(protocol.true_values(truth))
+        # The script takes the difference of values and truth where that is the error.
+        is_difference = values is not None and true is not None and np.allclose(
+            error[known], np.abs(values - true)[known], rtol=1e-4, atol=1e-4, equal_nan=True
+        )  # fmt: skip
+        status = self._status(path)
+        for view, cut in zip(self.data["views"], (each.index for each in self._cuts), strict=True):
+            view["runs"][run] = {
+                "values": None if values is None else pack(values[cut], *self._packed_range),
+                "error": None if is_difference else pack(error[cut], 0.0, _range(error)[1]),
+                "wrong": pack_bytes(wrong[cut]),
+                "status": None if status is None else pack_bytes(status[cut]),
+                "confidence": {name: _pack_confidence(on_grid(plane)[cut]) for name, plane in confidences.items()},
+            }
+        cut = self._cuts[self.data["start"]].index
+        step = _step(known[cut].shape)
+        kind = colors.kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
+        worst = error[wrong & ~np.isnan(error)]
+        high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
+        small = error[cut][::step, ::step], kind[::step, ::step]
+        self._errors[run] = _ErrorThumb(*small, high, self._beneath())
+        if values is not None:
+            self.thumbs.setdefault(run, {})["map"] = self._map_thumb(values[cut])
+
+    def close(self) -> None:
+        """Scale the errors by the median of the runs' 90 % quantiles over wrong pixels, and draw their pictures."""
+        highs = [thumb.high for thumb in self._errors.values() if not math.isnan(thumb.high)]
+        top = float(f"{float(np.median(highs)) if highs else 1.0:.2g}") or 1.0
+        self.data["top"] = top
+        for run, thumb in self._errors.items():
+            picture = colors.error_picture(thumb.kind, thumb.error, top)
+            opacity = self.protocol.presentation.opacity
+            picture = colors.over(picture, thumb.kind == colors.UNKNOWN, thumb.beneath, opacity)
+            self.thumbs.setdefault(run, {})["error"] = _png(picture)
+        self._errors, self.image = {}, None
+
+    def _map_thumb(self, plane: NDArray[np.floating[Any]]) -> str:
+        step = _step(plane.shape)
+        small = plane[::step, ::step]
+        picture = colors.map_picture(small, self.data["low"], self.data["high"])
+        return _png(colors.over(picture, np.isnan(small), self._beneath(), self.protocol.presentation.opacity))
+
+    def _beneath(self) -> NDArray[np.uint8] | None:
+        """The image of the first cut, at the size of the small pictures of maps."""
+        picture = self._image_of(self._cuts[self.data["start"]])
+        return None if picture is None else picture[:: (step := _step(picture.shape[:2])), ::step]
+
+    def _image_of(self, cut: Cut) -> NDArray[np.uint8] | None:
+        """(H, W, 3) RGB image beneath a cut of the maps, at their size; None where its shape does not fit."""
+        shape = self.known.shape
+        if self.image is None:
+            return None
+        if cut.axis >= 0:
+            return colors.grey(self.image[cut.index]) if self.image.shape == shape else None
+        height, width = self.image.shape[:2]
+        if abs(width * shape[0] - height * shape[1]) > 2 * max(width, height):
+            return None
+        fitted = self.image if (height, width) == shape else cv2.resize(self.image, shape[::-1])
+        return np.asarray(fitted, np.uint8)
+
+    def _status(self, path: Path) -> NDArray[np.uint8] | None:
+        palette = self.protocol.presentation.palette
+        file = self.protocol.files.status(path) if palette else None
+        try:
+            status = None if file is None else read_status(file)
+        except InputError:  # the map counts, the status beside it is an extra
+            return None
+        if status is None or status.shape != self.known.shape:
+            return None
+        for value in np.unique(status).tolist():
+            words, color = status_words(value, palette), status_color(value, palette)
+            self.data["status"][str(value)] = {"words": words, "color": color}
+        return status
+
+
+def smaller(data: dict[str, Any], factor: int) -> dict[str, Any]:
+    """Return a scene's data with every ``factor``-th pixel."""
+    return {**data, "views": [_smaller(view, factor) for view in data["views"]]}
+
+
+def _smaller(view: dict[str, Any], factor: int) -> dict[str, Any]:
+    def thin(value: Any) -> Any:
+        if isinstance(value, dict):
+            if "data" in value:
+                return {**value, **thinned(value, factor)}
+            return {name: thin(inner) for name, inner in value.items()}
+        return value
+
+    made = {**view, **{name: thin(view[name]) for name in ("truth", "region", "runs")}, "factor": factor}
+    made["height"], made["width"] = made["region"]["height"], made["region"]["width"]
+    if view["image"] is not None:
+        code = np.frombuffer(base64.b64decode(view["image"].partition(",")[2]), np.uint8)
+        picture = cv2.imdecode(code, cv2.IMREAD_COLOR)
+        assert picture is not None  # it was written here
+        picture = cv2.resize(picture, (made["width"], made["height"]))
+        made["image"] = _jpeg(np.asarray(picture[..., ::-1], np.uint8))
+    return made
+
+
+def _range(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:
+    """Lowest and highest finite value, never the same; (0, 1) where there is none."""
+    finite = np.array([]) if values is None else values[np.isfinite(values)]
+    if finite.size == 0:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    return low, max(high, low + 1e-3)
+
+
+def _pack_confidence(plane: NDArray[Any]) -> Packed:
+    values = plane.astype(np.float64)
+    finite = values[np.isfinite(values)]
+    shown = np.percentile(finite, (1, 99)).tolist() if finite.size else [0.0, 1.0]
+    return {**pack(values, *_range(values), _CONFIDENCE_LEVELS), "shown": shown}
+
+
+def _step(shape: tuple[int, ...]) -> int:
+    return max(1, -(-max(shape) // _MAX_THUMB))
+
+
+def _jpeg(picture: NDArray[np.uint8]) -> str:
+    return _uri("image/jpeg", cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1])
+
+
+def _png(picture: NDArray[np.uint8]) -> str:
+    return _uri("image/png", cv2.imencode(".png", picture[..., ::-1])[1])
+
+
+def _uri(kind: str, data: Any) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data.tobytes()).decode('ascii')}"

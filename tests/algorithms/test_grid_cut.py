@@ -1,0 +1,68 @@
+"""One minimum cut on a grid, against all labellings."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from depthcli.algorithms.grid_cut import STEPS, edge_ends, grid_cut
+
+
+def _weights(rng, shape, most=1.0):
+    return tuple(rng.random(np.empty(shape)[edge_ends(shape, step)[0]].shape) * most for step in STEPS)
+
+
+def _value(labels, score, weights):
+    """Pixel by pixel, as the formula says."""
+    total = (score * labels).sum()
+    for (down, across), weight in zip(STEPS, weights, strict=True):
+        first = max(0, -across)
+        for y, x in itertools.product(range(weight.shape[0]), range(weight.shape[1])):
+            total -= weight[y, x] * (labels[y, x + first] != labels[y + down, x + first + across])
+    return total
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 2), (3, 3), (2, 5)])
+@pytest.mark.parametrize("seed", range(5))
+def test_no_labelling_is_better(shape, seed):
+    rng = np.random.default_rng(seed)
+    score, weights = rng.normal(0, 1, shape), _weights(rng, shape)
+    copies = [score.copy(), *(weight.copy() for weight in weights)]
+    found = grid_cut(score, weights)
+    best = max(
+        _value(np.array(labels).reshape(shape), score, weights)
+        for labels in itertools.product((False, True), repeat=score.size)
+    )
+    assert _value(found, score, weights) == pytest.approx(best)
+    for array, copy in zip((score, *weights), copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+def test_without_edges_the_sign_decides():
+    rng = np.random.default_rng(1)
+    score = rng.normal(0, 1, (6, 7))
+    np.testing.assert_array_equal(grid_cut(score, _weights(rng, (6, 7), 0.0)), score > 0)
+
+
+@pytest.mark.parametrize(
+    ("score", "change", "message"),
+    [
+        (np.full((3, 3), np.nan), None, "finite"),
+        (np.zeros(3), None, "finite scores"),
+        (np.zeros((3, 3)), -1.0, ">= 0"),
+        (np.zeros((3, 3)), np.nan, ">= 0"),
+    ],
+)
+def test_bad_problems_are_refused(score, change, message):
+    weights = list(_weights(np.random.default_rng(0), (3, 3)))
+    if change is not None:
+        weights[2] = np.full_like(weights[2], change)
+    with pytest.raises(ValueError, match=message):
+        grid_cut(score, tuple(weights))
+
+
+def test_missing_weights_are_refused():
+    with pytest.raises(ValueError, match="4 steps"):
+        grid_cut(np.zeros((3, 3)), _weights(np.random.default_rng(0), (3, 3))[:3])

@@ -1,0 +1,111 @@
+"""Sparsification, ranks, paired comparison and error pictures."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from depthcli.evaluation.curves import PERCENTAGES, sparsification
+from depthcli.evaluation.presentation import LEGEND, error_picture
+from depthcli.evaluation.statistics import average_ranks, compare, sign_test
+from tests.naive import metrics as naive
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.booleans()), min_size=1, max_size=6))
+@settings(max_examples=60, deadline=None)
+def test_ties_are_averaged(pixels):
+    confidence = np.array([c for c, _ in pixels], np.float32)
+    wrong = np.array([w for _, w in pixels])
+    expected = naive.expected_sparsification(confidence, wrong, PERCENTAGES)
+    np.testing.assert_allclose(sparsification(confidence, wrong).errors, expected, atol=1e-12)
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 8)), min_size=1, max_size=5))
+@settings(max_examples=20, deadline=None)
+def test_areas_are_integrals(pixels):
+    confidence = np.array([c for c, _ in pixels], np.float32)
+    error = np.array([e / 4 for _, e in pixels])
+    curve = sparsification(confidence, error)
+    assert curve.auc == pytest.approx(naive.sparsification_area(confidence, error), abs=5e-3)
+    assert curve.optimal == pytest.approx(naive.sparsification_area(-error, error), abs=5e-3)
+    assert curve.mean == pytest.approx(error.mean())
+    assert curve.ause == pytest.approx(curve.auc - curve.optimal)
+    assert curve.aurg == pytest.approx(curve.mean - curve.auc)
+
+
+def test_order_of_pixels_does_not_matter():
+    rng = np.random.default_rng(1)
+    confidence, wrong = rng.integers(0, 5, 1000).astype(np.float32), rng.random(1000) < 0.2
+    order = rng.permutation(1000)
+    assert sparsification(confidence, wrong) == sparsification(confidence[order], wrong[order])
+
+
+@pytest.mark.parametrize("share", [0.01, 0.15, 0.9])
+def test_a_perfect_ranking_has_ratio_one_and_a_useless_one_the_area_of_chance(share):
+    wrong = np.arange(20000) >= 20000 * (1 - share)
+    perfect, useless, reverse = (sparsification(c, wrong) for c in (~wrong, np.zeros(20000), wrong))
+    assert perfect.ratio == pytest.approx(1)
+    assert perfect.auc == pytest.approx(share + (1 - share) * math.log(1 - share), rel=1e-9)
+    assert perfect.ause == pytest.approx(0)
+    assert useless.auc == pytest.approx(share)
+    assert useless.aurg == pytest.approx(0)
+    assert reverse.auc > useless.auc
+    # The figure of the other programs sees the curve at 20 shares only, in the optimum as well.
+    assert perfect.auc_5_100 == perfect.optimal_5_100
+
+
+def test_errors_as_lengths():
+    error = np.array([0.0, 1.0, 2.0, 5.0])
+    perfect = sparsification(-error, error)
+    assert (perfect.mean, perfect.ratio) == (2, pytest.approx(1))
+    assert perfect.errors == perfect.best
+    assert sparsification(error, error).ause > 0
+
+
+def test_infinite_and_unknown_confidences():
+    confidence = np.array([np.nan, -np.inf, -5.0, np.inf])
+    for last, wrong in ((0, [True, False, False, False]), (1, [False, True, False, False]), (3, [0, 0, 0, True])):
+        curve = sparsification(confidence, np.array(wrong, bool))
+        places = [curve.errors[PERCENTAGES.index(p)] > 0 for p in (25, 50, 75, 100)]
+        assert places.index(True) == {0: 3, 1: 2, 3: 0}[last]
+    with pytest.raises(ValueError, match="N > 0"):
+        sparsification(np.zeros(0), np.zeros(0, bool))
+
+
+def test_no_error_has_no_ratio():
+    assert math.isnan(sparsification(np.arange(5), np.zeros(5, bool)).ratio)
+
+
+@given(st.integers(1, 5), st.integers(1, 6), st.integers(0, 10**6))
+@settings(max_examples=40, deadline=None)
+def test_average_rank_agrees_with_the_naive_one(rows, columns, seed):
+    values = np.random.default_rng(seed).integers(0, 4, (rows, columns)).astype(float)
+    np.testing.assert_allclose(average_ranks(values), naive.mean_rank(values.tolist()))
+
+
+def test_missing_result_ranks_last():
+    np.testing.assert_allclose(average_ranks(np.array([[np.nan, 1.0], [9.0, 2.0]])), [1.5, 1.5])
+
+
+def test_paired_comparison():
+    result = compare([10, 20, 30, 40, float("nan")], [9, 18, 33, 40, 1])
+    assert (result.scenes, result.wins, result.losses, result.ties) == (4, 2, 1, 1)
+    assert result.mean_difference == pytest.approx(0)
+    assert result.worst_ratio == pytest.approx(1.1)
+    assert sign_test(17, 3) == pytest.approx(2 * (1 + 20 + 190 + 1140) / 2**20)
+    assert sign_test(5, 5) == 1
+    assert sign_test(0, 0) == 1
+
+
+def test_error_picture_colors():
+    estimate = np.array([[1, 1, np.nan, 1, 1, 1]], np.float32)
+    wrong = np.array([[0, 1, 0, 0, 1, 1]], bool)
+    evaluate = np.array([[1, 1, 1, 1, 1, 0]], bool)
+    visible = np.array([[1, 1, 1, 0, 0, 1]], bool)
+    picture = error_picture(estimate, wrong, evaluate, visible)
+    order = ["right", "wrong", "no value", "right, occluded", "wrong, occluded", "truth unknown or not evaluated"]
+    assert [tuple(int(v) for v in p) for p in picture[0]] == [LEGEND[name] for name in order]

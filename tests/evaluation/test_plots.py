@@ -1,0 +1,116 @@
+"""Plots as SVG: well formed, escaped, the same bytes again, and the numbers that the tables have."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.commands.evaluate import evaluate
+from depthcli.data.scenes.stereo import StereoScene, StereoTruth
+from depthcli.evaluation.curves import sparsification
+from depthcli.evaluation.disparity import DisparityTruth
+from depthcli.evaluation.plots import Line, curve_plot, line_plot
+from depthcli.evaluation.protocols import Settings, load, names
+from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
+from depthcli.evaluation.results import MEAN
+
+
+def test_a_plot_is_well_formed_and_escapes():
+    lines = [Line("a<b & c$", [5, 50, 100], [0, 0.1, 0.2]), Line("_flat", [5, 9], [0, 0]), Line("b", [1], [1], True)]
+    svg = line_plot(lines, "t<", "x", "y")
+    texts = ["".join(e.itertext()) for e in ElementTree.fromstring(svg).iter() if e.tag.endswith("text")]
+    assert {"a<b & c$", "t<", "x", "y", "b"} <= {text.strip("\u200b") for text in texts}
+    assert any("_flat" in text for text in texts)
+    assert svg == line_plot(lines, "t<", "x", "y")
+    assert "dc:date" not in svg
+
+
+def test_a_curve_plot_names_the_areas():
+    rng = np.random.default_rng(0)
+    curves = {name: sparsification(rng.random(500), rng.random(500) < 0.2) for name in ("lrc", "pkr")}
+    svg = curve_plot(curves, "run: scene", "bad")
+    for name, curve in curves.items():
+        assert f"{name} {curve.auc:.4f}" in svg
+    assert f"optimal {curves['lrc'].optimal:.4f}" in svg
+
+
+def test_matplotlib_is_not_imported_where_nothing_is_drawn(tmp_path: Path, scenes: Path, runs: list[Path]):
+    code = (
+        "import sys\nfrom depthcli.cli import main\n"
+        f"code = main(['evaluate', {str(runs[1])!r}, '--truth', {str(scenes)!r}, '-o', {str(tmp_path)!r}, '-q'])\n"
+        "sys.exit(code or ('matplotlib' in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_curves_are_written_the_same_twice(made: Path, tmp_path: Path, scenes: Path, runs: list[Path]):
+    evaluate(runs, scenes, tmp_path / "again")
+    files = sorted(path.relative_to(made) for path in (made / "curves").rglob("*.svg"))
+    assert len(files) == 8  # two scenes, two regions, wrong pixels and errors
+    for file in files:
+        assert (made / file).read_bytes() == (tmp_path / "again" / file).read_bytes()
+
+
+STEREO = [name for name in names() if load(name).kind is StereoScene]
+
+
+@pytest.mark.parametrize("threshold", [None, 5.0])
+@pytest.mark.parametrize("name", STEREO)
+def test_dense_thresholds_agree_with_the_table(name: str, threshold: float | None):
+    rng = np.random.default_rng(4)
+    stored = rng.uniform(5, 40, (30, 40)).astype(np.float32)
+    stored[:3] = np.nan
+    judge = load(name)(Settings(threshold=threshold))
+    noc = stored.copy()
+    noc[:, :6] = np.nan
+    masks = judge.masks(StereoTruth(stored, None, noc, None, {}))
+    truth = DisparityTruth(stored, {m: masks[m] for m in judge.ordered(masks)}, noc)
+    estimate = np.where(rng.random(stored.shape) < 0.1, np.nan, stored + rng.normal(0, 2, stored.shape))
+    estimate = estimate.astype(np.float32)
+    before = judge.all_thresholds
+    dense = {s.measure.threshold: s for s in judge.dense(estimate, truth)}
+    assert judge.all_thresholds == before
+    assert len(dense) >= 24
+    assert list(dense) == sorted(dense)
+    main = next(iter(judge.regions(truth)))
+    assert {s.region for s in dense.values()} == {main}
+    compared = 0
+    for score in judge.scores(estimate, truth):
+        at = score.measure.threshold
+        if score.region == main and at is not None and score.measure == judge.at(at):
+            assert dense[at] == score
+            compared += 1
+    assert compared >= 3
+    values = [s.value for s in dense.values()]
+    assert values == sorted(values, reverse=True)
+    assert all(s.value == s.measure.worst for s in judge.missing(truth, dense=True))
+
+
+def test_dense_ratios_of_depth_agree_with_the_table():
+    rng = np.random.default_rng(5)
+    depth = rng.uniform(1, 3, (20, 30)).astype(np.float32)
+    truth = DepthTruth(depth, {"all": np.ones(depth.shape, bool)}, None, 1000.0)
+    judge, estimate = DepthProtocol(), (depth * rng.normal(1, 0.1, depth.shape)).astype(np.float32)
+    dense = {s.measure: s for s in judge.dense(estimate, truth)}
+    same = [s for s in judge.scores(estimate, truth) if s.measure in dense]
+    assert len(same) == 3  # 1.05, 1.10, 1.25
+    assert all(dense[s.measure] == s for s in same)
+
+
+def test_the_plot_shows_the_means_of_the_report(scenes: Path, runs: list[Path]):
+    report = evaluate(runs, scenes, None)
+    section = report.sections[0]
+    for row in report.by_threshold():
+        assert len(row["thresholds"]) >= 24
+        keys = [key for key in section.keys if key[1] == row["mask"] and key[0].metric == "bad"]
+        found = {key[0].threshold: section.score(row["run"], MEAN, key).value for key in keys}
+        at = dict(zip(row["thresholds"], row["values"], strict=True))
+        assert found.keys() - {None} == {0.5, 0.75, 1.0, 1.5, 2.0}
+        assert all(at[t] == v for t, v in found.items())
+    assert not re.search("nan", str(report.by_threshold()))

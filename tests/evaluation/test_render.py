@@ -1,0 +1,104 @@
+"""Tables: alignment, places and shades of ranked numbers, and the five formats."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+
+import pytest
+
+from depthcli.evaluation.render import Number, Table
+
+NAN = math.nan
+
+
+def column(values: tuple[float, ...], larger: bool | None = False) -> Table:
+    return Table("t", ("c",), tuple((Number(v),) for v in values), better=(larger,))
+
+
+@pytest.mark.parametrize(
+    ("values", "larger", "places"),
+    [
+        ((3.0, 1.0, 2.0), False, [0, 1, 2]),
+        ((3.0, 1.0, 2.0), True, [1, 0, 2]),
+        ((1.0, 1.001, 2.0, 3.0), False, [1, 1, 2, 0]),  # they read alike
+        ((NAN, 5.0), False, [0, 1]),
+        ((5.0,), False, [0]),
+        ((1.0, 2.0), None, [0, 0]),
+        ((-0.001, 0.001, 1.0), False, [1, 1, 2]),
+    ],
+)
+def test_places(values: tuple[float, ...], larger: bool | None, places: list[int]):
+    assert column(values, larger).places(0) == places
+
+
+def test_shades():
+    assert column((2.0, 3.0, 4.0, 9.0, NAN)).shades(0) == [0.0, 0.5, 1.0, 1.0, 0.0]
+    assert column((50.0, 100.0), True).shades(0) == [0.5, 0.0]
+    assert column((0.0, 0.0, 1.0)).shades(0) == [0.0, 0.0, 1.0]
+    assert column((1.0, 2.0), None).shades(0) == [0.0, 0.0]
+
+
+def test_a_number_keeps_its_value():
+    assert (Number(1.234), Number(1.234, 1), Number(2, mark="*"), Number(NAN, mark="*")) == (
+        "1.23",
+        "1.2",
+        "2.00*",
+        "-",
+    )
+    assert Number(1.234).value == 1.234
+
+
+WIDE = Table(
+    "A_b, 50 %",
+    ("run", "s & t", "up"),
+    (("x|y_1", Number(1.234), Number(0.5, 1)), ("two", Number(2.0, mark="*"), Number(NAN, 1))),
+    "a note",
+    (None, False, True),
+)
+
+
+def test_text_and_a_table_without_ranks():
+    table = Table("T", ("run", "bad"), (("a", "1.00"), ("long|name", "12.50")), "note")
+    assert table.text() == "T\nrun          bad\na           1.00\nlong|name  12.50\nnote\n"
+    assert "| long\\|name | 12.50 |" in table.markdown()
+    assert WIDE.text().splitlines()[1:3] == ["run    s & t   up", "x|y_1   1.23  0.5"]
+
+
+def test_markdown():
+    text = WIDE.markdown()
+    assert text.splitlines()[2:6] == [
+        "| run | s & t | up |",
+        "| --- | ---: | ---: |",
+        "| x\\|y_1 | **1.23** | **0.5** |",
+        "| two | <u>2.00*</u> | - |",
+    ]
+    assert text.startswith("## A_b, 50 %\n")
+    assert text.endswith("\n\na note\n")
+
+
+def test_latex():
+    text = WIDE.latex()
+    assert r"\caption{A\_b, 50 \%}" in text
+    assert r"run & s \& t & up \\" in text
+    assert r"x|y\_1 & \textbf{1.23} & \textbf{0.5} \\" in text
+    assert r"two & \underline{2.00*} & - \\" in text
+    assert r"\begin{tabular}{lrr}" in text
+    assert text.count("{") == text.count("}")
+
+
+def test_html_is_escaped():
+    text = WIDE.html()
+    assert "<td>x|y_1</td><td>1.23</td>" in text
+    assert "<th>s &amp; t</th>" in text
+    assert "<script>" not in Table("<script>", ("<script>",), (("<script>",),), "<script>").html()
+
+
+def test_csv_has_all_digits_and_no_marks():
+    rows = list(csv.reader(io.StringIO(WIDE.csv())))
+    assert rows == [
+        ["table", "run", "s & t", "up"],
+        ["A_b, 50 %", "x|y_1", "1.234", "0.5"],
+        ["A_b, 50 %", "two", "2.0", ""],
+    ]
