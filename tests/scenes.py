@@ -17,6 +17,7 @@ from depthcli.evaluation import protocols
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 V2 = "middlebury_v2"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real scenes of ../shared/data are missing")
 
 
 class RealScene(NamedTuple):

@@ -25,9 +25,7 @@ from depthcli.evaluation.disparity import DisparityProtocol
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.results import Result
 from depthcli.evaluation.tables import report_tables, report_text
-
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real scenes of ../shared/data are not here")
+from tests.scenes import DATA, needs_data
 
 SHAPE = (24, 32)
 TRUTH = np.linspace(4, 12, SHAPE[1], dtype=np.float32) * np.ones((SHAPE[0], 1), np.float32)

@@ -12,9 +12,7 @@ from depthcli.core.frames import Intrinsics
 from depthcli.data.formats.depth import read_codes, read_depth, write_depth_png, write_ply
 from depthcli.data.formats.disparity import write_pfm
 from depthcli.data.formats.images import read_image, write_png
-
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
-real = pytest.mark.skipif(not DATA.is_dir(), reason="the real scenes of ../shared/data are not here")
+from tests.scenes import DATA, needs_data
 
 
 def test_codes_are_divided_by_their_scale(tmp_path: Path):
@@ -89,7 +87,7 @@ def test_point_cloud(tmp_path: Path):
         write_ply(tmp_path / "a.ply", depth, camera, color[:1])
 
 
-@real
+@needs_data
 @pytest.mark.parametrize(
     ("name", "options", "median"),
     [
@@ -106,7 +104,7 @@ def test_rooms_are_as_large_as_rooms(name, options, median):
     assert 0.5 < np.mean(~np.isnan(depth)) <= 1
 
 
-@real
+@needs_data
 def test_raw_kinect_codes():
     codes = read_codes(DATA / "rgbd_nyu/raw_dump/disparity_raw_byteswapped.pgm", swapped=True)
     assert codes.max() == 2047

@@ -15,9 +15,7 @@ from depthcli.data.layouts import layouts
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
-
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real scenes of ../shared/data are not here")
+from tests.scenes import DATA, needs_data
 
 GREY = np.arange(48, dtype=np.uint8).reshape(6, 8)
 COLOR = np.dstack([GREY, GREY + 1, GREY + 2]).astype(np.uint8)

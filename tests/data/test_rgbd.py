@@ -16,7 +16,7 @@ from depthcli.data.formats.images import read_grey, write_png
 from depthcli.data.formats.kinect import read_kinect_calibration, read_kinect_raw
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.walk import discover_scenes
-from tests.scenes import DATA
+from tests.scenes import DATA, needs_data
 
 COLOR = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
 DEPTH = np.full((6, 8), 2000, np.uint16)
@@ -155,7 +155,7 @@ def test_registration_moves_by_the_baseline_and_keeps_the_nearest():
     assert np.isnan(seen[:, 30:34]).all()  # what the strip hid from the depth camera
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the real frames of ../shared/data are not here")
+@needs_data
 class TestRealFrames:
     def test_every_folder_runs_as_it_lies_there(self):
         folders = ("rgbd_nyu", "rgbd_primesense", "rgbd_sun", "rgbd_tum", "kinect_v1_raw")

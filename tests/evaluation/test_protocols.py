@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,8 @@ from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_b
 from depthcli.evaluation.results import Result
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, bad_rate, find_score
 from tests.naive import metrics as naive
+from tests.scenes import DATA, needs_data
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data"
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the real scenes of ../shared/data are not here")
 STEREO = [name for name in protocols.names() if issubclass(protocols.load(name), DisparityProtocol)]
 
 
