@@ -24,7 +24,7 @@ import _env  # noqa: F401  (first: continues in the checkout's environment)
 from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.core.method import twin_of
+from depthcli.core.method import device_implementation_of
 from depthcli.data.generated.stereo_scenes import make_scene
 from depthcli.device import Device, open_device
 from depthcli.evaluation.render import Table
@@ -83,10 +83,10 @@ def measure_aggregations(device: Device, pair: StereoPair, windows: list[int], r
     bandwidth = device.bandwidth()
     rows: list[dict[str, object]] = []
     for name, window, method in aggregations(windows):
-        twin = twin_of(method)
-        assert twin is not None
-        naive, _ = on_device(device, lambda m=method, t=twin: t.naive(m, copied, there), min(repeat, 3))  # type: ignore[misc]
-        fast, nbytes = on_device(device, lambda m=method, t=twin: t.run(m, copied, there), repeat)  # type: ignore[misc]
+        implementation = device_implementation_of(method)
+        assert implementation is not None
+        naive, _ = on_device(device, lambda m=method, i=implementation: i.naive(m, copied, there), min(repeat, 3))  # type: ignore[misc]
+        fast, nbytes = on_device(device, lambda m=method, i=implementation: i.run(m, copied, there), repeat)  # type: ignore[misc]
         processor = by_clock(lambda m=method: m(volume, pair), min(repeat, 5))  # type: ignore[misc]
         share = 100 * nbytes / (fast / 1e3) / bandwidth
         rows.append({

@@ -11,11 +11,11 @@ from pydantic import BaseModel
 from depthcli.batch import record
 from depthcli.batch.command import ConfigT, SceneT
 from depthcli.batch.making import RunOptions, Task, Work
-from depthcli.batch.resources import show_bytes
 from depthcli.batch.runner import Inspector
 from depthcli.batch.tables import aligned
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import InputError
+from depthcli.core.memory import show_bytes
 from depthcli.data.formats.headers import image_size
 
 DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"

@@ -28,11 +28,6 @@ def parse_bytes(text: str, option: str = "--max-memory") -> int:
     return size
 
 
-def show_bytes(size: int) -> str:
-    """Bytes for people."""
-    return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"
-
-
 def available_memory() -> int:
     """Bytes that can be had now: free memory within the limit of the control group."""
     found = [1 << 62]

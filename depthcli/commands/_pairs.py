@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from depthcli.batch.command import Values
 from depthcli.commands._batch import ConfigCommand
@@ -17,108 +17,105 @@ if TYPE_CHECKING:
     from depthcli.batch.reporter import Reporter
     from depthcli.batch.tables import Column
     from depthcli.core.frames import StereoPair
-    from depthcli.core.maps import DisparityMap
     from depthcli.data.formats.pictures import Palette
-    from depthcli.methods.stereo.large import Matcher
+    from depthcli.device import Device
+    from depthcli.methods.stereo.config import PairConfig
+    from depthcli.methods.stereo.matching import Limits, Matcher
     from depthcli.methods.stereo.search_range import SearchRange
     from depthcli.methods.stereo.volume import StereoResult
 
-_FEW = 0.5  # share of measured pixels below which a map says so
-_AT_END = 0.05  # share of measured pixels at an end of the search range above which it does
+PairConfigT = TypeVar("PairConfigT", bound="PairConfig")
+
+_MIN_MEASURED_SHARE = 0.5  # of the pixels; with fewer a scene has a warning
+_MAX_SHARE_AT_END = 0.05  # of the measured pixels at an end of the search range; with more a scene has a warning
 
 
-class PairCommand(ConfigCommand[Any, StereoScene]):
+class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
     """Reads a pair, matches it, writes the left view's map."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (StereoScene,)
 
     @abstractmethod
-    def match(self, config: Any, scene: StereoScene, pair: StereoPair, top: int) -> StereoResult:
-        """Match over disparities 0 .. ``top`` inclusive."""
+    def matcher(self, config: PairConfigT, scene: StereoScene) -> Matcher:
+        """Return what matches the scene's pair."""
 
-    @abstractmethod
-    def peak_bytes(self, config: Any, shape: tuple[int, int], top: int) -> int:
-        """Estimate of the peak working memory."""
-
-    def facts(self, config: Any) -> dict[str, Any]:
-        """What else the report says of every scene."""
-        return {}
-
-    def in_tiles(self, config: Any) -> Matcher | None:
-        """What can match a pair in tiles; None where nothing can."""
+    def device(self, config: PairConfigT) -> Device | None:
+        """Return the device to match on, None for the processor."""
         return None
 
-    def memory_of(self, config: Any, scene: StereoScene) -> int | None:
-        """By the size of the left image; None where key points tell the range; InputError where nothing does."""
-        from depthcli.batch.plan import shape_of
+    def device_columns(self, config: PairConfigT) -> dict[str, str]:
+        """Return columns of the report that say where scenes were matched, if not on the processor."""
+        return {}
 
-        low, top = asked_range(config, scene)
-        if top is None and config.calibration is None:
-            raise _no_range(scene)
+    def limits(self, config: PairConfigT, memory: int) -> Limits:
+        """Return where a pair may be matched, and in how much memory."""
+        from depthcli.methods.stereo.matching import Limits
+
+        return Limits(memory, config.tiles, config.tile_memory << 20, self.device(config))
+
+    def memory_of(self, config: PairConfigT, scene: StereoScene) -> int | None:
+        """Estimate by the left image's size; None where key points give the range, InputError where nothing does."""
+        from depthcli.batch.plan import shape_of
+        from depthcli.methods.stereo.matching import host_bytes
+
+        low, top = given_range(config, scene)
+        _check_range(config, scene, top)
         if top is None or isinstance(low, str) or isinstance(top, str):
             return None
-        need: int = self.peak_bytes(config, shape_of(scene.left), top - low)
-        if config.tiles == "never" or self.in_tiles(config) is None:
-            return need
-        most: int = config.tile_memory << 20
-        return min(need, most)
+        return host_bytes(self.matcher(config, scene), shape_of(scene.left), top - low, self.limits(config, 0))
 
-    def effort(self, config: Any, scene: StereoScene) -> int | None:
-        """Pixels times disparities, from the beginning of the left image's file."""
+    def effort(self, config: PairConfigT, scene: StereoScene) -> int | None:
+        """Return pixels times disparities, from the beginning of the left image's file."""
         from depthcli.data.formats.headers import peeked_size
 
         size = peeked_size(scene.left)
         if size is None:
             return None
-        low, top = asked_range(config, scene)
+        low, top = given_range(config, scene)
         # Ranges by key points are in proportion to the width.
         span = top - low if isinstance(low, int) and isinstance(top, int) else size.width // 4
         return size.height * size.width * max(span + 1, 1)
 
     def columns(self) -> tuple[Column, ...]:
-        """Size of the map, share of pixels with a value, share that was measured rather than filled."""
+        """Return size of the map, share of pixels with a value, share that was measured rather than filled."""
         from depthcli.batch.tables import SIZE, Column, percent
 
         return (SIZE, Column("density", percent("density")), Column("measured", percent("measured")))
 
     def palette(self) -> Palette:
-        """Of a disparity map's status."""
+        """Return the colors of a disparity map's status."""
         from depthcli.data.formats.pictures import STATUS_PALETTE
 
         return STATUS_PALETTE
 
     def legend_values(self) -> tuple[int, ...]:
-        """Each reason, alone and filled."""
+        """Return each reason, alone and filled."""
         from depthcli.core.maps import Status
 
         reasons = [int(bit) for bit in (Status.OCCLUDED, Status.MISMATCH, Status.OUT_OF_RANGE, Status.NO_DATA)]
         return (0, int(Status.SMOOTHED), *reasons, *(bit | int(Status.FILLED) for bit in reasons))
 
     def run(self, values: Values, reporter: Reporter) -> int:
-        """As every such command; a calibration that cannot be read is told before any scene is looked at."""
-        self._check_calibration(self.config(values))
+        """Run as every such command; a calibration that cannot be read is an error before any scene is opened."""
+        from depthcli.commands._rectified import read_rig
+
+        calibration = self.config(values).calibration
+        if calibration is not None:
+            read_rig(calibration)
         return super().run(values, reporter)
 
-    def _check_calibration(self, config: Any) -> None:
-        if config.calibration is not None:
-            from depthcli.data.formats.stereo_rig import read_stereo_rig
+    def files(self, config: PairConfigT, scene: StereoScene) -> dict[str, Path]:
+        """Return the files of the pair, and the calibration that rectifies it."""
+        names = () if config.calibration is None else config.calibration.files
+        return scene.input_files | {f"calibration_{k}": Path(name) for k, name in enumerate(names)}
 
-            how = config.calibration
-            read_stereo_rig([Path(file) for file in how.files], how.unit, how.fisheye, how.cameras)
-
-    def files(self, config: Any, scene: StereoScene) -> dict[str, Path]:
-        """The pair, and the calibration that rectifies it."""
-        from depthcli.commands._rectified import calibration_files
-
-        return scene.input_files | calibration_files(config.calibration)
-
-    def settings(self, config: Any, scene: StereoScene) -> dict[str, str]:
-        """The search range, which may come from a file beside the images."""
-        low, top = asked_range(config, scene)
+    def settings(self, config: PairConfigT, scene: StereoScene) -> dict[str, str]:
+        """Return the search range, which may come from a file beside the images."""
+        low, top = given_range(config, scene)
         return {"max_disparity": str(top), **({} if low == 0 else {"min_disparity": str(low)})}
 
-    def compute(self, config: Any, scene: StereoScene, folder: Path, memory: int) -> Outcome:
-        """Match one pair.
+    def compute(self, config: PairConfigT, scene: StereoScene, folder: Path, memory: int) -> Outcome:
+        """Match one pair: load or rectify, search range, match, save.
 
         Raises
         ------
@@ -128,128 +125,67 @@ class PairCommand(ConfigCommand[Any, StereoScene]):
         import numpy as np
 
         from depthcli.batch.making import Outcome
-        from depthcli.batch.resources import show_bytes
         from depthcli.commands._rectified import rectified_pair
         from depthcli.commands._save import save_stereo
-        from depthcli.core.maps import Status
         from depthcli.core.result import Clock
+        from depthcli.methods.stereo.matching import match
+        from depthcli.methods.stereo.search_range import complete_range
 
         clock = Clock()
-        rows: dict[str, Any] = {}
+        low, top = given_range(config, scene)
+        _check_range(config, scene, top)
+        matcher, limits = self.matcher(config, scene), self.limits(config, memory)
+        device_columns = self.device_columns(config)
+        facts: dict[str, Any] = {}
         warnings: list[str] = []
         if config.calibration is None:
             pair = scene.load()
             clock.stop("load")
         else:
-            pair, rows, warnings = rectified_pair(config.calibration, scene, folder)
+            pair, facts, warnings = rectified_pair(config.calibration, scene, folder)
             clock.stop("rectify")
-        search, said = _search_range(config, scene, pair)
-        clock.stop("range")
+        search, key_points = complete_range(low, top, pair)
+        if key_points:
+            clock.stop("range")
         shifted = search.shift(pair)
-        matched = self._within(config, scene, shifted, search.last, memory)
-        tiles = matched.figures.get("tiles", 0)
+        matched = match(matcher, shifted, search.last, limits)
         result = search.restore(matched, pair.shape[1])
         del matched
         clock.stop("other")
         clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
-        status = result.disparity.status
-        measured = float(np.mean(((status & Status.FILLED) == 0) & result.disparity.valid))
-        facts = {
+        measured = float(np.mean(result.disparity.measured))
+        warnings += [*_warnings(pair, measured), *_range_warnings(result, search, key_points)]
+        if result.figures.get("exact") == 0 and memory < limits.tile_memory:
+            warnings.append(_tiles_warning(result, memory))
+        save_stereo(result, folder, search.low, search.top)
+        clock.stop("save")
+        columns = {
             "width": pair.shape[1],
             "height": pair.shape[0],
             "max_disparity": search.top,
-            **({"min_disparity": search.low} if search.low or said else {}),
-            **rows,
-            **said,
+            **({"min_disparity": search.low} if search.low or key_points else {}),
+            **facts,
+            **key_points,
             "density": round(result.disparity.density, 6),
             "measured": round(measured, 6),
             **({"bits": pair.bits} if _partly_used(pair) else {}),
             **{name: float(value) for name, value in result.figures.items()},
-            **self.facts(config),
+            **device_columns,
         }
-        save_stereo(result, folder, search.low, search.top)
-        clock.stop("save")
-        if "range_matches" not in said:
-            del clock.seconds["range"]
-        first = "load" if config.calibration is None else "rectify"
+        first = next(iter(clock.seconds))
         seconds = {first: clock.seconds[first], **result.seconds} | clock.seconds
-        warnings += [*_warnings(pair, measured), *_range_warnings(result.disparity, search, said)]
-        if tiles and not result.figures["exact"] and memory < config.tile_memory << 20:
-            warnings.append(
-                f"matched in {tiles:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
-                f"{show_bytes(memory)} of memory may be used: with more the map is another one"
-            )
-        return Outcome(facts, seconds, warnings)
-
-    def _within(self, config: Any, scene: StereoScene, pair: StereoPair, top: int, memory: int) -> StereoResult:
-        """Match the pair whole or, where that needs too much memory or the config says so, in tiles."""
-        from depthcli.batch.resources import show_bytes
-        from depthcli.methods.stereo.large import match_in_tiles
-
-        need = self.peak_bytes(config, pair.shape, top)
-        matcher = None if config.tiles == "never" else self.in_tiles(config)
-        # By the config rather than by what is free: the map must not depend on the number of workers.
-        tiled = min(memory, config.tile_memory << 20)
-        if matcher is not None and (need > tiled or config.tiles == "always"):
-            return match_in_tiles(matcher, pair, top, tiled)
-        if need > memory:
-            raise InputError(
-                f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, "
-                f"{top + 1} disparities), {show_bytes(memory)} may be used; see --max-memory, --jobs, --max-disparity"
-            )
-        return self.match(config, scene, pair, top)
+        return Outcome(columns, seconds, warnings)
 
 
-def asked_range(config: Any, scene: StereoScene) -> tuple[int | str, int | str | None]:
-    """Ends of the range as they were said, the upper one None where it was not."""
+def given_range(config: PairConfig, scene: StereoScene) -> tuple[int | str, int | str | None]:
+    """Return the ends of the range that the config, or else the scene, gives; the upper one None where neither does."""
     low = scene.min_disparity if config.min_disparity is None else config.min_disparity
     return low, scene.max_disparity if config.max_disparity is None else config.max_disparity
 
 
-def _no_range(scene: StereoScene) -> InputError:
-    return InputError(f"{scene.folder}: the search range is not known; say it with --max-disparity, or auto")
-
-
-def _search_range(config: Any, scene: StereoScene, pair: StereoPair) -> tuple[SearchRange, dict[str, int]]:
-    """The range, and where key points were asked for it what they said.
-
-    A pair that was rectified just now has the one that ``rectify`` would have suggested.
-    """
-    from depthcli.commands._rectified import suggested_range
-    from depthcli.methods.stereo.search_range import SearchRange, range_of_key_points
-
-    low, top = asked_range(config, scene)
-    if top is None and config.calibration is not None:
-        ends = suggested_range(pair)
-        low, top = (low if low not in (0, "auto") else ends["min_disparity"]), ends["max_disparity"]
-    if top is None:
-        raise _no_range(scene)
-    said = {}
-    if "auto" in (low, top):
-        found, matches = range_of_key_points(pair)
-        said = {"range_matches": matches, "range_low": found.low, "range_top": found.top}
-        low, top = (found.low if low == "auto" else low), (found.top if top == "auto" else top)
-    assert isinstance(low, int) and isinstance(top, int)
-    if top <= low:
-        raise InputError(f"{scene.folder}: disparities from {low} to {top} are to be searched, which are none")
-    return SearchRange(low, top), said
-
-
-def _range_warnings(disparity: DisparityMap, search: SearchRange, said: dict[str, int]) -> list[str]:
-    """Of pixels at the range's ends, and of files that cannot hold it."""
-    found = []
-    for share, end, option in zip(
-        search.share_at_ends(disparity), (search.low, search.top), ("--min-disparity", "--max-disparity"), strict=True
-    ):
-        if share > _AT_END:
-            found.append(
-                f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
-            )
-    if said and search.low > said["range_low"] and said["range_low"] < 0:
-        found.append(f"key points have disparities down to {said['range_low']}; see --min-disparity")
-    if search.low < 0:
-        found.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
-    return found
+def _check_range(config: PairConfig, scene: StereoScene, top: int | str | None) -> None:
+    if top is None and config.calibration is None:  # rectified pairs have a range that key points suggest
+        raise InputError(f"{scene.folder}: the search range is not known; say it with --max-disparity, or auto")
 
 
 def _partly_used(pair: StereoPair) -> bool:
@@ -257,12 +193,38 @@ def _partly_used(pair: StereoPair) -> bool:
 
 
 def _warnings(pair: StereoPair, measured: float) -> list[str]:
-    found = []
+    warnings = []
     if _partly_used(pair):
-        found.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
-    if measured < _FEW:
-        found.append(
+        warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
+    if measured < _MIN_MEASURED_SHARE:
+        warnings.append(
             f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
             "not rectified, search range too small, or no texture?"
         )
-    return found
+    return warnings
+
+
+def _range_warnings(result: StereoResult, search: SearchRange, key_points: dict[str, int]) -> list[str]:
+    """Of pixels at the range's ends, and of files that cannot hold it."""
+    shares = search.share_at_ends(result.disparity)
+    warnings = [
+        f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
+        for share, end, option in zip(
+            shares, (search.low, search.top), ("--min-disparity", "--max-disparity"), strict=True
+        )
+        if share > _MAX_SHARE_AT_END
+    ]
+    if key_points and search.low > key_points["range_low"] and key_points["range_low"] < 0:
+        warnings.append(f"key points have disparities down to {key_points['range_low']}; see --min-disparity")
+    if search.low < 0:
+        warnings.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
+    return warnings
+
+
+def _tiles_warning(result: StereoResult, memory: int) -> str:
+    from depthcli.core.memory import show_bytes
+
+    return (
+        f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
+        f"{show_bytes(memory)} of memory may be used: with more the map is another one"
+    )

@@ -125,6 +125,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         from depthcli.core.frames import StereoPair
         from depthcli.core.result import Clock
         from depthcli.data.formats.atomic import write_text
+        from depthcli.methods.stereo.search_range import suggested_range
 
         clock = Clock()
         left, right = scene.load_views()
@@ -141,7 +142,8 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         same = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
         try:
             alike = views[:2] if same else [_rectified.grey8(view) for view in views[:2]]
-            search = _rectified.suggested_range(StereoPair(*alike))
+            found_range = suggested_range(StereoPair(*alike))
+            search = {"min_disparity": found_range.low, "max_disparity": found_range.top}
             meta |= search
             facts |= search
         except InputError as error:

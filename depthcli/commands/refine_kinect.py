@@ -220,7 +220,7 @@ def _sequences(scenes: Sequence[Scene]) -> list[Scene]:
 
 
 def _check_memory(config: RefineKinectConfig, frame: RgbdFrame, memory: int) -> None:
-    from depthcli.batch.resources import show_bytes
+    from depthcli.core.memory import show_bytes
 
     need = config.pipeline.peak_bytes(frame.shape)
     if need > memory:

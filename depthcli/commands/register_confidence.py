@@ -54,8 +54,8 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
             The files cannot be used, or ``memory`` bytes do not suffice.
         """
         from depthcli.batch.making import Outcome
-        from depthcli.batch.resources import show_bytes
         from depthcli.commands._save_registration import save_registration
+        from depthcli.core.memory import show_bytes
         from depthcli.core.result import Clock
         from depthcli.data.formats.volume_files import written_suffix
 

@@ -149,7 +149,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
 
 
 def _check_memory(config: TransparentConfig, shape: tuple[int, int], memory: int, least: int = 0) -> None:
-    from depthcli.batch.resources import show_bytes
+    from depthcli.core.memory import show_bytes
 
     need = max(config.pipeline.peak_bytes(shape), least)
     if need > memory:

@@ -54,6 +54,12 @@ class DisparityMap:
         """Share of pixels with a value, in [0, 1]."""
         return float(np.mean(self.valid))
 
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the pixel has a value, and it was not filled in."""
+        measured: NDArray[np.bool_] = self.valid & ((self.status & Status.FILLED) == 0)
+        return measured
+
 
 class DepthStatus(IntFlag):
     """What was done to a pixel of a sensor's depth map; ``KEPT`` alone was measured and left as it was (or smoothed).

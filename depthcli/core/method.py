@@ -152,17 +152,17 @@ def _load(package: str, name: str) -> type[Method]:
     return found[0]
 
 
-def twin_of(method: Method) -> Any | None:
-    """The module with ``run``, which does on a device what ``method`` does; None where the method has none.
+def device_implementation_of(method: object) -> Any | None:
+    """Return the module with ``run``, which does on a device what ``method`` does; None where the method has none.
 
     It lies in the folder ``_device`` of the method's family and has the method's name.
     """
     family, _, name = type(method).__module__.rpartition(".")
-    return _twin(family, name)
+    return _device_implementation(family, name)
 
 
 @cache
-def _twin(family: str, name: str) -> Any | None:
+def _device_implementation(family: str, name: str) -> Any | None:
     try:
         if importlib.util.find_spec(f"{family}._device.{name}") is None:
             return None

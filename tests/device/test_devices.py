@@ -1,4 +1,4 @@
-"""Devices: what a user is told of them, and the twins' tests in a process of their own, as drivers have crashed."""
+"""Devices: what a user reads of them; tests of device implementations in a process of their own (drivers crash)."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from tests.device import nvrtc
 _LIMIT = 400  # seconds
 
 
-def test_twins_in_a_process_of_their_own():
+def test_device_implementations_in_a_process_of_their_own():
     pytest.importorskip("pyopencl", reason="pyopencl is not installed")
     if shutil.which("ld") is None:
         pytest.skip("PoCL links its kernels with ld, which is not installed (package binutils)")
     if not depthcli.device.opencl.list_devices():
         pytest.skip(depthcli.device.opencl.why_none())
-    tests = Path(__file__).with_name("twins.py")
+    tests = Path(__file__).with_name("implementations.py")
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", str(tests)],
         cwd=tests.parents[2], capture_output=True, text=True, timeout=_LIMIT, check=False,
@@ -131,7 +131,7 @@ def small_device(monkeypatch):
     return device
 
 
-def test_what_does_not_fit_on_the_device_is_told_before_it_starts(tmp_path, capsys, made_scenes, small_device):
+def test_what_does_not_fit_on_the_device_fails_before_it_starts(tmp_path, capsys, made_scenes, small_device):
     output = tmp_path / "run"
     code = main(
         ["stereo", "fast", "-i", str(made_scenes), "-o", str(output), "--scenes", "planes_0", "--device", "auto"]

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from depthcli.core import memory
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.stereo.outside import fill_outside
-from depthcli.methods.stereo.volume import CostVolume
+from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 UNIT = 255
 """Stored value of the cost 1."""

@@ -2,25 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from pydantic import Field, model_validator
+from numpy.typing import NDArray
+from pydantic import Field
 
+from depthcli.core.frames import StereoPair
 from depthcli.methods.fusion.pipeline import Fusion
-from depthcli.methods.stereo.config import CalibrationFiles, MaxDisparity, MinDisparity, TileMemory, Tiles, check_range
+from depthcli.methods.stereo.config import PairConfig
+from depthcli.methods.stereo.matching import Matcher
+from depthcli.methods.stereo.volume import StereoResult
 
 
-class FuseConfig(Fusion):
+class FuseConfig(PairConfig, Fusion):
     """The fields of fusion and the search range, side by side."""
 
-    max_disparity: MaxDisparity = None
-    min_disparity: MinDisparity = None
-    calibration: CalibrationFiles = None
-    tiles: Tiles = "auto"
-    tile_memory: TileMemory = 3072
     run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
 
-    @model_validator(mode="after")
-    def _has_a_range(self) -> FuseConfig:
-        check_range(self)
-        return self
+
+@dataclass(frozen=True)
+class FusionWithVolumes(Matcher):
+    """Fusion with cost volumes that were made elsewhere.
+
+    Attributes
+    ----------
+    read_volumes : gives file name -> (H, W, D) costs, when a pair is matched
+    """
+
+    fusion: Fusion
+    read_volumes: Callable[[], Mapping[str, NDArray[Any]]]
+
+    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+        """Read the volumes and match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
+        return self.fusion(pair, max_disparity, self.read_volumes())
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Estimate the peak working memory for images of (H, W) ``shape``, bytes."""
+        return self.fusion.peak_bytes(shape, max_disparity)
+
+    @property
+    def has_tiles(self) -> bool:
+        """Whether parts of a pair can be matched: no, the volumes are those of the whole pair."""
+        return False

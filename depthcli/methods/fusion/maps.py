@@ -18,12 +18,12 @@ from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice import Choice, Proposals
 from depthcli.methods.fusion.choice.energy import Energy
 from depthcli.methods.fusion.surfaces import agreement
-from depthcli.methods.stereo.finish import refined
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.pipeline import Pipeline
 from depthcli.methods.stereo.refinement import RefinementStep
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 from depthcli.methods.stereo.segments.planes import Members, PlaneFit, evaluate
+from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
 _FEWEST, _LEAST_SHARE = 20, 0.05  # pixels, and part of a segment, that a plane is fitted to

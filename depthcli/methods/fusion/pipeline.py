@@ -22,15 +22,16 @@ from depthcli.methods.fusion.blend import UNIT, add_weighted, blend, squash
 from depthcli.methods.fusion.maps import MapFusion
 from depthcli.methods.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
 from depthcli.methods.fusion.weights import comparable, measure_weights
-from depthcli.methods.stereo.adjustment import Adjust, adjusted
+from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.aggregation import Aggregation
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.cost import PartCost, light_weights
-from depthcli.methods.stereo.finish import finish
+from depthcli.methods.stereo.matching import AdjustingMatcher
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import RefinementStep
 from depthcli.methods.stereo.segments.steps import SegmentSteps
+from depthcli.methods.stereo.stages import finish
 from depthcli.methods.stereo.volume import CostVolume, StereoResult
 
 _CONSENSUS, _AGREEMENT, _PROBABILITY = "consensus", "agreement", "probability"
@@ -105,12 +106,11 @@ class Consensus(BaseModel):
     )
 
 
-class Fusion(BaseModel):
+class Fusion(AdjustingMatcher):
     """Stereo by several measures, each of them trusted where the pixels around agree with it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    adjust: Adjust = ()
     measures: tuple[Measure, ...] = Field(min_length=1, max_length=16, description="measures to fuse")
     weights: Literal["consensus", "confidence", "equal", "select", "vote"] = Field(
         "consensus",

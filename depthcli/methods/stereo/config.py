@@ -1,36 +1,19 @@
-"""Root of the ``stereo`` command's config."""
+"""What configs of commands that match pairs hold, and the root of the ``stereo`` command's."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from depthcli.core.root_config import RootConfig
+from depthcli.methods.stereo.matching import TileMode
 from depthcli.methods.stereo.pipeline import Pipeline
 
-_Pixels = Annotated[int, Field(ge=-16383, le=16383)]
-MaxDisparity = Annotated[
-    _Pixels | Literal["auto"] | None,
-    Field(description="largest disparity searched, pixels; auto: by matched key points; null: what the scene says"),
-]
-MinDisparity = Annotated[
-    _Pixels | Literal["auto"] | None,
-    Field(description="smallest disparity searched, pixels; auto: by matched key points; null: the scene's, else 0"),
-]
+_MAX_DISPARITY = 16383  # pixels, 14 bits: wider than the images that any method here can match
 
-Tiles = Annotated[
-    Literal["auto", "always", "never"],
-    Field(
-        description="match in tiles, coarse to fine where the method is not local; auto: where the whole pair would "
-        "need more than tile_memory"
-    ),
-]
-TileMemory = Annotated[
-    int,
-    Field(ge=300, le=1 << 20, description="memory that a pair matched in tiles may take; less where less is free, MiB"),
-]
+_End = Annotated[int, Field(ge=-_MAX_DISPARITY, le=_MAX_DISPARITY)] | Literal["auto"] | None
 
 
 class Calibration(BaseModel):
@@ -58,38 +41,47 @@ class Calibration(BaseModel):
         return {"files": data} if isinstance(data, list) else data
 
 
-CalibrationFiles = Annotated[
-    Calibration | None,
-    Field(description="calibration file of cameras whose pairs are not rectified yet; null: they are"),
-]
+class PairConfig(BaseModel):
+    """What the configs of all commands that match pairs have in common."""
+
+    max_disparity: _End = Field(
+        None, description="largest disparity searched, pixels; auto: by matched key points; null: what the scene says"
+    )
+    min_disparity: _End = Field(
+        None,
+        description="smallest disparity searched, pixels; auto: by matched key points; null: the scene's, else 0",
+    )
+    calibration: Calibration | None = Field(
+        None, description="calibration file of cameras whose pairs are not rectified yet; null: they are"
+    )
+    tiles: TileMode = Field(
+        "auto",
+        description="match in tiles, coarse to fine where the method is not local; auto: where the whole pair would "
+        "need more than tile_memory",
+    )
+    tile_memory: int = Field(
+        3072,
+        ge=300,
+        le=1 << 20,
+        description="memory that a pair matched in tiles may take; less where less is free, MiB",
+    )
+
+    @model_validator(mode="after")
+    def _has_a_range(self) -> Self:
+        low, top = 0 if self.min_disparity is None else self.min_disparity, self.max_disparity
+        if isinstance(top, int) and isinstance(low, int) and top <= low:
+            problem = PydanticCustomError(
+                "empty_range", "should be greater than the smallest disparity, {low}", {"low": low}
+            )
+            error: InitErrorDetails = {"type": problem, "loc": ("max_disparity",), "input": top}
+            raise ValidationError.from_exception_data(type(self).__name__, [error])
+        return self
 
 
-def check_range(config: Any) -> None:
-    """Raise ValidationError where the config's range is empty."""
-    low, top = config.min_disparity, config.max_disparity
-    least = 0 if low is None else low
-    if isinstance(top, int) and isinstance(least, int) and top <= least:
-        problem = PydanticCustomError(
-            "empty_range", "should be greater than the smallest disparity, {low}", {"low": least}
-        )
-        error: InitErrorDetails = {"type": problem, "loc": ("max_disparity",), "input": top}
-        raise ValidationError.from_exception_data(type(config).__name__, [error])
-
-
-class StereoConfig(RootConfig):
+class StereoConfig(PairConfig, RootConfig):
     """A pipeline and its parameters, side by side."""
 
     flattened: ClassVar[str] = "pipeline"
 
     pipeline: Pipeline = Field(description="the data flow from image pair to map")
-    max_disparity: MaxDisparity = None
-    min_disparity: MinDisparity = None
-    calibration: CalibrationFiles = None
     device: str = Field("cpu", description="where to match: cpu, auto, opencl, cuda, opencl:N or cuda:N")
-    tiles: Tiles = "auto"
-    tile_memory: TileMemory = 3072
-
-    @model_validator(mode="after")
-    def _has_a_range(self) -> StereoConfig:
-        check_range(self)
-        return self

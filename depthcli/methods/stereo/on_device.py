@@ -1,12 +1,13 @@
-"""What the stages of a pipeline hand to each other on a device.
+"""What the stages of a pipeline hand to each other on a device, and how a stage is run there.
 
-A method's twin for devices lies in the folder ``_device`` of its family, in a module of the method's name with a
+A method's device implementation lies in the folder ``_device`` of its family, in a module of the method's name with a
 function ``run``: cost ``run(method, pair, disparities)``, aggregation and optimization ``run(method, volume, pair)``,
-refinement ``run(method, disparity, evidence)``, as the methods themselves, on the types below.
+refinement ``run(method, disparity, context)``, as the methods themselves, on the types below.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
+from depthcli.core.method import Method, device_implementation_of
 from depthcli.device import Device, DeviceArray, Kernels
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
@@ -112,6 +114,24 @@ class DeviceMap:
         """The map on the host."""
         return DisparityMap(self.device.download(self.values), self.device.download(self.status))
 
+    def refined(self, kernels: Kernels, name: str, inputs: Sequence[DeviceArray] = (), *parameters: Any) -> DeviceMap:
+        """Return a new map by a kernel that gives every pixel a thread.
+
+        Its arguments are the values and status of the map, ``inputs``, the new values and status, H, W, ``parameters``.
+        """
+        new = DeviceMap.empty(self.device, self.values.shape)
+        height, width = self.values.shape
+        self.device.launch(
+            kernels, name, (width, height), PIXELS, self.values, self.status, *inputs, new.values, new.status,
+            height, width, *parameters,
+        )  # fmt: skip
+        return new
+
+    @classmethod
+    def empty(cls, device: Device, shape: Sequence[int]) -> DeviceMap:
+        """Return an uninitialized map of (H, W) ``shape``."""
+        return cls(device, device.empty(shape, np.float32), device.empty(shape, np.uint8))
+
     @classmethod
     def upload(cls, device: Device, disparity: DisparityMap) -> DeviceMap:
         """A copy of ``disparity`` on the device."""
@@ -119,7 +139,7 @@ class DeviceMap:
 
 
 @dataclass(frozen=True)
-class DeviceEvidence:
+class DeviceContext:
     """As :class:`~depthcli.methods.stereo.volume.RefinementContext`."""
 
     pair: DevicePair
@@ -128,7 +148,7 @@ class DeviceEvidence:
 
     @cached_property
     def host(self) -> RefinementContext:
-        """The evidence on the host, for steps without a twin."""
+        """The context on the host, for steps without a device implementation."""
         return RefinementContext(self.pair.host, self.volume.download(), self.pair.device.download(self.right))
 
 
@@ -146,9 +166,22 @@ def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, in
     return (depth, width, height), (lanes, 256 // lanes, 1)
 
 
-def map_like(disparity: DeviceMap) -> DeviceMap:
-    """An uninitialized map of the same size."""
-    device = disparity.device
-    return DeviceMap(
-        device, device.empty(disparity.values.shape, np.float32), device.empty(disparity.values.shape, np.uint8)
-    )
+def run_stage(stage: Method, *arguments: Any) -> Any:
+    """Run a stage by its device implementation or, where it has none, on the processor, with transfers.
+
+    Parameters
+    ----------
+    arguments : of ``run``: those of the stage itself as types of this module
+    """
+    implementation = device_implementation_of(stage)
+    if implementation is not None:
+        return implementation.run(stage, *arguments)
+    result = stage(*(_on_host(argument) for argument in arguments))  # type: ignore[operator]
+    kind = DeviceVolume if isinstance(result, CostVolume) else DeviceMap
+    return kind.upload(arguments[0].device, result)
+
+
+def _on_host(argument: Any) -> Any:
+    if isinstance(argument, DevicePair | DeviceContext):
+        return argument.host
+    return argument.download() if isinstance(argument, DeviceVolume | DeviceMap) else argument

@@ -92,7 +92,7 @@ class SearchRange:
 
     def share_at_ends(self, disparity: DisparityMap) -> tuple[float, float]:
         """Shares of the measured pixels within a pixel of the range's lower and upper end."""
-        measured = disparity.values[disparity.valid & ((disparity.status & Status.FILLED) == 0)]
+        measured = disparity.values[disparity.measured]
         if measured.size == 0:
             return 0.0, 0.0
         return float(np.mean(measured < self.low + 1)), float(np.mean(measured > self.top - 1))
@@ -124,6 +124,39 @@ def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:
     low, high = np.quantile(found.disparity.astype(np.float64), (_TAIL, 1 - _TAIL)) * (width / size[0])
     below, above = (max(_AT_LEAST, share * (high - low)) for share in (_BELOW, _ABOVE))
     return SearchRange(int(np.floor(low - below)), int(np.ceil(high + above))), len(found)
+
+
+def suggested_range(pair: StereoPair) -> SearchRange:
+    """Return the range of key points, widened to disparity 0 and 1; InputError where too few match."""
+    found, _ = range_of_key_points(pair)
+    return SearchRange(min(found.low, 0), max(found.top, 1))
+
+
+def complete_range(low: int | str, top: int | str | None, pair: StereoPair) -> tuple[SearchRange, dict[str, int]]:
+    """Replace ends that are "auto" by those of key points, and a missing upper end by the suggested range.
+
+    Returns
+    -------
+    search : the range
+    columns : what key points say, for the report, where an end is "auto"
+
+    Raises
+    ------
+    InputError
+        The range is empty, or too few key points match.
+    """
+    if top is None:
+        suggested = suggested_range(pair)
+        low, top = (low if low not in (0, "auto") else suggested.low), suggested.top
+    columns = {}
+    if "auto" in (low, top):
+        found, n_matches = range_of_key_points(pair)
+        columns = {"range_matches": n_matches, "range_low": found.low, "range_top": found.top}
+        low, top = (found.low if low == "auto" else low), (found.top if top == "auto" else top)
+    assert isinstance(low, int) and isinstance(top, int)
+    if top <= low:
+        raise InputError(f"disparities from {low} to {top} are to be searched, which are none")
+    return SearchRange(low, top), columns
 
 
 def _smaller(image: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import cast
+from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core import memory
+from depthcli.core.errors import InputError
 from depthcli.core.frames import Image, StereoPair
 
 BLOCK = 16
 """Side of the blocks of pixels that share candidates, and unit of the tiles' sides."""
 BIN = 16
 """Disparities that are candidates together: as many as kernels take at a time."""
-_A_PIXEL = 24  # what a pixel of a tile costs beside its disparities, in disparities
-_A_TILE = 300_000  # what a tile costs beside its cells, in cells
-_SMALLEST = 8  # blocks
+# Work of a tile beside its cells, set by hand: each pixel takes as long as so many disparities, each tile as so many
+# cells.
+_PIXEL_OVERHEAD, _TILE_OVERHEAD = 24, 300_000
+_MIN_TILE_BLOCKS = 8  # smaller tiles are only made where memory asks for them: margins would be most of the work
+PROCESS_BYTES = 256 << 20  # upper bound of the memory of the interpreter and the libraries
+# Bytes a pixel of the image while tiles are matched (winners of both views, keys, minima, prior), and while the map is
+# refined and written.
+_MATCHING_BYTES, _FINISHING_BYTES = 26, 48
 
 
 @dataclass(frozen=True)
@@ -111,8 +118,8 @@ class Candidates:
     top: int
 
     @classmethod
-    def all(cls, shape: tuple[int, int], top: int) -> Candidates:
-        """Everywhere 0 .. ``top``."""
+    def everywhere(cls, shape: tuple[int, int], top: int) -> Candidates:
+        """Return 0 .. ``top`` for all blocks."""
         return cls(np.ones((*(-(-side // BLOCK) for side in shape), top // BIN + 1), np.bool_), shape, top)
 
     @cached_property
@@ -135,8 +142,8 @@ class Candidates:
             height, width = tile.shape
             cost = float("inf")
             if fits(tile):
-                cost = float(height * width * (tile.depth + _A_PIXEL) + _A_TILE)
-            least = _SMALLEST if cost < float("inf") else 1
+                cost = float(height * width * (tile.depth + _PIXEL_OVERHEAD) + _TILE_OVERHEAD)
+            least = _MIN_TILE_BLOCKS if cost < float("inf") else 1
             chosen: tuple[tuple[int, int, int, int], ...] = ((y0, y1, x0, x1),)
             cuts = []
             if y1 - y0 >= 2 * least:
@@ -188,3 +195,59 @@ class Candidates:
             Span(int(a) * BIN, min(int(b) * BIN, self.top + 1) - int(a) * BIN)
             for a, b in zip(edges[::2], edges[1::2], strict=True)
         )
+
+
+class Memory(NamedTuple):
+    """What a process may take, and what of it others hold, bytes."""
+
+    allowed: int
+    held: int
+
+    @classmethod
+    def of_process(cls, allowed: int, held: int = 0) -> Memory:
+        """Return that of a process whose caller holds ``held`` bytes beside the interpreter and the libraries."""
+        return cls(allowed, PROCESS_BYTES + held)
+
+    def beside(self, pair: StereoPair) -> Memory:
+        """Return what is left while ``pair`` is held, too."""
+        return Memory(self.allowed, self.held + pair.left.nbytes + pair.right.nbytes)
+
+    def tiles(
+        self, pair: StereoPair, candidates: Candidates, margins: Margins, need: Callable[[Tile], int]
+    ) -> TilePlan:
+        """Return tiles of ``pair`` that fit; ``need`` says how many bytes matching one takes.
+
+        Raises
+        ------
+        InputError
+            Not even the smallest tiles fit.
+        """
+        held = self.beside(pair).held
+        pixels = pair.shape[0] * pair.shape[1]
+        free = self.allowed - held - _MATCHING_BYTES * pixels
+        tiles = candidates.tiles(margins, lambda tile: need(tile) <= free)
+        if tiles is None or held + _FINISHING_BYTES * pixels > self.allowed:
+            smallest = need(candidates.tile(0, 1, 0, 1, margins))
+            total = held + max(_FINISHING_BYTES * pixels, _MATCHING_BYTES * pixels + smallest)
+            raise InputError(
+                f"needs at least {-(-total >> 20)} MiB of memory even in tiles, {self.allowed >> 20} MiB may be used"
+            )
+        return TilePlan(tiles, need, free)
+
+
+@dataclass(frozen=True)
+class TilePlan:
+    """Tiles in the order in which they are matched, each in at most ``free`` bytes."""
+
+    tiles: list[Tile]
+    need: Callable[[Tile], int]
+    free: int
+
+    def __len__(self) -> int:
+        return len(self.tiles)
+
+    def __iter__(self) -> Iterator[Tile]:
+        for tile in self.tiles:
+            if memory.kept() + self.need(tile) > self.free:
+                memory.release()  # blocks of other sizes, which the next tile cannot use
+            yield tile

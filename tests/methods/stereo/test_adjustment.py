@@ -20,7 +20,8 @@ from depthcli.methods.stereo.adjustment import ReducedPair, adjusted, light
 from depthcli.methods.stereo.adjustment import rows as row_alignment
 from depthcli.methods.stereo.adjustment.resampling import CELL, resample
 from depthcli.methods.stereo.config import StereoConfig
-from depthcli.methods.stereo.large import PROCESS, match_in_tiles
+from depthcli.methods.stereo.matching import Limits, match
+from depthcli.methods.stereo.tiles import PROCESS_BYTES
 from tests.methods.stereo._pairs import PARAMETERS, texture, threads
 from tests.naive import adjustment as naive
 
@@ -205,10 +206,10 @@ def test_the_memory_error_names_a_sufficient_amount(scene):
     pipeline = StereoConfig.model_validate({"pipeline": "local", "adjust": BOTH, "cost": "census"}).pipeline
     pair = StereoPair(scene.left, lit(scene.right))
     with pytest.raises(InputError, match="needs at least") as raised:
-        match_in_tiles(pipeline, pair, 40, 5 << 20)
+        match(pipeline, pair, 40, Limits(5 << 20, tiles="always"))
     needed, given = (int(word) for word in re.findall(r"(-?\d+) MiB", str(raised.value)))
     assert given == 5
-    match_in_tiles(pipeline, pair, 40, (needed + 1) << 20)
+    match(pipeline, pair, 40, Limits((needed + 1) << 20, tiles="always"))
 
 
 @pytest.mark.parametrize(
@@ -250,7 +251,7 @@ def test_tiles_are_adjusted_as_the_whole(scene):
     }
     pipeline = StereoConfig.model_validate(config).pipeline
     pair = StereoPair(scene.left, lit(shifted(scene.right, TILTED)))
-    tiled = match_in_tiles(pipeline, pair, 40, PROCESS + (24 << 20))
+    tiled = match(pipeline, pair, 40, Limits(PROCESS_BYTES + (24 << 20), tiles="always"))
     assert tiled.figures["tiles"] > 1
     np.testing.assert_array_equal(tiled.disparity.values, pipeline(pair, 40).disparity.values)
 

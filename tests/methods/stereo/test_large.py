@@ -18,16 +18,16 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.data.generated.stereo_scenes import make_scene
-from depthcli.kernels.winners import Gathered, winners
+from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.pipeline import Fusion
-from depthcli.methods.stereo import large
+from depthcli.methods.stereo import coarse_to_fine, tiling
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.aggregation.cross import Cross
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.cost.combined import Combined
-from depthcli.methods.stereo.large import PROCESS, match_in_tiles
+from depthcli.methods.stereo.matching import Limits, Matcher, match
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
@@ -37,7 +37,8 @@ from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
-from depthcli.methods.stereo.tiles import BIN, BLOCK, Candidates, Margins, Tile
+from depthcli.methods.stereo.tile_winners import TileWinners
+from depthcli.methods.stereo.tiles import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Tile
 from depthcli.methods.stereo.volume import StereoResult
 from tests.methods.stereo._pairs import PARAMETERS, TINY, blocky_pair, random_volume, texture, threads
 from tests.naive import stereo as naive
@@ -49,10 +50,14 @@ def preset(name: str):
     return load_config(StereoConfig, find_config("stereo", name), [], lambda n: find_preset("stereo", n)).pipeline
 
 
+def match_in_tiles(matcher: Matcher, pair: StereoPair, top: int, memory: int) -> StereoResult:
+    return match(matcher, pair, top, Limits(memory, tiles="always"))
+
+
 def least_memory(matcher, pair: StereoPair, top: int) -> tuple[StereoResult, int]:
     """The result with about the least memory that suffices, so with the smallest tiles."""
     for extra in range(400):
-        allowed = PROCESS + pair.left.nbytes * 2 + int(2**16 * 1.2**extra)
+        allowed = PROCESS_BYTES + pair.left.nbytes * 2 + int(2**16 * 1.2**extra)
         try:
             return match_in_tiles(matcher, pair, top, allowed), allowed
         except InputError:
@@ -63,15 +68,15 @@ def least_memory(matcher, pair: StereoPair, top: int) -> tuple[StereoResult, int
 @pytest.fixture
 def small_levels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Images and ranges of tests count as large."""
-    monkeypatch.setattr(large, "_NARROW", 16)
-    monkeypatch.setattr(large, "_SMALL", 48)
+    monkeypatch.setattr(coarse_to_fine, "_MIN_DISPARITIES", 16)
+    monkeypatch.setattr(coarse_to_fine, "_MIN_SIDE", 48)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize(("height", "width", "disparities"), [*TINY, (11, 37, 20)])
 def test_winners_of_tiles_are_those_of_the_image(height, width, disparities, dtype):
     costs = random_volume(height, width, disparities, dtype, width).costs
-    gathered = Gathered((height, width), True)
+    gathered = TileWinners((height, width), True)
     # Two rows of tiles, and the disparities in two spans with a cell between.
     middle = disparities // 2
     spans = [(0, middle, 0), (middle + 1, disparities - middle, middle)] if middle else [(0, disparities, 0)]
@@ -91,7 +96,7 @@ def test_winners_of_tiles_with_disparities_of_their_own(dtype):
     height, width, depth = 6, 40, 24
     costs = random_volume(height, width, depth, dtype, 3).costs
     parts = [(0, 13, [(0, 8), (14, 6)]), (13, 29, [(3, 9)]), (29, 40, [(0, 4), (9, 5), (20, 4)])]
-    gathered = Gathered((height, width), True)
+    gathered = TileWinners((height, width), True)
     allowed = np.zeros(costs.shape, bool)
     for x0, x1, listed in parts:
         spans, cells, start = [], [], 0
@@ -161,7 +166,7 @@ STEPS = (
     "pipeline", LOCAL, ids=lambda p: f"{p.cost.method_name()}-{p.aggregation and p.aggregation.method_name()}"
 )
 def test_local_methods_give_the_same_bytes_in_tiles(pipeline, monkeypatch):
-    monkeypatch.setattr(large, "_BAND", 2000)  # refinement in several bands, too
+    monkeypatch.setattr(tiling, "_BAND_PIXELS", 2000)  # refinement in several bands, too
     pipeline = pipeline.model_copy(update={"refinement": STEPS})
     made = make_scene("planes", 3, width=200, height=150, max_disparity=40)
     pair = StereoPair(made.left, made.right)
@@ -183,7 +188,7 @@ def test_every_kind_of_preset_nearly_the_same_map_in_tiles(name, small_levels):
     results = []
     for count in (1, 2):
         with threads(count):
-            results.append(match_in_tiles(pipeline, pair, 48, PROCESS + (96 << 20)))
+            results.append(match_in_tiles(pipeline, pair, 48, PROCESS_BYTES + (96 << 20)))
     result = results[0]
     assert result.figures["levels"] == (1 if result.figures["exact"] else 3)
     np.testing.assert_array_equal(results[1].disparity.values, result.disparity.values)
@@ -201,14 +206,14 @@ def test_every_kind_of_preset_nearly_the_same_map_in_tiles(name, small_levels):
 def test_fusion_in_tiles(small_levels):
     fusion = Fusion.model_validate({"measures": ["census", "absolute_difference"], "confidence": ["consensus"]})
     made = make_scene("planes", 1, width=200, height=150, max_disparity=32)
-    result = match_in_tiles(fusion, StereoPair(made.left, made.right), 32, PROCESS + (80 << 20))
+    result = match_in_tiles(fusion, StereoPair(made.left, made.right), 32, PROCESS_BYTES + (80 << 20))
     near = np.abs(result.disparity.values - made.disparity_left) <= 1
     assert near[made.nonocc].mean() > 0.85
     assert result.confidence["consensus"].shape == made.disparity_left.shape
 
 
 def test_thin_things_are_found_although_small_images_lose_them(small_levels, monkeypatch):
-    monkeypatch.setattr(large, "_NARROW", 32)
+    monkeypatch.setattr(coarse_to_fine, "_MIN_DISPARITIES", 32)
     height, width, near, far = 260, 320, 56, 12
     wall = texture((height, width + 80, 3), 1)
     views = [wall[:, 40 : 40 + width].copy(), wall[:, 40 + far : 40 + far + width].copy()]
@@ -217,7 +222,7 @@ def test_thin_things_are_found_although_small_images_lose_them(small_levels, mon
         view[15:245, x : x + 4] = bar[15:245]
     pair = StereoPair(*views)
     pipeline = preset("accurate")
-    result = match_in_tiles(pipeline, pair, 63, PROCESS + (96 << 20))
+    result = match_in_tiles(pipeline, pair, 63, PROCESS_BYTES + (96 << 20))
     assert result.figures["levels"] == 3
     found, whole = (
         np.abs(values[20:240, 200:204] - near) <= 1

@@ -12,8 +12,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.aggregation import Aggregator
-from depthcli.methods.stereo.fixed_point import FixedPoint, as_fixed_point
-from depthcli.methods.stereo.volume import CostVolume
+from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 
 class ConstantWindow(Aggregator):

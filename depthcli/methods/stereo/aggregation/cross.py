@@ -15,8 +15,7 @@ from depthcli.kernels.cross_support import cross_arms
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.aggregation._intersection import intersected_means
-from depthcli.methods.stereo.fixed_point import FixedPoint, as_fixed_point
-from depthcli.methods.stereo.volume import CostVolume
+from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 
 class Cross(Aggregator):

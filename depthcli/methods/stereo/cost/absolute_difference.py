@@ -10,8 +10,7 @@ from pydantic import Field
 from depthcli.core.frames import StereoPair
 from depthcli.methods.stereo.cost import CostMeasure
 from depthcli.methods.stereo.cost._fill import difference_volume, empty_volume, tolerant_volume
-from depthcli.methods.stereo.outside import fill_outside
-from depthcli.methods.stereo.volume import CostVolume
+from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
 class AbsoluteDifference(CostMeasure):

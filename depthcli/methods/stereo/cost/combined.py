@@ -13,8 +13,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.kernels.exponential import exp_minus_16
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.cost import CostMeasure, PartCost, light_weights
-from depthcli.methods.stereo.outside import fill_outside
-from depthcli.methods.stereo.volume import CostVolume
+from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
 class Part(BaseModel):

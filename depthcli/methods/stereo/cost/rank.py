@@ -12,8 +12,7 @@ from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.cost import CostMeasure, Side
 from depthcli.methods.stereo.cost._fill import difference_volume, empty_volume
-from depthcli.methods.stereo.outside import fill_outside
-from depthcli.methods.stereo.volume import CostVolume
+from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
 class Rank(CostMeasure):

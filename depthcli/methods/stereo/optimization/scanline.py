@@ -11,10 +11,9 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.stereo.fixed_point import FixedPoint, as_fixed_point
 from depthcli.methods.stereo.optimization import Optimizer
 from depthcli.methods.stereo.optimization._path_step import LANES, path_step
-from depthcli.methods.stereo.volume import CostVolume
+from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 _TOO_DEAR = 20000
 

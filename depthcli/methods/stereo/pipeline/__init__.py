@@ -9,28 +9,30 @@ from pydantic import Field
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
-from depthcli.methods.stereo.adjustment import Adjust
+from depthcli.core.result import Clock
 from depthcli.methods.stereo.cost import Cost
+from depthcli.methods.stereo.matching import AdjustingMatcher, Matcher
 from depthcli.methods.stereo.volume import StereoResult
 
 
-class StereoPipeline(Method):
+class StereoPipeline(Matcher, Method):
     """A complete stereo method; in a config its name stands under ``pipeline``."""
 
-    @abstractmethod
-    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
-        """Match ``pair`` over disparities 0 .. ``max_disparity`` inclusive."""
 
-    def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Estimate of the peak working memory for images of ``shape``, in bytes."""
-        raise NotImplementedError
-
-
-class CostPipeline(StereoPipeline):
+class CostPipeline(AdjustingMatcher, StereoPipeline):
     """A pipeline that begins with matching costs."""
 
-    adjust: Adjust = ()
     cost: Cost = Field(description="matching cost of two pixels")
+
+    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+        """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
+        clock = Clock()
+        pair, _ = self.prepared(pair, max_disparity, clock)
+        return self.match_prepared(pair, max_disparity, clock)
+
+    @abstractmethod
+    def match_prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> StereoResult:
+        """Match a pair whose right image is adjusted; ``clock`` books the stages."""
 
 
 Pipeline = Annotated[StereoPipeline, *method_of("depthcli.methods.stereo.pipeline", key="pipeline")]

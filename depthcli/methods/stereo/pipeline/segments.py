@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
-from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.pipeline import CostPipeline
 from depthcli.methods.stereo.segments.steps import SegmentSteps
@@ -20,15 +19,14 @@ class Segments(SegmentSteps, CostPipeline):
     (``visibility``). The defaults switch these off; the presets say what they use.
     """
 
-    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
-        clock = Clock()
-        pair = adjusted(pair, max_disparity, self.adjust, clock)
+    def match_prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> StereoResult:
+        """Compute the costs, then find planes."""
         volume = self.cost(pair, max_disparity + 1)
         clock.stop("cost")
         return self.from_volume(pair, volume, max_disparity, clock)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Raw costs (1 byte a cell), the window's means and two sums of path costs (2 bytes each)."""
+        """Estimate: raw costs (1 byte a cell), the window's means and two sums of path costs (2 bytes each)."""
         pixels = shape[0] * shape[1]
         bytes_a_cell = 2 + (2 if self.window_radius else 0)
         bytes_a_cell += 0 if isinstance(self.optimization, WinnerTakesAll) else 4

@@ -12,10 +12,9 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.winners import left_right_difference, winners
-from depthcli.methods.stereo.fixed_point import FixedPoint, as_fixed_point
 from depthcli.methods.stereo.refinement.subpixel import move_to_minimum
 from depthcli.methods.stereo.segments import Step
-from depthcli.methods.stereo.volume import CostVolume
+from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 
 @dataclass(frozen=True)

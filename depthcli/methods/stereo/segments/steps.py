@@ -12,7 +12,6 @@ from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.mean_shift import MeanShift
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
-from depthcli.methods.stereo.finish import refined
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent, match_rectified
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
@@ -25,6 +24,7 @@ from depthcli.methods.stereo.segments.planes import evaluate
 from depthcli.methods.stereo.segments.ranges import Ranges
 from depthcli.methods.stereo.segments.scene import Scene
 from depthcli.methods.stereo.segments.splitting import Split
+from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext, StereoResult
 
 

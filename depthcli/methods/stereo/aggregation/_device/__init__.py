@@ -1,4 +1,4 @@
-"""Twins of the aggregations for devices; see :mod:`depthcli.methods.stereo.on_device`.
+"""Device implementations of the aggregations; see :mod:`depthcli.methods.stereo.on_device`.
 
 Each has ``run``, made for the device, and ``naive``, the obvious way: a thread a cell that reads its window from
 global memory. They are the two columns of the thesis's figure 3.2.
@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from depthcli.device import Kernels
-from depthcli.methods.stereo.fixed_point import FixedPoint, as_fixed_point
 from depthcli.methods.stereo.on_device import DeviceVolume
+from depthcli.methods.stereo.volume import FixedPoint, as_fixed_point
 
 _FIXED = Kernels(__name__, "fixed_point.cl")
 
 
 def fixed_point(volume: DeviceVolume) -> DeviceVolume:
-    """As :func:`depthcli.methods.stereo.fixed_point.as_fixed_point`; float32 volumes go through the host."""
+    """As :func:`depthcli.methods.stereo.volume.as_fixed_point`; float32 volumes go through the host."""
     if volume.costs.dtype == np.uint16:
         return volume
     if volume.costs.dtype == np.float32:

@@ -1,4 +1,4 @@
-"""Twin of :mod:`depthcli.methods.stereo.aggregation.adaptive_weight`."""
+"""Device implementation of :mod:`depthcli.methods.stereo.aggregation.adaptive_weight`."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _TILE, _LANES, _THREADS = 32, 64, 256
 
 
 def run(method: AdaptiveWeight, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """The same means but for rounding; weights are shared by a tile of pixels and disparities."""
+    """Return the same means but for rounding; weights are shared by a tile of pixels and disparities."""
     height, width, depth = volume.costs.shape
     size = (-(-width // _TILE) * _THREADS, -(-depth // _LANES), height)
     return _aggregate(method, volume, pair, "shared_weights", size, (_THREADS, 1, 1))
 
 
 def naive(method: AdaptiveWeight, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """The same means but for rounding; every cell computes all weights of its window."""
+    """Return the same means but for rounding; every cell computes all weights of its window."""
     return _aggregate(method, volume, pair, "naive_weights", *cells(volume.costs))
 
 

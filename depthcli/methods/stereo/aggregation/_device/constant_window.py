@@ -1,4 +1,4 @@
-"""Twin of :mod:`depthcli.methods.stereo.aggregation.constant_window`."""
+"""Device implementation of :mod:`depthcli.methods.stereo.aggregation.constant_window`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import numpy as np
 from depthcli.device import Kernels
 from depthcli.methods.stereo.aggregation._device import fixed_point
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.methods.stereo.fixed_point import FixedPoint
 from depthcli.methods.stereo.on_device import DevicePair, DeviceVolume, cells
+from depthcli.methods.stereo.volume import FixedPoint
 
 _KERNELS = Kernels(__package__, "constant_window.cl")
 _BAND = 64  # rows or columns that one thread's running sum goes along; each starts with a window's sum
 
 
 def run(method: ConstantWindow, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """The same means, by two running sums."""
+    """Return the same means, by two running sums."""
     if volume.costs.dtype != np.uint8:
         volume = fixed_point(volume)
     device = volume.device
@@ -39,7 +39,7 @@ def run(method: ConstantWindow, volume: DeviceVolume, pair: DevicePair) -> Devic
 
 
 def naive(method: ConstantWindow, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """The same means, each summed anew."""
+    """Return the same means, each summed anew."""
     if volume.costs.dtype != np.uint8:
         volume = fixed_point(volume)
     device = volume.device

@@ -1,4 +1,4 @@
-"""Twin of :mod:`depthcli.methods.stereo.aggregation.cross`."""
+"""Device implementation of :mod:`depthcli.methods.stereo.aggregation.cross`."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import numpy as np
 from depthcli.device import Device, DeviceArray, Kernels
 from depthcli.methods.stereo.aggregation._device import fixed_point
 from depthcli.methods.stereo.aggregation.cross import Cross
-from depthcli.methods.stereo.fixed_point import FixedPoint
 from depthcli.methods.stereo.on_device import PIXELS, DevicePair, DeviceVolume, cells
+from depthcli.methods.stereo.volume import FixedPoint
 
 _KERNELS = Kernels(__package__, "cross.cl")
 _CUT = Kernels(__package__, "intersection.cl")
 
 
 def run(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """The same means, by orthogonal integrals."""
+    """Return the same means, by orthogonal integrals."""
     return _aggregate(method, volume, pair, _cut_means if method.support == "intersection" else _means)
 
 
 def naive(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """The same means, every support summed anew."""
+    """Return the same means, every support summed anew."""
     return _aggregate(method, volume, pair, _naive_cut if method.support == "intersection" else _naive)
 
 

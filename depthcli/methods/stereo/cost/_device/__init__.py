@@ -1,4 +1,4 @@
-"""Twins of the cost measures for devices; see :mod:`depthcli.methods.stereo.on_device`."""
+"""Device implementations of the cost measures; see :mod:`depthcli.methods.stereo.on_device`."""
 
 from __future__ import annotations
 

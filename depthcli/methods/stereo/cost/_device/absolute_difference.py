@@ -1,4 +1,4 @@
-"""Twin of :mod:`depthcli.methods.stereo.cost.absolute_difference`."""
+"""Device implementation of :mod:`depthcli.methods.stereo.cost.absolute_difference`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from depthcli.methods.stereo.on_device import DevicePair, DeviceVolume
 
 
 def run(method: AbsoluteDifference, pair: DevicePair, disparities: int) -> DeviceVolume:
-    """The same costs."""
+    """Return the same costs."""
     channels = 3 if pair.host.left.ndim == 3 else 1
     left, right = pair.color if channels == 3 else pair.grey8
     limit = min(round(method.truncation * channels), method.MAX_STORED)

@@ -1,4 +1,4 @@
-"""Twin of :mod:`depthcli.methods.stereo.cost.census`."""
+"""Device implementation of :mod:`depthcli.methods.stereo.cost.census`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FEATURES = Kernels(__package__, "features.cl")
 
 
 def run(method: Census, pair: DevicePair, disparities: int) -> DeviceVolume:
-    """The same costs."""
+    """Return the same costs."""
     left, right = (window_feature("census", pair, image, method.window, np.uint64) for image in pair.grey)
     costs = fill_volume("hamming", pair, left, right, disparities, round(method.outside))
     return DeviceVolume(pair.device, costs, 1.0)

@@ -1,20 +1,19 @@
-"""Twin of :mod:`depthcli.methods.stereo.cost.combined`."""
+"""Device implementation of :mod:`depthcli.methods.stereo.cost.combined`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from depthcli.core.method import twin_of
 from depthcli.device import Kernels
 from depthcli.methods.stereo.cost import light_weights
 from depthcli.methods.stereo.cost.combined import Combined, part_shares
-from depthcli.methods.stereo.on_device import DevicePair, DeviceVolume
+from depthcli.methods.stereo.on_device import DevicePair, DeviceVolume, run_stage
 
 _KERNELS = Kernels(__package__, "combined.cl")
 
 
 def run(method: Combined, pair: DevicePair, disparities: int) -> DeviceVolume:
-    """The same costs; a part without a twin is computed on the host."""
+    """Return the same costs; a part without a device implementation is computed on the host."""
     height, width = pair.shape
     device = pair.device
     unit = 255 // len(method.parts)
@@ -25,11 +24,7 @@ def run(method: Combined, pair: DevicePair, disparities: int) -> DeviceVolume:
         weights = np.ones((len(method.parts), height, width), np.float32)
     for k, part in enumerate(method.parts):
         units = device.upload(np.float32(unit) * weights[k])
-        twin = twin_of(part.cost)
-        if twin is None:
-            volume = DeviceVolume.upload(device, part.cost(pair.host, disparities))
-        else:
-            volume = twin.run(part.cost, pair, disparities)
+        volume: DeviceVolume = run_stage(part.cost, pair, disparities)
         table = device.upload(part_shares(volume.scale * part.lambda_))
         last = k == len(method.parts) - 1
         device.launch(

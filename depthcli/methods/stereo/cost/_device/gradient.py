@@ -1,4 +1,4 @@
-"""Twin of :mod:`depthcli.methods.stereo.cost.gradient`."""
+"""Device implementation of :mod:`depthcli.methods.stereo.cost.gradient`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from depthcli.methods.stereo.on_device import PIXELS, DevicePair, DeviceVolume, 
 
 
 def run(method: Gradient, pair: DevicePair, disparities: int) -> DeviceVolume:
-    """The same costs, but for derivatives that single precision rounds the other way: a sixteenth of a grey level."""
+    """Return the same costs, up to the rounding of derivatives in single precision: a sixteenth of a grey level."""
     left, right = (_derivatives(method, pair, image) for image in pair.grey)
     limit = round(method.truncation * method.SCALE)
     outside = min(limit, round(method.outside * method.SCALE))

@@ -1,4 +1,4 @@
-"""Twin of :mod:`depthcli.methods.stereo.cost.rank`."""
+"""Device implementation of :mod:`depthcli.methods.stereo.cost.rank`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from depthcli.methods.stereo.on_device import DevicePair, DeviceVolume
 
 
 def run(method: Rank, pair: DevicePair, disparities: int) -> DeviceVolume:
-    """The same costs."""
+    """Return the same costs."""
     left, right = (window_feature("rank", pair, image, method.window, np.uint8) for image in pair.grey)
     costs = fill_volume("difference", pair, left, right, disparities, round(method.outside), 0, 255, CHANNELS=1)
     return DeviceVolume(pair.device, costs, 1.0)

@@ -1,1 +1,1 @@
-"""Twins of the optimizations for devices; see :mod:`depthcli.methods.stereo.on_device`."""
+"""Device implementations of the optimizations; see :mod:`depthcli.methods.stereo.on_device`."""

@@ -1,4 +1,4 @@
-"""Twin of :mod:`depthcli.methods.stereo.optimization.scanline`."""
+"""Device implementation of :mod:`depthcli.methods.stereo.optimization.scanline`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SHARE = 4  # path costs may take one part in so many of a device's memory
 
 
 def run(method: Scanline, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """The same sums of path costs. Directions run side by side, as many as there is memory for."""
+    """Return the same sums of path costs. Directions run side by side, as many as there is memory for."""
     device = volume.device
     if volume.costs.dtype == np.float32:
         volume = fixed_point(volume)

@@ -1,4 +1,4 @@
-"""Twin of :mod:`depthcli.methods.stereo.optimization.winner_takes_all`."""
+"""Device implementation of :mod:`depthcli.methods.stereo.optimization.winner_takes_all`."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 
 
 def run(method: WinnerTakesAll, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """The costs themselves."""
+    """Return the costs themselves."""
     return volume

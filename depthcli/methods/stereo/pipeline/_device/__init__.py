@@ -1,1 +1,1 @@
-"""Twins of the pipelines for devices: ``run(method, pair, max_disparity, device)``."""
+"""Device implementations of the pipelines for devices: ``run(method, pair, max_disparity, device)``."""

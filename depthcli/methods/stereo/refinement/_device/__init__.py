@@ -1,1 +1,1 @@
-"""Twins of the refinement steps for devices; see :mod:`depthcli.methods.stereo.on_device`."""
+"""Device implementations of the refinement steps; see :mod:`depthcli.methods.stereo.on_device`."""

@@ -1,4 +1,4 @@
-"""Twins on a device against the methods themselves; run by ``test_devices.py`` in a process of its own."""
+"""Device implementations against the methods themselves; run by ``test_devices.py`` in a process of its own."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.core.method import Family, twin_of
+from depthcli.core.method import Family, device_implementation_of
 from depthcli.data.generated.stereo_scenes import make_scene
 from depthcli.device import Kernels, open_device
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
@@ -24,9 +24,9 @@ from depthcli.methods.stereo.cost.combined import Combined
 from depthcli.methods.stereo.cost.gradient import Gradient
 from depthcli.methods.stereo.cost.rank import Rank
 from depthcli.methods.stereo.cost.zncc import Zncc
-from depthcli.methods.stereo.on_device import DeviceEvidence, DeviceMap, DevicePair, DeviceVolume
+from depthcli.methods.stereo.matching import Limits, match
+from depthcli.methods.stereo.on_device import DeviceContext, DeviceMap, DevicePair, DeviceVolume, run_stage
 from depthcli.methods.stereo.optimization.scanline import Scanline
-from depthcli.methods.stereo.pipeline._device import local
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.refinement.median import Median
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
@@ -45,22 +45,22 @@ def device():
     return open_device("opencl")
 
 
-def twins(family):
+def implementations(family):
     package = importlib.import_module(f"depthcli.methods.stereo.{family}._device")
     return [module.name for module in pkgutil.iter_modules(package.__path__)]
 
 
-def test_every_twin_is_found_by_its_methods_name():
+def test_every_device_implementation_has_the_name_of_a_method():
     for family in FAMILIES:
         methods_there = Family.of(f"depthcli.methods.stereo.{family}").names()
-        assert twins(family) and set(twins(family)) <= set(methods_there)
+        assert implementations(family) and set(implementations(family)) <= set(methods_there)
 
 
 COSTS = [
     Census(), Census(window=(5, 3)), Rank(), Gradient(), Gradient(sampling="tolerant"), AbsoluteDifference(),
     AbsoluteDifference(sampling="tolerant", truncation=20),
     Combined(parts=[{"cost": c, "lambda": 9} for c in ("absolute_difference", "census", "gradient")]),
-    Combined(parts=[{"cost": Zncc(), "lambda": 0.3}]),  # a part without a twin
+    Combined(parts=[{"cost": Zncc(), "lambda": 0.3}]),  # a part without a device implementation
 ]  # fmt: skip
 
 
@@ -72,7 +72,7 @@ def test_costs_are_the_same_bytes(device, cost, height, width, disparities):
         trust = texture((height, width), 3) if color else None
         pair = StereoPair(texture(shape, 1, dtype), texture(shape, 2, dtype), light_trust=trust)
         expected = cost(pair, disparities)
-        found = twin_of(cost).run(cost, DevicePair(device, pair), disparities).download()
+        found = run_stage(cost, DevicePair(device, pair), disparities).download()
         np.testing.assert_array_equal(found.costs, expected.costs)
         assert found.scale == expected.scale
 
@@ -107,8 +107,8 @@ def _same_aggregation(device, method, way, size, tolerance=0):
     for dtype in (np.uint8, np.uint16):
         volume = random_volume(*size, dtype)
         expected = method(volume, pair)
-        twin = getattr(twin_of(method), way)
-        found = twin(method, DeviceVolume.upload(device, volume), DevicePair(device, pair)).download()
+        run = getattr(device_implementation_of(method), way)
+        found = run(method, DeviceVolume.upload(device, volume), DevicePair(device, pair)).download()
         assert found.costs.dtype == expected.costs.dtype and found.scale == expected.scale
         apart = np.abs(found.costs.astype(int) - expected.costs.astype(int))
         assert apart.max() <= tolerance
@@ -122,13 +122,14 @@ def test_scanlines_are_the_same_bytes(device, paths, size):
     for dtype in (np.uint8, np.uint16, np.float32):
         volume = random_volume(*size, dtype)
         expected = method(volume, pair)
-        found = twin_of(method).run(method, DeviceVolume.upload(device, volume), DevicePair(device, pair)).download()
+        arguments = DeviceVolume.upload(device, volume), DevicePair(device, pair)
+        found = run_stage(method, *arguments).download()
         np.testing.assert_array_equal(found.costs, expected.costs)
         assert found.scale == expected.scale
 
 
 STEPS = [
-    *(p for p in methods("depthcli.methods.stereo.refinement") if twin_of(p.values[0]) is not None),
+    *(p for p in methods("depthcli.methods.stereo.refinement") if device_implementation_of(p.values[0]) is not None),
     pytest.param(Median(window=5), id="median 5"), pytest.param(SpeckleFilter(size=4, step=2), id="speckles of 4"),
     pytest.param(SurfaceFill(rows=3, reach=5, support=4), id="small surfaces"),
     pytest.param(WeightedMedian(radius=2, filled_weight=0, passes=2), id="median without the filled"),
@@ -139,11 +140,11 @@ STEPS = [
 @pytest.mark.parametrize("size", SIZES)
 def test_refinements_are_the_same_map(device, step, size):
     for seed in (0, 1):
-        disparity, evidence = noisy_case(*size, seed)
-        volume, right = DeviceVolume.upload(device, evidence.volume), device.upload(evidence.right)
-        there = DeviceEvidence(DevicePair(device, evidence.pair), volume, right)
-        expected = step(disparity, evidence)
-        found = twin_of(step).run(step, DeviceMap.upload(device, disparity), there).download()
+        disparity, context = noisy_case(*size, seed)
+        volume, right = DeviceVolume.upload(device, context.volume), device.upload(context.right)
+        there = DeviceContext(DevicePair(device, context.pair), volume, right)
+        expected = step(disparity, context)
+        found = run_stage(step, DeviceMap.upload(device, disparity), there).download()
         np.testing.assert_array_equal(np.isnan(found.values), np.isnan(expected.values))
         apart = np.abs(np.nan_to_num(found.values) - np.nan_to_num(expected.values))
         assert np.mean(apart > 1e-4) <= 0.003  # medians whose halves are equal but for the order of a sum
@@ -160,6 +161,10 @@ def test_adaptive_weights_run_wholly_on_the_device(device):
     _same_preset(device, "thesis/adaptive-weight", 140, 100)
 
 
+def on_device(method, pair, max_disparity, device):
+    return match(method, pair, max_disparity, Limits(1 << 40, device=device))
+
+
 def _pair(width, height, top):
     scene = make_scene("foreground", 0, width, height, top)
     return StereoPair(scene.left, scene.right)
@@ -169,7 +174,7 @@ def _same_preset(device, preset, width, height):
     config = load_config(StereoConfig, find_config("stereo", preset), [], lambda name: find_preset("stereo", name))
     pair = _pair(width, height, 24)
     expected = config.pipeline(pair, 24)
-    runs = [local.run(config.pipeline, pair, 24, device) for _ in range(2)]
+    runs = [on_device(config.pipeline, pair, 24, device) for _ in range(2)]
     assert runs[0].figures["stages_on_cpu"] == 0
     assert runs[0].disparity.values.tobytes() == runs[1].disparity.values.tobytes()
     apart = np.abs(runs[0].disparity.values - expected.disparity.values)
@@ -177,11 +182,11 @@ def _same_preset(device, preset, width, height):
     assert np.mean(runs[0].disparity.status != expected.disparity.status) <= 0.0005
 
 
-def test_a_step_without_a_twin_runs_on_the_processor(device):
+def test_a_step_without_device_implementation_runs_on_the_processor(device):
     method = Local.model_validate({"cost": "zncc", "refinement": ["left_right_check", "region_voting"],
                                    "confidence": ["pkr"]})  # fmt: skip
     pair = _pair(60, 40, 12)
-    expected, found = method(pair, 12), local.run(method, pair, 12, device)
+    expected, found = method(pair, 12), on_device(method, pair, 12, device)
     assert found.figures["stages_on_cpu"] == 2
     np.testing.assert_array_equal(found.disparity.values, expected.disparity.values)
     np.testing.assert_array_equal(found.confidence["pkr"], expected.confidence["pkr"])

@@ -1,0 +1,101 @@
+"""The stages of every method that works on matching costs: costs, aggregation, optimization, winners, refinement."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap
+from depthcli.core.result import Clock
+from depthcli.kernels.winners import winners
+from depthcli.methods.confidence import MeasureName, confidence_maps
+from depthcli.methods.stereo.aggregation import Aggregation
+from depthcli.methods.stereo.cost import Cost
+from depthcli.methods.stereo.optimization import Optimization, Optimizer
+from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
+from depthcli.methods.stereo.refinement import Refinement, RefinementStep
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext, StereoResult
+
+
+class CostStages(BaseModel):
+    """Any cost measure, any aggregation, any optimization, any list of refinements."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    cost: Cost = Field(description="matching cost of two pixels")
+    aggregation: Aggregation | None = Field(None, description="averaging over a support window; null: none")
+    optimization: Optimization = Field(
+        default_factory=WinnerTakesAll, description="smoothness over the image, or winner_takes_all"
+    )
+    refinement: tuple[RefinementStep, ...] = Field((), description="steps on the disparity map, in order")
+    confidence: tuple[MeasureName, ...] = Field(
+        (), description="confidence maps to write, measured on the final volume"
+    )
+
+    def volume(self, pair: StereoPair, max_disparity: int, clock: Clock) -> CostVolume:
+        """Compute the costs of disparities 0 .. ``max_disparity`` before optimization; ``clock`` books the stages."""
+        volume = self.cost(pair, max_disparity + 1)
+        clock.stop("cost")
+        if self.aggregation is not None:
+            volume = self.aggregation(volume, pair)
+        clock.stop("aggregation")
+        return volume
+
+    def volume_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
+        """Return the bytes of all volumes that exist at a time.
+
+        By stage: two raw volumes; raw, aggregated and sums of arms; optimized beside aggregated or raw.
+        """
+        aggregated = self.aggregation is not None
+        optimized = not isinstance(self.optimization, WinnerTakesAll)
+        bytes_a_cell = max(2, 7 if aggregated else 0, (6 if aggregated else 5) if optimized else 0)
+        return shape[0] * shape[1] * (max_disparity + 1) * bytes_a_cell
+
+    def halo(self) -> int | None:
+        """Return how many pixels around a pixel its optimized costs depend on; None: on the whole image."""
+        if not isinstance(self.optimization, WinnerTakesAll):
+            return None
+        halos = (self.cost.halo(), 0 if self.aggregation is None else self.aggregation.halo())
+        return None if halos[0] is None or halos[1] is None else halos[0] + halos[1]
+
+
+def finish(
+    pair: StereoPair,
+    volume: CostVolume,
+    optimization: Optimizer,
+    refinement: Iterable[Refinement],
+    confidence: Iterable[str],
+    clock: Clock,
+) -> tuple[StereoResult, NDArray[np.uint16], NDArray[np.uint16]]:
+    """Compute the map of a cost volume: optimization, winners, refinement, confidence.
+
+    Parameters
+    ----------
+    confidence : measures of the optimized costs
+    clock : books the stages
+
+    Returns
+    -------
+    result
+    left, right : (H, W) uint16, the winners of both views that the map was refined from
+    """
+    volume = optimization(volume, pair)
+    left, right = winners(volume.costs)
+    clock.stop("optimization")
+    disparity = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
+    disparity = refined(disparity, refinement, RefinementContext(pair, volume, right))
+    clock.stop("refinement")
+    maps = confidence_maps(volume.costs, confidence)
+    clock.stop("confidence")
+    return StereoResult(disparity, seconds=clock.seconds, confidence=maps), left, right
+
+
+def refined(disparity: DisparityMap, steps: Iterable[Refinement], context: RefinementContext) -> DisparityMap:
+    """Return the map after all ``steps``, in order."""
+    for step in steps:
+        disparity = step(disparity, context)
+    return disparity
