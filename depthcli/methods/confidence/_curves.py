@@ -1,20 +1,105 @@
-"""One pass over cost curves that computes every measure of a single curve."""
+"""Cost curves, and what one pass over them gives that measures are computed from."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from depthcli.kernels.curve import attainable_likelihood, likelihood, peak_ratio
+from depthcli.kernels.curve import attainable_likelihood, likelihood
 from depthcli.kernels.exponential import bits_float, float_bits
 from depthcli.kernels.jit import jit, parallel_jit, prange
-
-# Order of the planes written by `measure_curves`.
-CURVE_MEASURES = ("msm", "cur", "pkr", "pkrn", "mm", "mmn", "wmn", "wmnn", "mlm", "aml", "nem", "noi")
+from depthcli.kernels.winners import winners
 
 _LAST = np.int32(0x7FFFFFFF)
 _FAR = np.float32(1e30)
+
+
+@dataclass(frozen=True)
+class CurveStatistics:
+    """Statistics of curves; arrays have the curves' shape, float32 where nothing else is said.
+
+    Attributes
+    ----------
+    lowest : smallest cost, c1
+    second_lowest : next smallest cost anywhere, c2; c1 in a curve of one entry
+    second_minimum : second smallest local minimum (below its left neighbor, not above its right one; the ends of the
+        curve count); without one the largest cost, in a curve of one entry c1
+    total : sum of the costs
+    curvature : c(d1 - 1) + c(d1 + 1) - 2 c1, mirrored at the ends
+    likelihood : of d1, exp(-2 c1) / sum of exp(-2 c), costs in standard deviations of all valid cells
+    attainable_likelihood : of d1, 1 / sum of exp(-8 (c - c1)^2), likewise
+    negative_entropy : of softmax(-4 c), likewise
+    n_minima : number of local minima of the curve smoothed by (1, 2, 1) / 4
+    winner : int32, d1, the first one of equals
+    second_winner : int32, index of the second smallest local minimum; -1: there is none
+    eps : guard of ratios, 1e-3 of the mean cost
+    """
+
+    lowest: NDArray[np.float32]
+    second_lowest: NDArray[np.float32]
+    second_minimum: NDArray[np.float32]
+    total: NDArray[np.float32]
+    curvature: NDArray[np.float32]
+    likelihood: NDArray[np.float32]
+    attainable_likelihood: NDArray[np.float32]
+    negative_entropy: NDArray[np.float32]
+    n_minima: NDArray[np.float32]
+    winner: NDArray[np.int32]
+    second_winner: NDArray[np.int32]
+    eps: float
+
+
+class CostCurves:
+    """Cost curves over any search space.
+
+    Parameters
+    ----------
+    costs : (..., K) uint8, uint16 or float32, finite, lower is better
+    valid : (...) integers in 1 .. K; only the first ``valid`` entries of a curve take part. Default: all
+
+    Raises
+    ------
+    ValueError
+        A curve is empty, or a count lies outside 1 .. K.
+    """
+
+    def __init__(self, costs: NDArray[Any], valid: NDArray[Any] | None = None) -> None:
+        if costs.ndim < 2 or costs.shape[-1] < 1:
+            raise ValueError(f"want costs (..., K) with K >= 1, got {costs.shape}")
+        self.costs = costs
+        shape, depth = costs.shape[:-1], costs.shape[-1]
+        self.valid = np.broadcast_to(depth if valid is None else valid, shape).astype(np.int32)
+        if self.valid.size and (self.valid.min() < 1 or self.valid.max() > depth):
+            raise ValueError(f"valid entries must lie in 1 .. {depth}")
+
+    @cached_property
+    def statistics(self) -> CurveStatistics:
+        """The statistics of all curves."""
+        shape = self.costs.shape[:-1]
+        rows = self.costs.reshape(-1, *self.costs.shape[-2:])
+        counts = self.valid.reshape(rows.shape[:2])
+        sums = np.empty((rows.shape[0], 2))
+        _moments(rows, counts, sums)
+        mean, square = (float(v) for v in sums.sum(axis=0) / max(1, int(counts.sum(dtype=np.int64))))
+        deviation = float(np.sqrt(max(square - mean * mean, 0.0)))
+        if deviation <= 1e-6 * abs(mean):  # but for rounding all costs are the same
+            deviation = 1.0
+        planes = np.empty((9, *rows.shape[:2]), np.float32)
+        winner, second = (np.empty(rows.shape[:2], np.int32) for _ in range(2))
+        _measure_curves(rows, counts, np.float32(1.0 / deviation), planes, winner, second)
+        eps = float(np.float32(1e-3 * abs(mean) or 1e-3))
+        names = [field.name for field in fields(CurveStatistics)]
+        arrays = (array.reshape(shape) for array in (*planes, winner, second))
+        return CurveStatistics(**dict(zip(names, (*arrays, eps), strict=True)))
+
+    @cached_property
+    def views(self) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+        """The cheapest disparities of the left and of the right view, (H, W) each, of curves (H, W, D)."""
+        return winners(self.costs)
 
 
 @jit
@@ -30,7 +115,7 @@ def _value(key: Any) -> Any:
 
 
 @parallel_jit
-def moments(costs: Any, valid: Any, sums: Any) -> None:
+def _moments(costs: Any, valid: Any, sums: Any) -> None:
     """Sum and sum of squares of the valid cells of (R, C, K) costs, one row of (R, 2) float64 each."""
     for r in prange(costs.shape[0]):
         total = 0.0
@@ -50,14 +135,14 @@ def moments(costs: Any, valid: Any, sums: Any) -> None:
 
 
 @parallel_jit
-def measure_curves(costs: Any, valid: Any, rate: Any, eps: Any, planes: Any, winner: Any, second: Any) -> None:
-    """Write all curve measures.
+def _measure_curves(costs: Any, valid: Any, rate: Any, planes: Any, winner: Any, second: Any) -> None:
+    """Write the statistics of all curves.
 
     Parameters
     ----------
     costs : (R, C, K) any real dtype; valid : (R, C) entries that count, 1 .. K
-    rate : 1 / global standard deviation; eps : guards the ratios
-    planes : (12, R, C) float32, in the order of CURVE_MEASURES
+    rate : 1 / standard deviation of all costs
+    planes : (9, R, C) float32, in the order of the fields of CurveStatistics
     winner : (R, C) int32, index of the smallest cost
     second : (R, C) int32, index of the second smallest local minimum, -1 where there is none
     """
@@ -147,15 +232,12 @@ def measure_curves(costs: Any, valid: Any, rate: Any, eps: Any, planes: Any, win
             for k in range(inner.size):
                 valleys += np.int32((inner[k] < previous[k]) & (inner[k] <= following[k]))
 
-            planes[0, r, i] = -c1
-            planes[1, r, i] = left + right - np.float32(2.0) * c1
-            planes[2, r, i] = peak_ratio(c1, c2m, eps)
-            planes[3, r, i] = peak_ratio(c1, c2, eps)
-            planes[4, r, i] = c2m - c1
-            planes[5, r, i] = c2 - c1
-            planes[6, r, i] = (c2m - c1) / (total + eps)
-            planes[7, r, i] = (c2 - c1) / (total + eps)
-            planes[8, r, i] = np.float32(1.0) / likelihoods
-            planes[9, r, i] = np.float32(1.0) / attainable
-            planes[10, r, i] = -moment / partition - np.log(partition)
-            planes[11, r, i] = -np.float32(valleys)
+            planes[0, r, i] = c1
+            planes[1, r, i] = c2
+            planes[2, r, i] = c2m
+            planes[3, r, i] = total
+            planes[4, r, i] = left + right - np.float32(2.0) * c1
+            planes[5, r, i] = np.float32(1.0) / likelihoods
+            planes[6, r, i] = np.float32(1.0) / attainable
+            planes[7, r, i] = -moment / partition - np.log(partition)
+            planes[8, r, i] = np.float32(valleys)

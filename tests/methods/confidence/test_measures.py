@@ -6,10 +6,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from depthcli.core.method import Family
 from depthcli.kernels.exponential import exp_minus
-from depthcli.methods.confidence import confidence_maps, curve_measures, measures
-from depthcli.methods.confidence._curves import CURVE_MEASURES
+from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, confidence_maps, measures
 from tests.naive import confidence as naive
+
+CURVE_MEASURES = ("msm", "cur", "pkr", "pkrn", "mm", "mmn", "wmn", "wmnn", "mlm", "aml", "nem", "noi")
+
+
+def curve_measure(name, costs, valid=None):
+    measure = Family.of("depthcli.methods.confidence").load(name)()
+    assert isinstance(measure, ConfidenceMeasure)
+    return measure(CostCurves(costs, valid))
 
 
 def random_costs(shape, dtype, seed=0, levels=None):
@@ -22,34 +30,35 @@ def random_costs(shape, dtype, seed=0, levels=None):
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("depth", [1, 2, 3, 15, 16, 17, 31, 33, 60])
 @pytest.mark.parametrize("levels", [None, 3])
-def test_every_curve_measure_agrees_with_its_twin(dtype, depth, levels):
+def test_every_curve_measure_agrees_with_its_reference(dtype, depth, levels):
     costs = random_costs((40, depth), dtype, depth, levels)
     costs[0] = 5  # flat
     costs[1] = np.arange(depth)
     costs[2] = np.arange(depth)[::-1]
     valid = np.random.default_rng(1).integers(1, depth + 1, 40)
-    got = curve_measures(costs, valid=valid)
+    got = CostCurves(costs, valid).statistics
+    maps = {name: curve_measure(name, costs, valid) for name in CURVE_MEASURES}
     mean, deviation = naive.spread(costs, valid)
     assert got.eps == pytest.approx(1e-3 * mean, rel=1e-4)
     for i in range(len(costs)):
         want, winner, second = naive.curve(costs[i], valid[i], deviation or 1.0, got.eps)
-        assert (got.winner[i], got.second[i]) == (winner, second)
+        assert (got.winner[i], got.second_winner[i]) == (winner, second)
         for name, value in want.items():
-            assert got.maps[name][i] == pytest.approx(value, rel=2e-4, abs=2e-5), (name, i)
+            assert maps[name][i] == pytest.approx(value, rel=2e-4, abs=2e-5), (name, i)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize(("width", "depth"), [(23, 9), (7, 20), (1, 1), (1, 5), (30, 17)])
-def test_measures_that_look_at_other_pixels_agree_with_their_twins(dtype, width, depth):
+def test_measures_that_look_at_other_pixels_agree_with_their_references(dtype, width, depth):
     costs = random_costs((6, width, depth), dtype, width)
     maps = confidence_maps(costs, measures())
     valid = np.broadcast_to(np.minimum(np.arange(1, width + 1), depth), (6, width))
-    curves = curve_measures(costs, valid=valid)
+    curves = CostCurves(costs, valid).statistics
     lrc, lrd = naive.left_right(costs, curves.eps)
     np.testing.assert_array_equal(maps["lrc"], lrc)
     np.testing.assert_allclose(maps["lrd"], lrd, rtol=1e-4)
     np.testing.assert_allclose(maps["da"], naive.agreement(curves.winner, 12), rtol=1e-6)
-    apkr = naive.average_peak_ratio(costs, curves.winner, curves.second, curves.eps, 2)
+    apkr = naive.average_peak_ratio(costs, curves.winner, curves.second_winner, curves.eps, 2)
     np.testing.assert_allclose(maps["apkr"], apkr, rtol=1e-3)
     right, _ = naive.right_view(costs)
     joint = naive.agreement(curves.winner, 6) * naive.mutual_agreement(curves.winner, right, 6)
@@ -71,7 +80,8 @@ def test_a_sharp_minimum_is_surer_than_a_flat_curve_by_every_curve_measure():
     flat = np.full(20, 90.0, np.float32)
     sharp = np.abs(np.arange(20, dtype=np.float32) - 7) * 10 + 5
     wavy = 50 + 5 * np.cos(np.arange(20, dtype=np.float32) * np.pi)
-    maps = curve_measures(np.stack([flat, sharp, wavy])).maps
+    costs = np.stack([flat, sharp, wavy])
+    maps = {name: curve_measure(name, costs) for name in CURVE_MEASURES}
     for name in CURVE_MEASURES:
         if name != "noi":
             assert maps[name][1] > maps[name][0], name
@@ -79,14 +89,17 @@ def test_a_sharp_minimum_is_surer_than_a_flat_curve_by_every_curve_measure():
     assert maps["noi"][1] >= maps["noi"][2]
 
 
+def test_maps_come_in_the_order_of_their_names():
+    assert list(confidence_maps(random_costs((2, 3, 4), np.uint8), ["pkr", "da", "MSM"])) == ["pkr", "da", "MSM"]
+
+
 def test_leading_shape_is_free_and_inputs_stay_untouched():
     costs = random_costs((2, 3, 4, 11), np.float32)
     before = costs.copy()
-    maps = curve_measures(costs, ["pkr", "msm"]).maps
-    assert list(maps) == ["pkr", "msm"]
-    assert maps["pkr"].shape == (2, 3, 4)
+    assert curve_measure("pkr", costs).shape == (2, 3, 4)
+    lowest = curve_measure("msm", costs)
     np.testing.assert_array_equal(costs, before)
-    np.testing.assert_array_equal(maps["msm"], -costs.min(axis=-1))
+    np.testing.assert_array_equal(lowest, -costs.min(axis=-1))
 
 
 def test_any_number_of_threads_gives_the_same_bytes():
@@ -107,19 +120,19 @@ def test_any_number_of_threads_gives_the_same_bytes():
 def test_ranks_survive_a_positive_factor(factor, seed):
     # Measures of costs in standard deviations, and ratios, do not see the unit of the costs.
     costs = random_costs((30, 12), np.uint16, seed, levels=500)
-    one, two = curve_measures(costs).maps, curve_measures(costs * np.uint16(factor)).maps
     for name in ("pkr", "pkrn", "wmn", "mlm", "aml", "nem", "noi"):
-        np.testing.assert_allclose(one[name], two[name], rtol=1e-3, atol=1e-4)
+        one, two = curve_measure(name, costs), curve_measure(name, costs * np.uint16(factor))
+        np.testing.assert_allclose(one, two, rtol=1e-3, atol=1e-4)
 
 
 def test_errors_name_what_is_there():
     costs = random_costs((4, 5), np.uint8)
-    with pytest.raises(ValueError, match="no confidence measure called 'pkrr'; one of: msm"):
-        curve_measures(costs, ["pkrr"])
+    with pytest.raises(ValueError, match="no confidence measure called 'pkrr'; one of: aml, apkr"):
+        confidence_maps(costs[None], ["pkrr"])
     with pytest.raises(ValueError, match=r"\(H, W, D\)"):
         confidence_maps(costs, ["pkr"])
     with pytest.raises(ValueError, match=r"1 \.\. 5"):
-        curve_measures(costs, valid=np.array([0, 1, 2, 3]))
+        CostCurves(costs, np.array([0, 1, 2, 3]))
 
 
 def test_exponential():

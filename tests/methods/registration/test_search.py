@@ -6,7 +6,10 @@ import numba
 import numpy as np
 import pytest
 
-from depthcli.methods.confidence import curve_measures
+from depthcli.methods.confidence import CostCurves
+from depthcli.methods.confidence.aml import AttainableMaximumLikelihood
+from depthcli.methods.confidence.mlm import MaximumLikelihood
+from depthcli.methods.confidence.pkr import PeakRatio
 from depthcli.methods.registration.search import FEW, displacements, search
 from tests.naive import registration as naive
 
@@ -38,11 +41,11 @@ def test_on_one_line_the_stereo_set_is_stereos():
     found = search(fixed, warped, 1.0, 6, 2, every=True)
     offsets = np.array(naive.displacements((1, 1, 40), 6, "cube"))[:, 2]
     costs = naive.curves(fixed, warped, 6, 2, "cube")[np.argsort(offsets), 0, 0].T.astype(np.float32)
-    names = ("pkr", "mlm", "aml")
     for x, curve in enumerate(costs):  # one by one: stereo takes the deviation over all curves that it is given
-        expected = curve_measures(curve[None, None], names).maps
-        for name in names:
-            assert found.maps[name][0, 0, x] == pytest.approx(expected[name][0, 0], rel=2e-3), (name, x)
+        alone = CostCurves(curve[None, None])
+        for measure in (PeakRatio(), MaximumLikelihood(), AttainableMaximumLikelihood()):
+            name = measure.method_name()
+            assert found.maps[name][0, 0, x] == pytest.approx(measure(alone)[0, 0], rel=2e-3), (name, x)
 
 
 def test_same_bytes_at_any_tile_and_thread_count():

@@ -1,0 +1,12 @@
+"""Attainable maximum likelihood."""
+
+from __future__ import annotations
+
+from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
+
+
+class AttainableMaximumLikelihood(ConfidenceMeasure):
+    """Attainable maximum likelihood: 1 / sum of exp(-8 (c - c1)^2), costs in standard deviations."""
+
+    def __call__(self, curves: CostCurves) -> Map:
+        return curves.statistics.attainable_likelihood

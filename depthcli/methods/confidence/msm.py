@@ -1,0 +1,12 @@
+"""Matching score."""
+
+from __future__ import annotations
+
+from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
+
+
+class MatchingScore(ConfidenceMeasure):
+    """Matching score: -c1."""
+
+    def __call__(self, curves: CostCurves) -> Map:
+        return -curves.statistics.lowest

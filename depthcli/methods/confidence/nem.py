@@ -1,0 +1,12 @@
+"""Negative entropy of softmax(-4 c), costs in standard deviations."""
+
+from __future__ import annotations
+
+from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
+
+
+class NegativeEntropy(ConfidenceMeasure):
+    """Negative entropy of softmax(-4 c), costs in standard deviations."""
+
+    def __call__(self, curves: CostCurves) -> Map:
+        return curves.statistics.negative_entropy

@@ -1,0 +1,12 @@
+"""Minus the number of local minima of the smoothed curve."""
+
+from __future__ import annotations
+
+from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
+
+
+class NumberOfMinima(ConfidenceMeasure):
+    """Minus the number of local minima of the smoothed curve."""
+
+    def __call__(self, curves: CostCurves) -> Map:
+        return -curves.statistics.n_minima
