@@ -44,7 +44,7 @@ PRESETS = ("fast", "thesis/cross", "thesis/adaptive-weight", "ad-census", "accur
 
 
 def aggregations(windows: list[int]) -> list[tuple[str, int, Aggregator]]:
-    """(name, window, method)."""
+    """Return (name, window, method) of every bar of the figure."""
     rows: list[tuple[str, int, Aggregator]] = [("CW", w, ConstantWindow(window=w)) for w in windows]
     rows += [("CROSS", w, Cross(iterations=1, length=max(1, w // 2), inner_length=max(1, w // 2))) for w in windows]
     rows += [("AW", w, AdaptiveWeight(window=w)) for w in windows]
@@ -52,7 +52,7 @@ def aggregations(windows: list[int]) -> list[tuple[str, int, Aggregator]]:
 
 
 def on_device(device: Device, run: Callable[[], object], repeat: int) -> tuple[float, int]:
-    """Median milliseconds that the kernels of ``run`` take, and the bytes of their arrays."""
+    """Return the median milliseconds that the kernels of ``run`` take, and the bytes of their arrays."""
     totals, nbytes = [], 0
     for n in range(repeat + 1):
         device.profile = []
@@ -66,7 +66,7 @@ def on_device(device: Device, run: Callable[[], object], repeat: int) -> tuple[f
 
 
 def by_clock(run: Callable[[], object], repeat: int) -> float:
-    """Median milliseconds of ``run``, after one that is not counted."""
+    """Return the median milliseconds of ``run``, after one that is not counted."""
     seconds = []
     for _ in range(repeat + 1):
         start = time.perf_counter()
@@ -76,7 +76,7 @@ def by_clock(run: Callable[[], object], repeat: int) -> float:
 
 
 def measure_aggregations(device: Device, pair: StereoPair, windows: list[int], repeat: int) -> list[dict[str, object]]:
-    """One row an aggregation and window."""
+    """Return a row for each aggregation and window."""
     parts = [{"cost": "absolute_difference", "lambda": 10.0}, {"cost": "census", "lambda": 30.0}]
     volume = Combined.model_validate({"parts": parts})(pair, DISPARITIES)
     there, copied = DevicePair(device, pair), DeviceVolume.upload(device, volume)
@@ -98,7 +98,7 @@ def measure_aggregations(device: Device, pair: StereoPair, windows: list[int], r
 
 
 def measure_presets(device: Device, pair: StereoPair, repeat: int) -> list[tuple[str, ...]]:
-    """Whole pipelines: milliseconds on the device and on the processor."""
+    """Return rows of whole pipelines: milliseconds on the device and on the processor."""
     rows = []
     for preset in PRESETS:
         found = find_config("stereo", preset)

@@ -47,7 +47,7 @@ def similarities() -> dict[str, CostMeasure]:
 
 
 def aggregations(windows: list[int]) -> list[tuple[str, int | None, Aggregator]]:
-    """(name, window or None, method); CROSS in one pass over the intersected supports, as in eq. 3.8-3.9."""
+    """Return (name, window or None, method); CROSS in one pass over the intersected supports, as in eq. 3.8-3.9."""
     rows: list[tuple[str, int | None, Aggregator]] = [("CW", w, ConstantWindow(window=w)) for w in windows]
     rows.append(("CROSS", None, Cross(iterations=1, support="intersection")))
     rows += [("AW", w, AdaptiveWeight(window=w)) for w in windows]
@@ -55,7 +55,7 @@ def aggregations(windows: list[int]) -> list[tuple[str, int | None, Aggregator]]
 
 
 def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
-    """One row a similarity, aggregation, window and scene, with the error in every mask."""
+    """Return a row for each similarity, aggregation, window and scene, with the error in every mask."""
     rows: list[dict[str, object]] = []
     for scene in discover_scenes(data):
         pair, truth = scene.load(), MiddleburyV2().truth(scene)
@@ -75,7 +75,7 @@ def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
 
 
 def means(rows: list[dict[str, object]], mask: str = "nonocc") -> dict[tuple[str, str], dict[int | None, float]]:
-    """(similarity, aggregation) -> window -> mean error over the scenes."""
+    """Return (similarity, aggregation) -> window -> mean error over the scenes."""
     collected: dict[tuple[str, str], dict[int | None, list[float]]] = {}
     for row in rows:
         by_window = collected.setdefault((str(row["similarity"]), str(row["aggregation"])), {})
@@ -84,7 +84,7 @@ def means(rows: list[dict[str, object]], mask: str = "nonocc") -> dict[tuple[str
 
 
 def findings(table: dict[tuple[str, str], dict[int | None, float]], windows: list[int]) -> list[str]:
-    """What the thesis concludes from its figure, checked against this one."""
+    """Return a line for each conclusion of the thesis, checked against this figure."""
     best = {key: min(values.values()) for key, values in table.items()}
     names = list(similarities())
     lines = []

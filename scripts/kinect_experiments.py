@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.batch.presets import find_config, list_presets
-from depthcli.core.cameras.geometry import disparity_of_depth
+from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, color8
 from depthcli.data.formats.images import read_image
@@ -53,13 +53,13 @@ Refine = Callable[[RgbdFrame], Any]
 
 
 def preset(name: str, settings: list[str] | None = None) -> Refine:
-    """What a preset of refine-kinect computes; ``raw`` is the measurement itself."""
+    """Return the pipeline of a preset of refine-kinect."""
     pipeline: Refine = load_config(RefineKinectConfig, find_config("refine-kinect", name), settings or []).pipeline
     return pipeline
 
 
 def refined(name: str, run: Refine | None, frame: RgbdFrame) -> NDArray[np.float32]:
-    """(H, W) disparity in pixels."""
+    """Return the refined map as (H, W) disparity, pixels."""
     return frame.disparity if run is None else disparity_of_depth(run(frame).depth.values, frame.fb)
 
 
@@ -73,7 +73,7 @@ def sample(scene: StereoScene, fattening: int) -> KinectSample:
 
 
 def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, title: str) -> None:
-    """A row a method: MAE by set and region, means over scenes."""
+    """Print a row a method: MAE by set and region, means over scenes."""
     cells: dict[tuple[str, str, str], list[float]] = {}
     for folder in SETS:
         for scene in scenes(data, folder):
@@ -96,7 +96,7 @@ def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, tit
 
 
 def real(data: Path, methods: dict[str, Refine | None]) -> None:
-    """A row a frame: MAE in blocks that were taken out, mm, mean of several random patterns of blocks."""
+    """Print a row a frame: MAE in blocks that were taken out, mm, mean of several random patterns of blocks."""
     scenes = [
         scene
         for folder in sorted(data.glob("rgbd_*"))
@@ -112,9 +112,9 @@ def real(data: Path, methods: dict[str, Refine | None]) -> None:
         for pattern in range(PATTERNS):
             holes = _blocks(np.isfinite(frame.depth), PATTERNS * number_ + pattern)
             depth = np.where(holes, np.float32(np.nan), frame.depth)
-            asked = RgbdFrame(frame.color, depth, frame.fb, frame.intrinsics)
+            holed = RgbdFrame(frame.color, depth, frame.fb, frame.intrinsics)
             for name, run in methods.items():
-                values = asked.depth if run is None else run(asked).depth.values
+                values = holed.depth if run is None else run(holed).depth.values
                 error = 1000 * np.abs(values[holes] - frame.depth[holes])
                 errors[name].append(_mean(error[np.isfinite(error)].tolist()))
         cells = [Number(_mean(errors[name]), 1) for name in methods]
@@ -129,7 +129,7 @@ def real(data: Path, methods: dict[str, Refine | None]) -> None:
 
 
 def _blocks(known: NDArray[np.bool_], seed: int) -> NDArray[np.bool_]:
-    """Known pixels in random blocks, 10 % of all known ones."""
+    """Return known pixels in random blocks, 10 % of all known ones."""
     rng = np.random.Generator(np.random.PCG64([seed, 0xB10C]))
     taken = np.zeros_like(known)
     wanted = 0.1 * np.count_nonzero(known)
@@ -141,7 +141,7 @@ def _blocks(known: NDArray[np.bool_], seed: int) -> NDArray[np.bool_]:
 
 
 def view(data: Path, methods: dict[str, Refine | None], fattening: int) -> None:
-    """A row a method: PSNR of the left image warped to the right view, and on how many scenes it beats the first."""
+    """Print a row a method: PSNR of the left image moved to the right view; scenes where it beats the first."""
     found: dict[str, list[float]] = {name: [] for name in methods}
     for folder in SETS:
         for scene in scenes(data, folder):
@@ -161,22 +161,22 @@ def view(data: Path, methods: dict[str, Refine | None], fattening: int) -> None:
 
 
 def _psnr(left: NDArray[np.uint8], right: NDArray[np.uint8], disparity: NDArray[np.float32]) -> float:
-    """Every left pixel goes to x - d of the right view; of several the nearest stays; holes do not count."""
+    """Return the PSNR, dB, of the left image moved to the right view; of several pixels the nearest stays."""
     rows, cols = np.nonzero(np.isfinite(disparity))
     d = disparity[rows, cols]
     target = np.rint(cols - d).astype(np.int64)
     inside = (target >= 0) & (target < left.shape[1])
     rows, cols, d, target = rows[inside], cols[inside], d[inside], target[inside]
     order = np.lexsort((d, rows * left.shape[1] + target))
-    seen = np.full(left.shape, -1, np.int16)
-    seen[rows[order], target[order]] = left[rows[order], cols[order]]
-    both = seen[..., 0] >= 0
-    error = seen[both].astype(np.float64) - right[both]
+    warped = np.full(left.shape, -1, np.int16)
+    warped[rows[order], target[order]] = left[rows[order], cols[order]]
+    both = warped[..., 0] >= 0
+    error = warped[both].astype(np.float64) - right[both]
     return float(10 * np.log10(255**2 / np.mean(error**2)))
 
 
 def speed(methods: dict[str, Refine | None]) -> None:
-    """A row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
+    """Print a row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
     from depthcli.data.generated.kinect_scenes import make_kinect_scene
 
     frame = simulate_kinect(*make_kinect_scene("foreground", 0, 640, 480), 0).frame()
@@ -202,7 +202,7 @@ def speed(methods: dict[str, Refine | None]) -> None:
 
 
 def sequence(seeds: int) -> None:
-    """A row a kind of sequence: MAE along it and frame by frame, all and where an object has just left."""
+    """Print a row a kind of sequence: MAE along it and frame by frame, all and where an object has just left."""
     pipeline = preset("sequence")
     rows = []
     for kind in SEQUENCE_KINDS:
@@ -225,7 +225,7 @@ def sequence(seeds: int) -> None:
 
 
 def soak(frames: int) -> None:
-    """Seconds a frame and memory along one sequence of 640 x 480."""
+    """Print seconds a frame and memory along one sequence of 640 x 480."""
     pipeline = preset("sequence")
     shown = [made.frame() for made in make_kinect_sequence("moving", 40, 0, 640, 480, 40)]
     state, rows, times = None, [], []
@@ -253,8 +253,8 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=parts, default=parts)
     parser.add_argument("--fattening", type=int, default=4)
     parser.add_argument("--frames", type=int, default=300, help="of the soak")
-    usual = [name for _, name, _ in list_presets("refine-kinect") if name != "sequence"]
-    parser.add_argument("--presets", nargs="+", default=usual)
+    presets = [name for _, name, _ in list_presets("refine-kinect") if name != "sequence"]
+    parser.add_argument("--presets", nargs="+", default=presets)
     options = parser.parse_args()
     methods: dict[str, Refine | None] = {"raw": None, **{name: preset(name) for name in options.presets}}
     if "simulated" in options.only:

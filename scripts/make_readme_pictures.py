@@ -61,7 +61,7 @@ def main() -> int:
 
 
 def colored(disparity: np.ndarray, top: int) -> np.ndarray:
-    """Near = red, far = blue, no value = black; (H, W, 3) uint8 RGB."""
+    """Return (H, W, 3) uint8 RGB: near = red, far = blue, no value = black."""
     levels = np.nan_to_num(np.clip(disparity / top, 0, 1) * 255).astype(np.uint8)
     picture = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)[:, :, ::-1].copy()
     picture[np.isnan(disparity)] = 0

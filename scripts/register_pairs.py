@@ -75,7 +75,7 @@ def pairs(data: Path) -> Iterator[Pair]:
 def register(
     pair: Pair, levels: list[tuple[float, int, float]], iterations: int, samples: int, seed: int = SEED
 ) -> Any:
-    """The transform that maps points of the fixed volume to the moving one."""
+    """Return the transform that maps points of the fixed volume to the moving one."""
     sitk = simple_itk()
 
     chain = [sitk.TranslationTransform(3)]
@@ -113,7 +113,7 @@ def register(
 
 
 def errors(transform: Any, pair: Pair) -> np.ndarray:
-    """True errors at the landmarks, mm."""
+    """Return the true errors at the landmarks, mm."""
     moved = np.array([transform.TransformPoint(point) for point in pair.points.tolist()])
     return np.asarray(np.linalg.norm(moved - pair.matches, axis=1))
 

@@ -57,7 +57,7 @@ def preset(name: str) -> StereoPipeline:
 
 
 def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
-    """The twelve figures: nonocc, all, disc of every scene."""
+    """Return the twelve figures: nonocc, all, disc of every scene."""
     by_name = {item.name.rpartition("/")[2]: item for item in discover_scenes(data)}
     figures: list[float] = []
     for name in SCENES:
@@ -69,7 +69,7 @@ def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
 
 
 def repetitive(pipeline: StereoPipeline, seed: int) -> float:
-    """Error on the visible pixels of a generated scene with repeating patterns."""
+    """Return the error on the visible pixels of a generated scene with repeating patterns."""
     scene = make_scene("repetitive", seed=seed)
     values = pipeline(StereoPair(scene.left, scene.right), scene.max_disparity).disparity.values
     return bad_rate(values, scene.disparity_left, scene.nonocc)

@@ -36,13 +36,14 @@ from numpy.typing import NDArray
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
+from depthcli.core.networks import TrainedNetwork
+from depthcli.data.formats.networks import write_network
 from depthcli.data.generated.stereo_scenes import KINDS, Radiometry, make_scene
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
 from depthcli.methods.fusion.choice import Chooser, Chosen, Proposals
-from depthcli.methods.fusion.choice._inputs import Inputs
-from depthcli.methods.fusion.choice.network import Weights, write_weights
+from depthcli.methods.fusion.choice._inputs import Inputs, input_names
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.pipeline import Fusion
 
@@ -198,12 +199,13 @@ class Lessons:
 
 def train(
     lessons: list[tuple[float, Lessons]],
-    kinds: tuple[str, ...],
+    maps: tuple[str, ...],
+    trained_on: list[str],
     seed: int,
     epochs: int,
     sizes: tuple[int, int],
     decay: float = 1e-3,
-) -> Weights:
+) -> TrainedNetwork:
     """Fit a network to lessons, each of which counts as much as is said beside it."""
     inputs = np.concatenate([one.inputs for _, one in lessons])
     errors = np.concatenate([one.errors for _, one in lessons])
@@ -251,14 +253,15 @@ def train(
                     second[k][j] = 0.999 * second[k][j] + 0.001 * change**2
                     step = (first[k][j] / (1 - 0.9**done)) / (np.sqrt(second[k][j] / (1 - 0.999**done)) + 1e-8)
                     layers[k][j] -= (speed * step).astype(np.float32)
-    (w1, b1), *rest = layers
-    return Weights(kinds, mean, scale, ((w1[:size], w1[size:] + b1), *((w, b) for w, b in rest)))
+    (w1, b1), (w2, b2), (w3, b3) = layers
+    fitted = ((w1[:size], w1[size:] + b1), (w2, b2), (w3, b3))
+    return TrainedNetwork(maps, input_names(maps), mean, scale, fitted, tuple(trained_on))
 
 
-def answers(weights: Weights, inputs: NDArray[Any]) -> NDArray[np.float32]:
+def answers(trained: TrainedNetwork, inputs: NDArray[Any]) -> NDArray[np.float32]:
     """(P, N) float32: what a network says of (P, N, F) inputs, without the kernel."""
-    (w1, b1), (w2, b2), (w3, b3) = weights.layers
-    scaled = np.clip((inputs.astype(np.float32) - weights.mean) * weights.scale, -4, 4)
+    (w1, b1), (w2, b2), (w3, b3) = trained.layers
+    scaled = np.clip((inputs.astype(np.float32) - trained.mean) * trained.scale, -4, 4)
     hidden = np.maximum(scaled @ w1 + b1, 0)
     return (np.maximum(hidden @ w2 + b2, 0) @ w3 + b3)[:, :, 0]
 
@@ -295,19 +298,19 @@ def main() -> int:
         print(f"{scene.name}: {100 * (lessons.errors.min(1) > 1).mean():.2f} % out of reach", file=sys.stderr)
     kinds = fusion.maps.kinds
 
-    def learned(lessons: list[tuple[float, Lessons]]) -> Weights:
-        return train(lessons, kinds, options.seed, options.epochs, tuple(options.units))
+    def learned(lessons: list[tuple[float, Lessons]]) -> TrainedNetwork:
+        return train(lessons, kinds, trained_on, options.seed, options.epochs, tuple(options.units))
 
     if options.held_out:
         for half in (0, 1):
-            weights = learned([(w, one) for h, w, one in taught if h != half])
+            trained = learned([(w, one) for h, w, one in taught if h != half])
             for name, (h, w, one) in zip(trained_on, taught, strict=True):
                 if h == half and w == 1:
-                    errors = np.take_along_axis(one.errors, answers(weights, one.inputs).argmax(1)[:, None], axis=1)
+                    errors = np.take_along_axis(one.errors, answers(trained, one.inputs).argmax(1)[:, None], axis=1)
                     wrong = 100 * float((one.weights * (errors[:, 0] > 1)).sum() / one.weights.sum())
                     print(f"{name}: {wrong:.2f} % wrong")
         return 0
-    write_weights(options.out, learned([(w, one) for _, w, one in taught]), trained_on)
+    write_network(options.out, learned([(w, one) for _, w, one in taught]))
     return 0
 
 

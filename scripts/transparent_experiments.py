@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.dense_crf import GaussianKernel, TruncatedLinear, mean_field
 from depthcli.batch.presets import find_config
-from depthcli.core.cameras.geometry import depth_of_disparity, disparity_of_depth
+from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
 from depthcli.core.result import Clock
@@ -60,7 +60,7 @@ Scene = tuple[NDArray[np.uint8], Map, Map, NDArray[np.bool_]]
 
 
 def halved(item: RgbdScene) -> Scene:
-    """Color, sensor, truth and mask at half size."""
+    """Return color, sensor, truth and mask at half size."""
     frame, truth = item.load(), item.truth()
     height, width = frame.shape
     color = cv2.resize(frame.color, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
@@ -70,7 +70,7 @@ def halved(item: RgbdScene) -> Scene:
 
 
 def measures(found: Map, scene: Scene) -> dict[str, float]:
-    """MAE and RMSE in mm, REL and deltas in the mask; MAE outside over the sensor's; MAE beside the outline."""
+    """Return MAE and RMSE in mm, REL and deltas in the mask; MAE outside over the sensor's; MAE beside the outline."""
     _, sensor, truth, mask = scene
     known = np.isfinite(truth) & np.isfinite(found)
     inside, outside = known & mask, known & ~mask & np.isfinite(sensor)
@@ -121,7 +121,7 @@ def cross_modal(folders: list[Path]) -> None:
         pair, truth = item.load(), item.truth()
         scene = glass_of_pair(pair.left, pair.right, truth.disparity)
         known = np.isfinite(scene.disparity)
-        seen = truth.masks.get("nonocc", known) & known
+        visible = truth.masks.get("nonocc", known) & known
         matchers = {
             name: stereo.model_copy(update={"max_disparity": item.max_disparity, **changes})
             for name, changes in (
@@ -136,10 +136,10 @@ def cross_modal(folders: list[Path]) -> None:
             ("AD", learned, "absolute_difference"), ("census", learned, "census"), ("zncc", learned, "zncc"),
         ):  # fmt: skip
             left = _window(measure, StereoPair(mix, scene.infrared), item.max_disparity)
-            row[f"bad {name}"] = 100 * float(np.mean(np.abs(left - scene.disparity)[seen] > 1))
+            row[f"bad {name}"] = 100 * float(np.mean(np.abs(left - scene.disparity)[visible] > 1))
         for name, matcher in matchers.items():
             found = matcher.match(scene.color, scene.infrared, scene.sensor)
-            row[f"bad {name}"] = 100 * float(np.mean(np.abs(found.dense - scene.disparity)[seen] > 1))
+            row[f"bad {name}"] = 100 * float(np.mean(np.abs(found.dense - scene.disparity)[visible] > 1))
             if name == "early":
                 kept = np.isfinite(found.sparse)
                 row["kept"] = 100 * float(kept.mean())
@@ -163,13 +163,13 @@ def cross_modal(folders: list[Path]) -> None:
 
 
 def _window(measure: str, pair: StereoPair, top: int) -> NDArray[np.uint16]:
-    """Disparity by one measure in an 11 x 11 window, winner takes all."""
+    """Return the disparity by one measure in an 11 x 11 window, winner takes all."""
     fusion = Fusion.model_validate({"measures": [measure], "weights": "equal", "consensus": {"vote_cost": 0}})
     return winners(fusion.fuse(pair, top, {}).volume.costs)[0]
 
 
 def _beside(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels within 5 of the mask's outline."""
+    """Return the pixels within 5 of the mask's outline."""
     square, plane = np.ones((11, 11), np.uint8), mask.astype(np.uint8)
     return np.asarray(cv2.dilate(plane, square) > cv2.erode(plane, square), np.bool_)
 
@@ -226,7 +226,7 @@ def _peer(color: NDArray[np.uint8], unary: Map, label: Map) -> tuple[float, floa
 
 
 def agreement() -> None:
-    """Print how far our marginals are from pydensecrf's, for one Potts energy; there a point hears itself."""
+    """Print how far our marginals are from pydensecrf's, for one Potts energy."""
     import pydensecrf.densecrf as dcrf  # type: ignore[import-not-found]
 
     rng = np.random.default_rng(1)

@@ -1,7 +1,7 @@
-"""Scenes on the workers of a dask.distributed cluster: the same rows and files as by worker processes here.
+"""Scenes computed by the workers of a dask.distributed cluster, with the same rows and files as on one machine.
 
-The workers see the same file system at the same places. Small scenes go out in chunks of some seconds. An scene whose
-worker dies is done by another one; where the scheduler is lost, the run ends with its report and can be resumed.
+The workers must have the same file system at the same paths. Small scenes are sent in chunks of some seconds. A scene
+whose worker dies is computed by another one; if the scheduler is lost, the run ends with its report and can be resumed.
 """
 
 from __future__ import annotations
@@ -16,50 +16,53 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from depthcli import __version__
-from depthcli.batch import record, resources
-from depthcli.batch.making import BUG, AnyWork, RunOptions, Task, discard, failed_row, run_one
-from depthcli.batch.report import row_of
-from depthcli.batch.reporter import Reporter
-from depthcli.batch.workers import compile_watch, say_compiled, use_threads
+from depthcli.batch import resources, run_folder
+from depthcli.batch.console import Reporter
+from depthcli.batch.json_csv import Row
+from depthcli.batch.processes import compile_watch, report_compilation, use_threads
+from depthcli.batch.report_writer import finished_row
+from depthcli.batch.task import BUG, Run, Task, discard, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
 
-_CHUNK = 5.0  # seconds that a chunk of small scenes shall take
-_LARGEST = 500  # scenes of a chunk
-_AHEAD = 2  # chunks that every worker has or waits for
-_PAUSE = 0.05
-_GOES_ON = "goes-on"  # a file beside the scenes that are made; where it has gone, the run has ended, and workers stop
-_PATIENCE = "20s"  # for the scheduler to answer
+_CHUNK_SECONDS = 5.0  # computing time of a chunk of small scenes
+_MAX_CHUNK = 500  # scenes of a chunk
+_CHUNKS_PER_WORKER = 2  # one that is computed, one that waits
+_POLL_SECONDS = 0.05
+_COUNT_SECONDS = 1.0  # between two counts of the workers
+_RUNNING_FILE = "goes-on"  # in the workspace; workers stop when it is gone, since the run has ended then
+_CONNECT_TIMEOUT = "20s"
 
-_one_at_a_time = threading.Lock()  # threads of one worker share kernels and buffers
+_compute_lock = threading.Lock()  # threads of one worker share kernels and buffers
 
 
-def compute(
-    tasks: list[Task],
-    work: AnyWork,
-    config: Any,
-    options: RunOptions,
-    reporter: Reporter,
-    claim: Callable[[Task], bool],
-) -> Iterator[dict[str, Any]]:
-    """Rows of the tasks, in the order in which they are finished.
+class _Chunk(NamedTuple):
+    """What came back of a chunk: rows, the kernels that were compiled, in how long, and scenes to compute again."""
+
+    rows: list[Row]
+    kernels: int = 0
+    seconds: float = 0.0
+    left: tuple[Task, ...] = ()
+
+
+def compute(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Task], bool]) -> Iterator[Row]:
+    """Yield the rows of the tasks in the order in which they are finished.
 
     Raises
     ------
     ConfigError
-        No distributed, no scheduler at that address, or workers that have another depthcli or another file system.
+        No dask.distributed, no scheduler at that address, or workers with another depthcli or another file system.
     IncompleteError
-        The scheduler was lost.
+        The connection to the scheduler was lost.
     """
-    making, output = tasks[0].work, tasks[0].output
-    making.mkdir(parents=True, exist_ok=True)
-    (making / _GOES_ON).touch()
-    client = _connected(options.scheduler or "")
-    cluster = _Cluster(client, work, config, options)
+    workspace, output, scheduler = tasks[0].workspace, tasks[0].output, run.options.scheduler
+    workspace.mkdir(parents=True, exist_ok=True)
+    (workspace / _RUNNING_FILE).touch()
+    client = _connected(scheduler or "")
+    cluster = _Cluster(client, run)
     waiting, ready = list(reversed(tasks)), list[Task]()
-    compiled = say_compiled(reporter)
     try:
         cluster.check(output, reporter)
         while waiting or ready or cluster.running:
@@ -71,103 +74,100 @@ def compute(
                 if ready:
                     cluster.submit(ready[:size])
                     del ready[:size]
-            for found, left in cluster.finished(reporter):
-                rows, kernels, seconds = found
-                compiled(kernels, seconds)
-                yield from rows
-                ready += left
+            for chunk in cluster.finished(reporter):
+                report_compilation(reporter, chunk.kernels, chunk.seconds)
+                yield from chunk.rows
+                ready += chunk.left
             if client.status != "running":
-                lacking = len(waiting) + len(ready) + sum(len(chunk) for chunk in cluster.running.values())
+                lacking = len(waiting) + len(ready) + sum(map(len, cluster.running.values()))
                 raise IncompleteError(
-                    f"{options.scheduler}: the scheduler was lost, {lacking} scenes are not done; "
+                    f"{scheduler}: the scheduler was lost, {lacking} scenes are not done; "
                     "the same command goes on where it stopped"
                 )
-            time.sleep(_PAUSE)
+            time.sleep(_POLL_SECONDS)
     finally:
-        discard(making)
-        with contextlib.suppress(Exception):  # of a scheduler that has gone
+        discard(workspace)
+        with contextlib.suppress(Exception):  # the scheduler may be gone
             if client.status == "running":
                 client.cancel(list(cluster.running))
             client.close(timeout=2)
 
 
 class _Cluster:
-    """Chunks that are out, and how large the next ones should be."""
+    """The chunks that are being computed, and the size of the next ones."""
 
-    def __init__(self, client: Any, work: AnyWork, config: Any, options: RunOptions) -> None:
-        self.client, self.work, self.config, self.options = client, work, config, options
+    def __init__(self, client: Any, run: Run) -> None:
+        self.client, self.run = client, run
         self.running: dict[Any, list[Task]] = {}
-        self.alone: set[str] = set()  # scenes whose chunk was lost with its worker again and again
-        self.each: float | None = None  # seconds of an scene
+        self.each: float | None = None  # seconds of one scene
         self.workers, self.counted = 1, 0.0
 
     def check(self, output: Path, reporter: Reporter) -> None:
-        """The workers that are there now have this depthcli and see this run folder."""
-        here = _about(str(output.absolute()))
+        """Raise ConfigError unless all present workers have this depthcli and see this run folder."""
+        here, scheduler = _about(str(output.absolute())), self.run.options.scheduler
         try:
             found = self.client.run(_about, str(output.absolute()))
         except Exception as error:
-            raise ConfigError(f"{self.options.scheduler}: its workers have no such depthcli ({error})") from error
-        for address, about in sorted(found.items()):
-            if about != here:
+            raise ConfigError(f"{scheduler}: its workers have no such depthcli ({error})") from error
+        for address, (version, folder) in sorted(found.items()):
+            if (version, folder) != here:
                 raise ConfigError(
-                    f"{self.options.scheduler}: worker {address} has depthcli {about[0]}, the run folder is "
-                    f"{'there' if about[1] == here[1] else 'not the one here'}; want {here[0]} and a shared file system"
+                    f"{scheduler}: worker {address} has depthcli {version}, the run folder is "
+                    f"{'there' if folder == here[1] else 'not the one here'}; want {here[0]} and a shared file system"
                 )
-        reporter.info(f"{len(found)} workers at {self.options.scheduler}" + ("" if found else "; waiting for some"))
+        reporter.info(f"{len(found)} workers at {scheduler}" + ("" if found else "; waiting for some"))
 
     def has_room(self) -> bool:
-        """Some worker has fewer chunks than it should."""
+        """Return True where some worker has fewer chunks than it should."""
         if self.client.status != "running":
             return False
-        if time.monotonic() - self.counted > 1:
-            with contextlib.suppress(OSError, TimeoutError):  # it is lost in this moment
+        if time.monotonic() - self.counted > _COUNT_SECONDS:
+            with contextlib.suppress(OSError, TimeoutError):  # the scheduler was just lost
                 self.workers = max(1, len(self.client.scheduler_info(n_workers=-1)["workers"]))
             self.counted = time.monotonic()
-        return len(self.running) < _AHEAD * self.workers
+        return len(self.running) < _CHUNKS_PER_WORKER * self.workers
 
     def chunk(self, left: int) -> int:
-        """Scenes of the next chunk: some seconds, and no more than leaves work for the others."""
-        size = 1 if self.each is None else int(_CHUNK / max(self.each, 1e-3))
-        return max(1, min(size, _LARGEST, left // (_AHEAD * self.workers)))
+        """Return the number of scenes of the next chunk: some seconds of work, and a fair share of what is left."""
+        size = 1 if self.each is None else int(_CHUNK_SECONDS / max(self.each, 1e-3))
+        return max(1, min(size, _MAX_CHUNK, left // (_CHUNKS_PER_WORKER * self.workers)))
 
     def submit(self, chunk: list[Task]) -> None:
-        """Send a chunk out."""
-        how = (self.work, self.config, self.options.threads, self.options.max_memory, os.getcwd())
-        future = self.client.submit(_do, chunk, *how, pure=False)
-        self.running[future] = chunk
+        """Send a chunk to the scheduler."""
+        self.running[self.client.submit(_compute_chunk, chunk, self.run, os.getcwd(), pure=False)] = chunk
 
-    def finished(self, reporter: Reporter) -> Iterator[tuple[tuple[list[dict[str, Any]], int, float], list[Task]]]:
-        """(rows, kernels compiled, seconds of that) of every chunk that came back, and its scenes to do again."""
+    def finished(self, reporter: Reporter) -> Iterator[_Chunk]:
+        """Yield every chunk that came back; the scenes of one whose workers died are sent again one by one."""
         for future in [future for future in self.running if future.done()]:
-            chunk = self.running.pop(future)
+            tasks = self.running.pop(future)
             if future.status == "finished":
-                rows, kernels, seconds = found = future.result()
-                spent = [sum(row["seconds"].values()) for row in rows if row["seconds"]]
-                if spent:
-                    mean = sum(spent) / len(spent)
-                    self.each = mean if self.each is None else 0.5 * (self.each + mean)
-                if not rows:
-                    why = f"{chunk[0].work}: a worker does not see it; is the file system shared?"
-                    found = ([failed_row(task, why) for task in chunk], kernels, seconds)
-                names = {row["scene"] for row in found[0]}
-                yield found, [task for task in chunk if task.scene.name not in names]
+                yield self._returned(tasks, _Chunk(*future.result()))
                 continue
             if future.status != "error":  # cancelled, or lost with the scheduler
-                self.running[future] = chunk
+                self.running[future] = tasks
                 return
             error = future.exception()
-            if type(error).__name__ == "KilledWorker" and len(chunk) > 1:
-                reporter.info(f"workers died several times with {len(chunk)} scenes; trying these one by one")
-                for task in chunk:
+            died = type(error).__name__ == "KilledWorker"
+            if died and len(tasks) > 1:
+                reporter.info(f"workers died several times with {len(tasks)} scenes; trying these one by one")
+                for task in tasks:
                     self.submit([task])
-                yield ([], 0, 0.0), []
-            elif type(error).__name__ == "KilledWorker":
-                why = "its worker died several times, probably out of memory; see --max-memory"
-                yield ([failed_row(task, why) for task in chunk], 0, 0.0), []
-            else:
+                continue
+            why = "its worker died several times, probably out of memory; see --max-memory"
+            if not died:
                 why = f"{BUG}{type(error).__name__}: {error}".splitlines()[0][:300]
-                yield ([failed_row(task, why) for task in chunk], 0, 0.0), []
+            yield _Chunk([task.failed(why) for task in tasks])
+
+    def _returned(self, tasks: list[Task], chunk: _Chunk) -> _Chunk:
+        spent = [sum(row["seconds"].values()) for row in chunk.rows if row["seconds"]]
+        if spent:
+            mean = sum(spent) / len(spent)
+            self.each = mean if self.each is None else 0.5 * (self.each + mean)
+        if not chunk.rows:
+            why = f"{tasks[0].workspace}: a worker does not see it; is the file system shared?"
+            return chunk._replace(rows=[task.failed(why) for task in tasks])
+        names = {row["scene"] for row in chunk.rows}
+        return chunk._replace(left=tuple(task for task in tasks if task.scene.name not in names))
 
 
 def _connected(address: str) -> Any:
@@ -176,43 +176,40 @@ def _connected(address: str) -> Any:
         import distributed
     except ImportError as error:
         raise ConfigError(f"--scheduler wants dask.distributed: pip install 'depthcli[cluster]' ({error})") from error
-    for name in [*logging.root.manager.loggerDict, "asyncio"]:  # what went wrong is said here, in a line
+    for name in [*logging.root.manager.loggerDict, "asyncio"]:  # problems are reported below, in one line
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    # A scheduler that has gone is noticed soon.
     dask.config.set({"distributed.comm.timeouts.connect": "10s"})
     try:
-        return distributed.Client(address, timeout=_PATIENCE, set_as_default=False)
+        return distributed.Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ConfigError(f"--scheduler {address}: no scheduler answers there ({reason})") from error
 
 
 def _about(output: str) -> tuple[str, str]:
-    """Version, and what the run folder is, of the process that is asked."""
-    return __version__, record.digest(record.saved_config(Path(output)).encode())
+    """Return the version of depthcli and the digest of the run folder's config, as this process sees them."""
+    return __version__, run_folder.digest(run_folder.saved_config(Path(output)).encode())
 
 
-def _do(
-    chunk: list[Task], work: AnyWork, config: Any, threads: int | None, limit: int | None, place: str
-) -> tuple[list[dict[str, Any]], int, float]:
-    """On a worker: the rows of a chunk's scenes, kernels compiled, and how long that took."""
+def _compute_chunk(chunk: list[Task], run: Run, folder: str) -> tuple[list[Row], int, float]:
+    """Return, on a worker, the rows of the chunk's scenes, the number of compiled kernels, and the time for these."""
     from distributed import get_worker
 
-    mine = f"{platform.node()}-{os.getpid()}"
-    rows: list[dict[str, Any]] = []
-    with _one_at_a_time, compile_watch(lambda: None) as watch:
-        os.chdir(place)  # files may be named relative to where the run was started
-        use_threads(threads or get_worker().state.nthreads)
+    own = f"{platform.node()}-{os.getpid()}"
+    rows: list[Row] = []
+    with _compute_lock, compile_watch(lambda: None) as watch:
+        os.chdir(folder)  # paths may be relative to where the run was started
+        use_threads(run.options.threads or get_worker().state.nthreads)
         for task in chunk:
-            if not (task.work / _GOES_ON).exists():
+            if not (task.workspace / _RUNNING_FILE).exists():
                 break
-            known = record.read_record(task.target)
-            if known is not None and record.is_done(task.target, task.run, task.inputs, known):
-                rows.append(row_of(known, {"source": task.source}))  # by a worker that died with the rest of its chunk
+            known = run_folder.read_record(task.target)
+            if known is not None and known.is_done(task.target, task.run, task.inputs):
+                rows.append(finished_row(known, {"source": task.source}))  # by a worker that died with its chunk
                 continue
-            # A worker that was given up may still be at it.
-            own = replace(task, work=task.work / mine)
-            shutil.rmtree(own.hidden, ignore_errors=True)
-            rows.append(run_one(own, work, config, limit or resources.available_memory()))
+            # A worker that was believed to be dead may still compute the scene in its own workspace.
+            mine = replace(task, workspace=task.workspace / own)
+            shutil.rmtree(mine.hidden, ignore_errors=True)
+            rows.append(run_task(mine, run, run.options.max_memory or resources.available_memory()))
     return rows, watch.kernels, watch.seconds

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-from depthcli.batch.reporter import Reporter
+from depthcli.batch.console import Reporter
 from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
 
@@ -20,9 +20,6 @@ SceneT = TypeVar("SceneT", bound=Scene)
 
 Values: TypeAlias = Mapping[str, Any]
 """Name -> value of every argument and option of one call, each of the type that its :class:`Option` declares."""
-
-Row: TypeAlias = dict[str, Any]
-"""One row of a report: column -> JSON value."""
 
 SOME_FAILED = 3
 """Exit code of a command that finished, though not for every scene."""

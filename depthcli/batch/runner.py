@@ -1,8 +1,8 @@
-"""The loop of every batch command: resume, isolate failures, show progress, spread over processes.
+"""The loop of every batch command: skip finished scenes, isolate failures, show progress, use several processes.
 
-An scene is computed into a hidden folder beside the others and then moved into place with its record
-written last, so that a run can be killed at any moment and started again: what has a record that
-matches the config and the inputs is kept, anything else is made anew.
+A scene is computed in a hidden folder beside the others and then moved into place, its record written last. A run can
+therefore be killed at any moment and started again: scenes whose record matches the config and the inputs are kept,
+all others are computed again.
 """
 
 from __future__ import annotations
@@ -12,23 +12,34 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-from depthcli.batch import cluster, record, workers
+from depthcli.batch import cluster, processes, report_writer
 from depthcli.batch.command import ConfigT, SceneT
-from depthcli.batch.making import BUG as BUG
-from depthcli.batch.making import AnyWork, RunOptions, Task, Work, discard, failed_row, remove, run_one
-from depthcli.batch.making import Outcome as Outcome
-from depthcli.batch.report import ReportWriter, row_of
-from depthcli.batch.reporter import Reporter
+from depthcli.batch.console import Reporter
+from depthcli.batch.json_csv import Row
+from depthcli.batch.run_folder import (
+    RECORD_FILE,
+    SceneRecord,
+    digest,
+    file_digest,
+    is_inside,
+    join_run,
+    open_run,
+    read_record,
+    read_report,
+    remove_scene,
+    run_text,
+)
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
+from depthcli.batch.task import Run, RunOptions, Task, Work, discard, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
 from depthcli.data.scenes import Scene
 
-_HIDDEN = ".partial-"
-_REMEMBERED = 16  # digests of files that several scenes share
+_WORKSPACE_PREFIX = ".partial-"
+# Digests that are remembered: calibrations and videos belong to several scenes that follow each other.
+_MAX_REMEMBERED = 16
 
 
 def run_scenes(
@@ -38,200 +49,87 @@ def run_scenes(
     output: Path,
     options: RunOptions,
     reporter: Reporter,
-) -> list[dict[str, Any]]:
-    """Run ``work`` on every scene that is not done yet; write the run folder.
+) -> list[Row]:
+    """Compute every scene that is not done yet, write the run folder, and return the rows of its report.
 
     Parameters
     ----------
-    work : what to do with each
-    config : together with the command's name and the versions it is the identity of the run folder
-    scenes : what to run on, names unique
+    work : the command that computes one scene
+    config : its config; together with the command's name and all versions it identifies the run
+    scenes : all scenes, with unique names
     output : the run folder
 
     Returns
     -------
-    One row an scene of this call (of its shard; up to the first failure with ``fail_fast``), in order: ``scene``,
+    One row per scene of this call (of its shard; up to the first failure with ``fail_fast``), in order: ``scene``,
     ``status`` (done or failed), ``error``, facts, ``seconds`` by stage, ``peak_memory`` in bytes, ``source``.
 
     Raises
     ------
     ConfigError
-        The folder holds another run or the result of another input of the same name, is in use, or lies
-        where the inputs are.
+        The folder holds another run or the result of another input of the same name, is in use, or contains
+        the inputs.
     OutputError
         The folder cannot be used.
     IncompleteError
-        Everything was computed, but the report cannot be written; or the scheduler was lost.
+        Everything was computed, but the report cannot be written; or the connection to the scheduler was lost.
     """
-    own = list(scenes) if options.shard is None else options.shard.of(scenes, lambda scene: work.effort(config, scene))
-    _check_names(work, config, own, output)
-    text = record.run_text(work.name, config)
+    run = Run(work, config, options)
+    own = scenes_of_shard(work, config, scenes, options)
+    _check_names(run, own, output)
     with FolderLock(output, options.shard is not None, reporter.info) as lock:
-        earlier = {name: _measured(row) for name, row in record.read_report(output, facts=False).items()}
-        if lock.alone:
-            record.open_run(output, text, options.overwrite)
-            _clean(output)
-            if options.overwrite:
-                _drop_others(output, record.digest(text.encode()), earlier, {scene.name for scene in scenes})
-        lock.settle()
-        run = record.join_run(output, text)
-        making = output / f"{_HIDDEN}{re.sub(r'[^A-Za-z0-9-]', '_', platform.node())}-{os.getpid()}"
-        rows: dict[str, dict[str, Any]] = {}
-        tasks = []
-        look = Inspector(work, config, output, run, options.keep)
-        for number, scene in enumerate(own):
-            inputs, source = look.inputs(scene)
-            task = Task(scene, output, making, number, run, inputs, source, options.keep)
-            before = earlier.pop(scene.name, {})
-            row, known = look.finished(task, before)
-            if row is not None:
-                rows[scene.name] = _with_common_keys(row)
-                continue
-            origin = before.get("source")
-            if known is not None and known.get("run") == run and origin and origin != source and not options.overwrite:
-                raise ConfigError(
-                    f"{output}: holds the result of another {scene.name!r}, made from {origin}; this one is "
-                    f"{source}; choose another --output or --name, or --overwrite it"
-                )
-            tasks.append(task)
-        if rows:
-            reporter.info(f"{len(rows)} of {len(own)} scenes are done already")
-        others = [] if options.shard is not None else _other_rows(output, run, earlier, own)
-        earlier.clear()
-        writer = ReportWriter(output, work.name, run, rows, own, others, options.shard)
-        unclaimed: list[Task] = []
-        begun: list[Task] = []
-
-        def claim(task: Task) -> bool:
-            """Nobody else makes it, or has made it since."""
-            if lock.claim(task.scene.name):
-                row = None if options.shard is None else look.finished(task, {})[0]
-                if row is None:
-                    begun.append(task)
-                    return True
-                rows[task.scene.name] = row
-                lock.release(task.scene.name)
-            else:
-                unclaimed.append(task)
-            reporter.step()
-            return False
-
-        try:
-            with reporter, contextlib.closing(_compute(tasks, work, config, options, reporter, claim)) as computed:
-                reporter.start(len(own), len(rows), work.name)
-                for row in map(_with_common_keys, computed):
-                    rows[row["scene"]] = row
-                    lock.release(row["scene"])
-                    if row["status"] == "failed":
-                        reporter.error(f"{row['scene']}: {row['error']}")
-                    else:
-                        reporter.detail(f"{row['scene']}: {sum(row['seconds'].values()):.2f} s")
-                    for line in row.pop("warnings", ()):
-                        reporter.info(f"{row['scene']}: warning: {line}")
-                    writer.update()
-                    reporter.step(row["status"] == "failed")
-                    if options.fail_fast and row["status"] == "failed":
-                        reporter.info("stopped at the first failure; the same command goes on where it stopped")
-                        break
-        finally:
-            for task in begun:  # a signal may come between an item's last file and its row
-                row = None if task.scene.name in rows else look.finished(task, {})[0]
-                if row is not None:
-                    rows[task.scene.name] = _with_common_keys(row)
-            for task in tasks:
-                if task.scene.name in rows:
-                    rows[task.scene.name] = _still_there(task, rows[task.scene.name])
-            discard(making)
-            writer.close(lock)
-            if lock.alone:
-                _clean(output)
-        if unclaimed:
-            reporter.info(f"{len(unclaimed)} scenes are being computed by other processes")
-    if writer.problem:
-        raise IncompleteError(writer.problem)
-    return [rows[scene.name] for scene in own if scene.name in rows]
+        earlier = _open_folder(run, scenes, output, lock)
+        batch = _Batch(run, own, output, reporter, lock)
+        batch.plan(earlier)
+        batch.compute()
+    if batch.writer.problem:
+        raise IncompleteError(batch.writer.problem)
+    return [batch.rows[scene.name] for scene in own if scene.name in batch.rows]
 
 
-def _with_common_keys(row: dict[str, Any]) -> dict[str, Any]:
-    """The row with one string a key for all rows: each comes from a file or a process, with strings of its own."""
-    return {sys.intern(k): _with_common_keys(v) if isinstance(v, dict) else v for k, v in row.items()}
+def scenes_of_shard(
+    work: Work[ConfigT, SceneT], config: ConfigT, scenes: Sequence[SceneT], options: RunOptions
+) -> list[SceneT]:
+    """Return the scenes that this process computes: those of its shard, or all."""
+    if options.shard is None:
+        return list(scenes)
+    return options.shard.of(scenes, lambda scene: work.effort(config, scene))
 
 
-class Inspector:
-    """Which scenes of a run are done already; it reads only.
-
-    Parameters
-    ----------
-    work, config, output, run : of the run
-    keep : patterns of the files that stay of an scene
-    """
-
-    def __init__(self, work: AnyWork, config: Any, output: Path, run: str, keep: tuple[str, ...]) -> None:
-        self.work, self.config, self.output, self.run, self.keep = work, config, output, run, keep
-        self._digests: dict[Path, str] = {}
-
-    def inputs(self, scene: Scene) -> tuple[dict[str, str], str]:
-        """What the result depends on, by role, and where it lies."""
-        files = {} if scene.problem else self.work.files(self.config, scene)
-        inputs = {role: self._digest(file) for role, file in files.items()}
-        inputs |= {} if scene.problem else self.work.settings(self.config, scene)
-        inputs |= {"keep": " ".join(self.keep)} if self.keep else {}
-        return inputs, str(next(iter(files.values()), scene.folder).absolute())
-
-    def finished(self, task: Task, measured: Mapping[str, Any]) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
-        """The row of an scene that is done, and its record; None where it is not, or has none."""
-        known = record.read_record(task.target)
-        if known is None or not record.is_done(task.target, self.run, task.inputs, known):
-            return None, known
-        return row_of(known, {**measured, "source": task.source}), known
-
-    def _digest(self, file: Path) -> str:
-        """Of the last few files: calibrations and videos belong to many scenes."""
-        if file not in self._digests:
-            if len(self._digests) >= _REMEMBERED:
-                self._digests.pop(next(iter(self._digests)))
-            self._digests[file] = record.file_digest(file)
-        return self._digests[file]
-
-
-def _still_there(task: Task, row: dict[str, Any]) -> dict[str, Any]:
-    """The row, unless what it speaks of was deleted since."""
-    if row["status"] == "done" and not (task.target / record.RECORD_FILE).is_file():
-        return failed_row(task, f"{task.target}: was computed, but its files have gone since")
-    return row
-
-
-def _check_names(work: Work[ConfigT, SceneT], config: ConfigT, scenes: Sequence[SceneT], output: Path) -> None:
+def _check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
     for scene in scenes:
         if any(not part or part.startswith(".") or "\0" in part for part in scene.name.split("/")):
             raise ConfigError(f"{scene.name!r} is no name for a folder of results; give one with --name")
-        target = os.path.realpath(output / scene.name)  # unlike resolve() it lives with loops of links
-        files = () if scene.problem else work.files(config, scene).values()
+        target = os.path.realpath(output / scene.name)  # Path.resolve() raises for loops of links, realpath does not
+        files = () if scene.problem else run.work.files(run.config, scene).values()
         if any(target == os.path.dirname(os.path.realpath(file)) for file in files):
             raise ConfigError(f"{output}: {scene.name} would be written over its own input; choose another --output")
 
 
-def _measured(row: Mapping[str, Any]) -> dict[str, Any]:
-    """What a row says that its record does not."""
-    return {key: row[key] for key in ("seconds", "peak_memory", "source") if row.get(key)}
+def _open_folder(run: Run, scenes: Sequence[Scene], output: Path, lock: FolderLock) -> dict[str, Row]:
+    """Make ``output`` the folder of this run; return scene -> what only its earlier report holds."""
+    text = run_text(run.work.name, run.config)
+    earlier = {
+        name: {key: row[key] for key in ("seconds", "peak_memory", "source") if row.get(key)}
+        for name, row in read_report(output, facts=False).items()
+    }
+    if lock.alone:
+        open_run(output, text, run.options.overwrite)
+        _remove_leftovers(output)
+        if run.options.overwrite:  # scenes of the run that is replaced go; those that its report does not list stay
+            chosen, identity = {scene.name for scene in scenes}, digest(text.encode())
+            for name in earlier:
+                known = read_record(output / name) if name not in chosen and is_inside(name) else None
+                if known is not None and known.run != identity:
+                    remove_scene(output / name, known)
+    lock.settle()
+    join_run(output, text)
+    return earlier
 
 
-def _other_rows(
-    output: Path, run: str, earlier: dict[str, dict[str, Any]], scenes: Sequence[Scene]
-) -> list[dict[str, Any]]:
-    """Rows of scenes that this call does not concern but that belong to the same run."""
-    chosen = {scene.name for scene in scenes}
-    rows = []
-    for name, row in earlier.items():
-        known = record.read_record(output / name) if name not in chosen and record.is_inside(name) else None
-        if known is not None and known.get("run") == run:
-            rows.append(row_of(known, row))
-    return rows
-
-
-def _clean(output: Path) -> None:
+def _remove_leftovers(output: Path) -> None:
     """Remove what killed runs left."""
-    for leftover in (*output.glob(f"{_HIDDEN}*"), *output.glob(".*.partial~"), output / LOCKS_FILE):
+    for leftover in (*output.glob(f"{_WORKSPACE_PREFIX}*"), *output.glob(".*.partial~"), output / LOCKS_FILE):
         if leftover.is_dir() and not leftover.is_symlink():
             discard(leftover)
         else:
@@ -239,37 +137,167 @@ def _clean(output: Path) -> None:
                 leftover.unlink(missing_ok=True)
 
 
-def _drop_others(output: Path, run: str, earlier: dict[str, dict[str, Any]], chosen: set[str]) -> None:
-    """Remove the scenes of the run that is replaced, which are those its report lists; other runs' stay."""
-    for name in earlier:
-        known = record.read_record(output / name) if name not in chosen and record.is_inside(name) else None
-        if known is not None and known.get("run") != run:
-            remove(output / name, known)
+class Inspector:
+    """Finds out which scenes of a run are done; it reads only."""
+
+    def __init__(self, run: Run, output: Path) -> None:
+        self.run, self.output = run, output
+        self.identity = digest(run_text(run.work.name, run.config).encode())
+        self._digests: dict[Path, str] = {}
+
+    def task(self, scene: Scene, workspace: Path, number: int) -> Task:
+        """Return the task that computes a scene, with the digests of all that its result depends on."""
+        work, config, keep = self.run.work, self.run.config, self.run.options.keep
+        files = {} if scene.problem else work.files(config, scene)
+        inputs = {role: self._digest(file) for role, file in files.items()}
+        inputs |= {} if scene.problem else work.settings(config, scene)
+        inputs |= {"keep": " ".join(keep)} if keep else {}
+        source = str(next(iter(files.values()), scene.folder).absolute())
+        return Task(scene, self.output, workspace, number, self.identity, inputs, source, keep)
+
+    def finished(self, task: Task, measured: Mapping[str, object]) -> tuple[Row | None, SceneRecord | None]:
+        """Return the row of a scene that is done, and its record; None where it is not done, or has no record."""
+        known = read_record(task.target)
+        if known is None or not known.is_done(task.target, task.run, task.inputs):
+            return None, known
+        return report_writer.finished_row(known, {**measured, "source": task.source}), known
+
+    def _digest(self, file: Path) -> str:
+        if file not in self._digests:
+            if len(self._digests) >= _MAX_REMEMBERED:
+                self._digests.pop(next(iter(self._digests)))
+            self._digests[file] = file_digest(file)
+        return self._digests[file]
 
 
-def _compute(
-    tasks: list[Task],
-    work: AnyWork,
-    config: Any,
-    options: RunOptions,
-    reporter: Reporter,
-    claim: Callable[[Task], bool],
-) -> Generator[dict[str, Any], None, None]:
-    if not tasks:
-        return
-    if options.scheduler is not None:
-        yield from cluster.compute(tasks, work, config, options, reporter, claim)
-        return
-    jobs = min(options.jobs, len(tasks))
-    if jobs > 1:
-        yield from workers.compute(tasks, work, config, options, reporter, jobs, claim)
-        return
-    workers.use_threads(options.threads_each())
-    compiled: Callable[[int, float], None] = workers.say_compiled(reporter)
-    with workers.compile_watch(lambda: workers.say_compiling(reporter)) as watch:
-        for task in tasks:
-            if not claim(task):
+class _Batch:
+    """The scenes of one call: rows of those that are done, tasks for the others."""
+
+    def __init__(self, run: Run, scenes: Sequence[Scene], output: Path, reporter: Reporter, lock: FolderLock) -> None:
+        self.run, self.scenes, self.output, self.reporter, self.lock = run, scenes, output, reporter, lock
+        self.options = run.options
+        self.workspace = output / (f"{_WORKSPACE_PREFIX}{re.sub(r'[^A-Za-z0-9-]', '_', platform.node())}-{os.getpid()}")
+        self.inspector = Inspector(run, output)
+        self.rows: dict[str, Row] = {}
+        self.tasks: list[Task] = []
+        self.claimed: list[Task] = []
+        self.n_unclaimed = 0
+        self.writer: report_writer.ReportWriter
+
+    def plan(self, earlier: dict[str, Row]) -> None:
+        """Divide the scenes into finished ones and tasks; ``earlier`` rows that are read are removed."""
+        for number, scene in enumerate(self.scenes):
+            task = self.inspector.task(scene, self.workspace, number)
+            measured = earlier.pop(scene.name, {})
+            row, known = self.inspector.finished(task, measured)
+            if row is not None:
+                self.rows[scene.name] = _with_interned_keys(row)
                 continue
+            origin = measured.get("source")
+            same_run = known is not None and known.run == task.run
+            if same_run and origin and origin != task.source and not self.options.overwrite:
+                raise ConfigError(
+                    f"{self.output}: holds the result of another {scene.name!r}, made from {origin}; this one is "
+                    f"{task.source}; choose another --output or --name, or --overwrite it"
+                )
+            self.tasks.append(task)
+        if self.rows:
+            self.reporter.info(f"{len(self.rows)} of {len(self.scenes)} scenes are done already")
+        others = [] if self.options.shard is not None else self._other_rows(earlier)
+        earlier.clear()
+        self.writer = report_writer.ReportWriter(
+            self.output, self.run.work.name, self.inspector.identity, self.rows, self.scenes, others, self.options.shard
+        )
+
+    def _other_rows(self, earlier: dict[str, Row]) -> list[Row]:
+        """Rows of scenes of the same run that are not part of this call."""
+        chosen, rows = {scene.name for scene in self.scenes}, []
+        for name, row in earlier.items():
+            known = read_record(self.output / name) if name not in chosen and is_inside(name) else None
+            if known is not None and known.run == self.inspector.identity:
+                rows.append(report_writer.finished_row(known, row))
+        return rows
+
+    def compute(self) -> None:
+        """Compute all tasks, and keep the report up to date; it is complete also where this is interrupted."""
+        try:
+            with self.reporter, contextlib.closing(self._computed_rows()) as computed:
+                self.reporter.start(len(self.scenes), len(self.rows), self.run.work.name)
+                for row in map(_with_interned_keys, computed):
+                    self._add(row)
+                    if self.options.fail_fast and row["status"] == "failed":
+                        self.reporter.info("stopped at the first failure; the same command goes on where it stopped")
+                        break
+        finally:
+            self._finish()
+        if self.n_unclaimed:
+            self.reporter.info(f"{self.n_unclaimed} scenes are being computed by other processes")
+
+    def _computed_rows(self) -> Generator[Row, None, None]:
+        jobs = min(self.options.jobs, len(self.tasks))
+        if not self.tasks:
+            return
+        if self.options.scheduler is not None:
+            yield from cluster.compute(self.tasks, self.run, self.reporter, self._claim)
+        elif jobs > 1:
+            yield from processes.compute(self.tasks, self.run, self.reporter, self._claim, jobs)
+        else:
+            yield from _compute_here(self.tasks, self.run, self.reporter, self._claim)
+
+    def _claim(self, task: Task) -> bool:
+        """Reserve a scene for this process; False where another process computes it, or has done so since."""
+        if self.lock.claim(task.scene.name):
+            row = None if self.options.shard is None else self.inspector.finished(task, {})[0]
+            if row is None:
+                self.claimed.append(task)
+                return True
+            self.rows[task.scene.name] = row
+            self.lock.release(task.scene.name)
+        else:
+            self.n_unclaimed += 1
+        self.reporter.step()
+        return False
+
+    def _add(self, row: Row) -> None:
+        """Take the row of a scene that was just computed."""
+        name, failed = row["scene"], row["status"] == "failed"
+        self.rows[name] = row
+        self.lock.release(name)
+        if failed:
+            self.reporter.error(f"{name}: {row['error']}")
+        else:
+            self.reporter.detail(f"{name}: {sum(row['seconds'].values()):.2f} s")
+        for line in row.pop("warnings", ()):
+            self.reporter.info(f"{name}: warning: {line}")
+        self.writer.update()
+        self.reporter.step(failed)
+
+    def _finish(self) -> None:
+        """Complete the rows, remove the workspace, and write the report."""
+        for task in self.claimed:  # a signal may arrive between a scene's last file and its row
+            row = None if task.scene.name in self.rows else self.inspector.finished(task, {})[0]
+            if row is not None:
+                self.rows[task.scene.name] = _with_interned_keys(row)
+        for task in self.tasks:
+            row = self.rows.get(task.scene.name)
+            if row is not None and row["status"] == "done" and not (task.target / RECORD_FILE).is_file():
+                self.rows[task.scene.name] = task.failed(f"{task.target}: was computed, but its files have gone since")
+        discard(self.workspace)
+        self.writer.close(self.lock)
+        if self.lock.alone:
+            _remove_leftovers(self.output)
+
+
+def _compute_here(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Task], bool]) -> Iterator[Row]:
+    """Yield the rows of the tasks, computed one by one in this process."""
+    processes.use_threads(run.options.threads_each())
+    with processes.compile_watch(lambda: processes.announce_compilation(reporter)) as watch:
+        for task in filter(claim, tasks):
             kernels, seconds = watch.kernels, watch.seconds
-            yield run_one(task, work, config, options.memory_each())
-            compiled(watch.kernels - kernels, watch.seconds - seconds)
+            yield run_task(task, run, run.options.memory_each())
+            processes.report_compilation(reporter, watch.kernels - kernels, watch.seconds - seconds)
+
+
+def _with_interned_keys(row: Row) -> Row:
+    """Return the row with keys that all rows share: each comes from a file or a process with strings of its own."""
+    return {sys.intern(k): _with_interned_keys(v) if isinstance(v, dict) else v for k, v in row.items()}

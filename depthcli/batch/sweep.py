@@ -128,7 +128,7 @@ def _plain(value: str) -> str:
 
 
 def _mark(values: Combination) -> str:
-    from depthcli.batch.record import digest
+    from depthcli.batch.run_folder import digest
 
     return digest("\0".join(values).encode())[:8]
 

@@ -19,7 +19,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from depthcli.batch.command import SOME_FAILED, Command
-from depthcli.batch.reporter import Reporter
+from depthcli.batch.console import Reporter
 from depthcli.commands import command_names, help_of, load_command
 from depthcli.core.errors import DepthcliError, IncompleteError
 from depthcli.core.option import Option

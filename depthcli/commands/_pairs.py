@@ -13,9 +13,8 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
-    from depthcli.batch.making import Outcome
-    from depthcli.batch.reporter import Reporter
-    from depthcli.batch.tables import Column
+    from depthcli.batch.console import Column, Reporter
+    from depthcli.batch.task import Outcome
     from depthcli.core.frames import StereoPair
     from depthcli.data.formats.pictures import Palette
     from depthcli.device import Device
@@ -55,14 +54,14 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     def memory_of(self, config: PairConfigT, scene: StereoScene) -> int | None:
         """Estimate by the left image's size; None where key points give the range, InputError where nothing does."""
-        from depthcli.batch.plan import shape_of
+        from depthcli.data.formats.headers import image_size
         from depthcli.methods.stereo.matching import host_bytes
 
         low, top = given_range(config, scene)
         _check_range(config, scene, top)
         if top is None or isinstance(low, str) or isinstance(top, str):
             return None
-        return host_bytes(self.matcher(config, scene), shape_of(scene.left), top - low, self.limits(config, 0))
+        return host_bytes(self.matcher(config, scene), image_size(scene.left)[:2], top - low, self.limits(config, 0))
 
     def effort(self, config: PairConfigT, scene: StereoScene) -> int | None:
         """Return pixels times disparities, from the beginning of the left image's file."""
@@ -78,7 +77,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     def columns(self) -> tuple[Column, ...]:
         """Return size of the map, share of pixels with a value, share that was measured rather than filled."""
-        from depthcli.batch.tables import SIZE, Column, percent
+        from depthcli.batch.console import SIZE, Column, percent
 
         return (SIZE, Column("density", percent("density")), Column("measured", percent("measured")))
 
@@ -124,7 +123,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         """
         import numpy as np
 
-        from depthcli.batch.making import Outcome
+        from depthcli.batch.task import Outcome
         from depthcli.commands._rectified import rectified_pair
         from depthcli.commands._save import save_stereo
         from depthcli.core.result import Clock

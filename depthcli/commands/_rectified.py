@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.core.cameras.stereo_rig import RectifiedRig, StereoRig
+    from depthcli.core.cameras.rig import RectifiedRig, Rig
     from depthcli.core.frames import StereoPair
     from depthcli.data.scenes.stereo import StereoScene
     from depthcli.methods.stereo.config import Calibration
@@ -19,12 +19,12 @@ _MAX_ROW_ERROR = 1.0  # median row error of a calibrated pair, pixels; with more
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
 
 
-def read_rig(calibration: Calibration) -> StereoRig:
+def read_rig(calibration: Calibration) -> Rig:
     """Read the two cameras of a calibration; InputError where it cannot be read."""
-    from depthcli.data.formats.stereo_rig import read_stereo_rig
+    from depthcli.data.formats import rigs
 
     paths = [Path(file) for file in calibration.files]
-    return read_stereo_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
+    return rigs.read_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
 
 
 def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[Any]) -> RectifiedRig:
@@ -58,9 +58,9 @@ def rectified_pair(
 
 def save_views(folder: Path, left: NDArray[Any], right: NDArray[Any], rig: Any, top: int | None = None) -> None:
     """Write ``left.png``, ``right.png`` and, where ``rig`` has metric depth, ``calib.txt`` with the search range."""
-    from depthcli.core.cameras.stereo_rig import RectifiedRig
-    from depthcli.data.formats.calibration import write_geometry
+    from depthcli.core.cameras.rig import RectifiedRig
     from depthcli.data.formats.images import write_png
+    from depthcli.data.formats.pair_geometry import write_geometry
 
     for name, view in (("left", left), ("right", right)):
         write_png(folder / f"{name}.png", view)
@@ -79,7 +79,7 @@ def row_errors(points: tuple[Points, Points], rig: Any) -> tuple[dict[str, Any],
     """Return how far the rows of matched points are apart before and after, and warnings where that is too much."""
     import numpy as np
 
-    from depthcli.core.cameras.stereo_rig import RectifiedRig
+    from depthcli.core.cameras.rig import RectifiedRig
     from depthcli.methods.stereo.rectification import row_error
 
     moved = rig.points(*points)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.batch.record import to_csv
-from depthcli.core.frames import Intrinsics
+from depthcli.batch.json_csv import to_csv
+from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.result import Result
 from depthcli.data.formats.atomic import write_text
 from depthcli.data.formats.depth import write_depth_png, write_ply

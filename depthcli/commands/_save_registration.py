@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.batch.command import Row
-from depthcli.batch.record import to_csv
+from depthcli.batch.json_csv import Row, to_csv
 from depthcli.data.formats.atomic import write_text
 from depthcli.data.formats.images import write_png
 from depthcli.data.formats.volume_files import write_volume

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.record import read_report
+from depthcli.batch.run_folder import read_report
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.data.formats.atomic import write_text
 from depthcli.data.formats.images import write_png
@@ -18,7 +18,7 @@ from depthcli.evaluation.protocols import AnyProtocol, Settings, load
 from depthcli.evaluation.results import Result
 
 if TYPE_CHECKING:
-    from depthcli.batch.command import Row
+    from depthcli.batch.json_csv import Row
     from depthcli.report.page import Page
 
 

@@ -10,9 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
-from depthcli.batch.command import Row, Values
-from depthcli.commands._batch import BatchCommand, scenes_at
-from depthcli.commands._options import DRY_RUN, HOW, OUTPUT, SCENES
+from depthcli.batch.command import Values
+from depthcli.batch.json_csv import Row
+from depthcli.commands._batch import BatchCommand
+from depthcli.commands._options import DRY_RUN, OUTPUT, RUN, SCENES
+from depthcli.commands._scenes import scenes_at
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
@@ -21,10 +23,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.batch.making import Outcome
-    from depthcli.batch.reporter import Reporter
-    from depthcli.batch.tables import Column
-    from depthcli.core.cameras.stereo_rig import PairGeometry
+    from depthcli.batch.console import Column, Reporter
+    from depthcli.batch.task import Outcome
+    from depthcli.core.cameras.triangulation import PairGeometry
     from depthcli.data.formats.pictures import Palette
 
 _MAP = "disp_left.pfm"
@@ -103,7 +104,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
                    "(confident:0.8:NAME of several maps). Default: all in the maps, measured in the cloud.", "WHICH"),
             Option("ply", bool, "Write a colored point cloud of every scene, too.", default=False),
             Option("depth_scale", float, "Codes a meter of depth.png.", "CODES", default=1000.0, least=1e-3, most=1e6),
-            *HOW,
+            *RUN,
             DRY_RUN,
         )  # fmt: skip
 
@@ -173,7 +174,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
 
     def columns(self) -> tuple[Column, ...]:
         """Size, share of pixels with depth, how far they are, and what depth was computed with."""
-        from depthcli.batch.tables import SIZE, Column, percent
+        from depthcli.batch.console import SIZE, Column, percent
 
         def number(key: str, unit: str) -> Column:
             return Column(key.replace("_", " "), lambda row: f"{row[key]:.4g} {unit}" if row.get(key) else "-")
@@ -197,7 +198,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         """
         import numpy as np
 
-        from depthcli.batch.making import Outcome
+        from depthcli.batch.task import Outcome
         from depthcli.commands._save import save_metric_depth
         from depthcli.core.frames import color8
         from depthcli.core.result import Clock
@@ -248,7 +249,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
 
 def _maps_of(run: Path, patterns: list[str]) -> dict[str, tuple[Path, Path | None]]:
     """Scene -> its folder and where its left image was, of the scenes that have a map."""
-    from depthcli.batch.record import is_inside, read_report
+    from depthcli.batch.run_folder import is_inside, read_report
     from depthcli.data.walk import matches_any
 
     if not run.is_dir():
@@ -264,9 +265,9 @@ def _maps_of(run: Path, patterns: list[str]) -> dict[str, tuple[Path, Path | Non
 
 
 def _geometry(config: DepthOptions, scene: DisparityScene) -> PairGeometry:
-    from depthcli.core.cameras.stereo_rig import PairGeometry
-    from depthcli.core.frames import Intrinsics
-    from depthcli.data.formats.calibration import read_geometry
+    from depthcli.core.cameras.camera import Intrinsics
+    from depthcli.core.cameras.triangulation import PairGeometry
+    from depthcli.data.formats.pair_geometry import read_geometry
 
     if config["focal"] is not None and config["baseline"] is not None:
         height, width = scene.load().shape

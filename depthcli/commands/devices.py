@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import Command, Row, Values
+from depthcli.batch.command import Command, Values
+from depthcli.batch.json_csv import Row
 
 if TYPE_CHECKING:
-    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.console import Reporter
     from depthcli.core.option import Option
 
 
@@ -26,8 +27,8 @@ class DevicesCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list; why a kind shows none goes to stderr."""
-        from depthcli.batch.record import to_json
-        from depthcli.batch.tables import aligned
+        from depthcli.batch.console import aligned
+        from depthcli.batch.json_csv import to_json
         from depthcli.device import DeviceError, devices, open_device, why_none
 
         rows: list[Row] = []

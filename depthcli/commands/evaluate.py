@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from depthcli.batch.command import SOME_FAILED, Command, Values
-from depthcli.batch.reporter import Reporter
+from depthcli.batch.console import Reporter
 from depthcli.commands._options import LAYOUT, SCENES
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
@@ -60,7 +60,7 @@ class EvaluateCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Evaluate and print the tables; return the exit code."""
-        from depthcli.batch.record import to_json
+        from depthcli.batch.json_csv import to_json
         from depthcli.evaluation.protocols import Settings, parse_size
         from depthcli.evaluation.render import FORMATS
         from depthcli.evaluation.tables import report_text, wide_tables
@@ -211,7 +211,8 @@ def _find_truth(
 
 
 def _write(report: EvaluationReport, scoring: Scoring) -> None:
-    from depthcli.batch.record import saved_config, to_csv, to_json
+    from depthcli.batch.json_csv import to_csv, to_json
+    from depthcli.batch.run_folder import saved_config
     from depthcli.data.formats.atomic import write_text
     from depthcli.evaluation.tables import report_markdown
 

@@ -15,7 +15,7 @@ from depthcli.core.option import Option
 
 if TYPE_CHECKING:
     from depthcli.batch.benchmarks import Benchmark, Entry
-    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.console import Reporter
 
 _MOST_NAMED = 12  # scenes in one message
 
@@ -50,7 +50,7 @@ class ExportCommand(Command):
             Anything that the benchmark would not take, all of it, a line each.
         """
         from depthcli.batch.benchmarks import Submission, benchmark
-        from depthcli.batch.record import to_json
+        from depthcli.batch.json_csv import to_json
 
         target, bench = values["output"], benchmark(values["for_"])
         if target.exists() and not values["overwrite"]:
@@ -100,7 +100,7 @@ def _entries(
     run: Path, bench: Benchmark, splits: Sequence[str], seconds: float | None
 ) -> tuple[list[Entry], list[str]]:
     """The maps of the benchmark's scenes, and what is wrong: a split that was begun must be complete."""
-    from depthcli.batch.record import read_report
+    from depthcli.batch.run_folder import read_report
     from depthcli.evaluation.protocols import load
 
     if not run.is_dir():

@@ -13,7 +13,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.option import Option
 
 if TYPE_CHECKING:
-    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.console import Reporter
 
 
 class MergeCommand(Command):
@@ -31,28 +31,29 @@ class MergeCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Write report.json and report.csv anew; the exit code says whether a scene failed."""
-        from depthcli.batch import record
-        from depthcli.batch.report import drop_parts, joined_rows
+        from depthcli.batch.console import run_table
+        from depthcli.batch.json_csv import to_json
+        from depthcli.batch.report_writer import drop_parts, joined_rows, report_document, write_report
+        from depthcli.batch.run_folder import RECORD_FILE, opened_run
         from depthcli.batch.sharing import FolderLock
-        from depthcli.batch.tables import run_table
 
         place: Path = values["run"]
         if not place.is_dir():
             raise InputError(f"{place}: no such folder")
-        identity, command = record.opened_run(place)
+        identity, command = opened_run(place)
         with FolderLock(place, True, reporter.info) as lock:
             alone = lock.alone
             if not alone:
                 lock.settle()
             with lock.reporting():
-                found = (path.parent for depth in ("*", "*/*") for path in place.glob(f"{depth}/{record.RECORD_FILE}"))
+                found = (path.parent for depth in ("*", "*/*") for path in place.glob(f"{depth}/{RECORD_FILE}"))
                 rows = joined_rows(place, identity, (path.relative_to(place).as_posix() for path in found))
-                record.write_report(place, command, rows)
+                write_report(place, command, rows)
                 if alone:
                     drop_parts(place)
         failed = sum(row["status"] == "failed" for row in rows)
         if values["json"]:
-            reporter.data(record.to_json(record.report_document(command, rows)))
+            reporter.data(to_json(report_document(command, rows)))
         elif not values["quiet"]:
             reporter.data(run_table(rows, ()))
         reporter.info(f"{len(rows) - failed} of {len(rows)} scenes done, in {place}")

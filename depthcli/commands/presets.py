@@ -9,7 +9,7 @@ from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 
 if TYPE_CHECKING:
-    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.console import Reporter
 
 
 class PresetsCommand(Command):
@@ -30,8 +30,8 @@ class PresetsCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list or the preset."""
+        from depthcli.batch.json_csv import to_json
         from depthcli.batch.presets import THESIS, list_presets
-        from depthcli.batch.record import to_json
 
         if values["action"] == "show" and values["preset"]:
             reporter.data(_show(values["preset"]))

@@ -10,9 +10,11 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
-from depthcli.batch.command import Row, Values
-from depthcli.commands._batch import BatchCommand, find_scenes
-from depthcli.commands._options import DRY_RUN, HOW, INPUT, LAYOUT, NAME, OUTPUT, SCENES
+from depthcli.batch.command import Values
+from depthcli.batch.json_csv import Row
+from depthcli.commands._batch import BatchCommand
+from depthcli.commands._options import DRY_RUN, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
+from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.data.scenes.stereo import StereoScene
@@ -21,10 +23,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.batch.making import Outcome
-    from depthcli.batch.reporter import Reporter
-    from depthcli.batch.tables import Column
-    from depthcli.core.cameras.stereo_rig import RectifiedRig
+    from depthcli.batch.console import Column, Reporter
+    from depthcli.batch.task import Outcome
+    from depthcli.core.cameras.rig import RectifiedRig
     from depthcli.methods.stereo.config import Calibration
     from depthcli.methods.stereo.rectification import RectifyingHomographies
 
@@ -61,7 +62,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
             Option("cameras", str, "Numbers of the left and right camera in KITTI's file.", "L,R", default="2,3"),
             Option("alpha", float, "0: only what both images hold; 1: all that either holds.", "SHARE", default=0.0,
                    least=0, most=1),
-            *HOW,
+            *RUN,
             DRY_RUN,
         )  # fmt: skip
 
@@ -94,14 +95,14 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
     def memory_of(self, config: RectifyOptions, scene: StereoScene) -> None:
         """No estimate: little more than the images themselves; InputError where the calibration cannot be read."""
         if not config["uncalibrated"]:
-            from depthcli.data.formats.stereo_rig import read_stereo_rig
+            from depthcli.data.formats.rigs import read_rig
 
             how = self._calibrated(config)
-            read_stereo_rig(self._calibration, how.unit, how.fisheye, how.cameras)
+            read_rig(self._calibration, how.unit, how.fisheye, how.cameras)
 
     def columns(self) -> tuple[Column, ...]:
         """Size, median row error before and after, share of the image that both cameras see."""
-        from depthcli.batch.tables import SIZE, Column, percent
+        from depthcli.batch.console import SIZE, Column, percent
 
         def pixels(key: str) -> Column:
             return Column(key.replace("_", " "), lambda row: f"{row[key]:.2f} px" if row.get(key) is not None else "-")
@@ -119,9 +120,9 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         """
         import numpy as np
 
-        from depthcli.batch.making import Outcome
+        from depthcli.batch.task import Outcome
         from depthcli.commands import _rectified
-        from depthcli.core.cameras.stereo_rig import RectifiedRig
+        from depthcli.core.cameras.rig import RectifiedRig
         from depthcli.core.frames import StereoPair
         from depthcli.core.result import Clock
         from depthcli.data.formats.atomic import write_text

@@ -15,9 +15,8 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
-    from depthcli.batch.making import Outcome
-    from depthcli.batch.reporter import Reporter
-    from depthcli.batch.tables import Column
+    from depthcli.batch.console import Column, Reporter
+    from depthcli.batch.task import Outcome
     from depthcli.core.frames import RgbdFrame
     from depthcli.data.formats.pictures import Palette
     from depthcli.methods.kinect.config import RefineKinectConfig
@@ -89,14 +88,14 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
 
     def memory_of(self, config: RefineKinectConfig, scene: Scene) -> int | None:
         """By the size of the color image, of a sequence of the first one."""
-        from depthcli.batch.plan import shape_of
+        from depthcli.data.formats.headers import image_size
 
         frame = scene.frames[0] if isinstance(scene, SequenceScene) else scene
-        return config.pipeline.peak_bytes(shape_of(frame.color)) if isinstance(frame, RgbdScene) else None
+        return config.pipeline.peak_bytes(image_size(frame.color)[:2]) if isinstance(frame, RgbdScene) else None
 
     def columns(self) -> tuple[Column, ...]:
         """Size, and the shares of pixels that were kept, filled and corrected."""
-        from depthcli.batch.tables import SIZE, Column, percent
+        from depthcli.batch.console import SIZE, Column, percent
 
         shares = ("known", "kept", "filled", "corrected")
         return (SIZE, *(Column(name, percent(name)) for name in shares))
@@ -121,7 +120,7 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         return self._frame(config, scene, folder, memory, lambda frame: config.pipeline(frame))
 
     def _sequence(self, config: RefineKinectConfig, scene: SequenceScene, folder: Path, memory: int) -> Outcome:
-        from depthcli.batch.making import Outcome
+        from depthcli.batch.task import Outcome
         from depthcli.methods.kinect.pipeline import SequencePipeline
 
         assert isinstance(config.pipeline, SequencePipeline)
@@ -162,7 +161,7 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
     ) -> Outcome:
         import numpy as np
 
-        from depthcli.batch.making import Outcome
+        from depthcli.batch.task import Outcome
         from depthcli.commands._save import save_depth
         from depthcli.core.maps import DepthStatus
         from depthcli.core.result import Clock

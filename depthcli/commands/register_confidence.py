@@ -11,8 +11,8 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import VolumePairScene
 
 if TYPE_CHECKING:
-    from depthcli.batch.making import Outcome
-    from depthcli.batch.tables import Column
+    from depthcli.batch.console import Column
+    from depthcli.batch.task import Outcome
     from depthcli.data.formats.volumes import Grid
     from depthcli.methods.registration.config import RegisterConfidenceConfig
 
@@ -36,7 +36,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
 
     def columns(self) -> tuple[Column, ...]:
         """Size, side of a working voxel, mean expected error, share of best matches on the border."""
-        from depthcli.batch.tables import Column, percent
+        from depthcli.batch.console import Column, percent
 
         return (
             Column("size", lambda row: f"{row['width']}x{row['height']}x{row['slices']}" if "slices" in row else "-"),
@@ -53,7 +53,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         InputError
             The files cannot be used, or ``memory`` bytes do not suffice.
         """
-        from depthcli.batch.making import Outcome
+        from depthcli.batch.task import Outcome
         from depthcli.commands._save_registration import save_registration
         from depthcli.core.memory import show_bytes
         from depthcli.core.result import Clock

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING
 
 from depthcli.batch.command import Values
 from depthcli.commands._batch import BatchCommand
-from depthcli.commands._options import DRY_RUN, HOW, OUTPUT
+from depthcli.commands._options import DRY_RUN, OUTPUT, RUN
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.data.generated.kinds import SampleScene, samples
 
 if TYPE_CHECKING:
-    from depthcli.batch.making import Outcome
-    from depthcli.batch.reporter import Reporter
-    from depthcli.batch.tables import Column
+    from depthcli.batch.console import Column, Reporter
+    from depthcli.batch.task import Outcome
 
 
 class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
@@ -30,7 +29,7 @@ class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
         for each in samples().values():
             for option in each.options:
                 own.setdefault(option.name, option)
-        return (OUTPUT, *flags, *own.values(), *HOW, DRY_RUN)
+        return (OUTPUT, *flags, *own.values(), *RUN, DRY_RUN)
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Generate the scenes of the one kind that is asked for."""
@@ -52,7 +51,7 @@ class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
 
     def compute(self, config: Mapping[str, object], scene: SampleScene, folder: Path, memory: int) -> Outcome:
         """Generate one scene."""
-        from depthcli.batch.making import Outcome
+        from depthcli.batch.task import Outcome
         from depthcli.core.result import Clock
 
         clock = Clock()
@@ -62,7 +61,7 @@ class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
 
     def columns(self) -> tuple[Column, ...]:
         """Size, and the share of pixels that both cameras see."""
-        from depthcli.batch.tables import SIZE, Column, percent
+        from depthcli.batch.console import SIZE, Column, percent
 
         return (SIZE, Column("visible", percent("nonocc")))
 

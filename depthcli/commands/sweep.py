@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import SOME_FAILED, Command, Row, Values
-from depthcli.commands._batch import ConfigCommand, run_options
-from depthcli.commands._options import HOW, LAYOUT, OUTPUT, SCENES
+from depthcli.batch.command import SOME_FAILED, Command, Values
+from depthcli.batch.json_csv import Row
+from depthcli.commands._batch import ConfigCommand
+from depthcli.commands._options import LAYOUT, OUTPUT, RUN, SCENES, run_options
 from depthcli.commands.evaluate import HTML, evaluate, new_page
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
@@ -20,7 +21,7 @@ from depthcli.core.option import Option
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from depthcli.batch.reporter import Reporter
+    from depthcli.batch.console import Reporter
     from depthcli.batch.sweep import Axis, Combination, Effect
     from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport, Section
@@ -52,7 +53,7 @@ class SweepCommand(Command):
             LAYOUT,
             SCENES,
             Option("set", str, "Override one key in all runs; repeatable.", "KEY=VALUE", many=True),
-            *HOW,
+            *RUN,
             Option("dry_run", bool, "Only list the runs, and how many scenes of each are done.", default=False),
             *HTML,
         )
@@ -110,9 +111,9 @@ def _say_plan(
     values: Values,
     reporter: Reporter,
 ) -> int:
-    from depthcli.batch.plan import DONE, plan
-    from depthcli.batch.record import to_json
-    from depthcli.batch.tables import aligned
+    from depthcli.batch.console import aligned
+    from depthcli.batch.dry_run import DONE, plan
+    from depthcli.batch.json_csv import to_json
 
     rows = []
     for name, own in each.items():
@@ -154,7 +155,7 @@ def _say_result(
     reporter: Reporter,
 ) -> None:
     """The runs by their figure, and what every key does to it; also as ``sweep.csv`` and ``sweep.json``."""
-    from depthcli.batch.record import to_csv, to_json
+    from depthcli.batch.json_csv import to_csv, to_json
     from depthcli.batch.sweep import document_of, effects
     from depthcli.data.formats.atomic import write_text
     from depthcli.evaluation.statistics import mean_of_known

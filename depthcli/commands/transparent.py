@@ -12,8 +12,8 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
-    from depthcli.batch.making import Outcome
-    from depthcli.batch.tables import Column
+    from depthcli.batch.console import Column
+    from depthcli.batch.task import Outcome
     from depthcli.core.frames import SparseFrame
     from depthcli.core.result import Result
     from depthcli.data.formats.pictures import Palette
@@ -45,14 +45,14 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
 
     def memory_of(self, config: TransparentConfig, scene: RgbdScene) -> int:
         """By the size of the color image; of what follows the search for sparse depth."""
-        from depthcli.batch.plan import shape_of
+        from depthcli.data.formats.headers import image_size
 
-        need: int = config.pipeline.peak_bytes(shape_of(scene.color))
+        need: int = config.pipeline.peak_bytes(image_size(scene.color)[:2])
         return need
 
     def columns(self) -> tuple[Column, ...]:
         """Size, and the shares of pixels that were kept, filled, replaced, and have a sample that says the same."""
-        from depthcli.batch.tables import SIZE, Column, percent
+        from depthcli.batch.console import SIZE, Column, percent
 
         names = ("known", "sparse", "kept", "filled", "replaced", "from_stereo")
         return (SIZE, *(Column(name, percent(name)) for name in names))
@@ -80,7 +80,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         """
         import numpy as np
 
-        from depthcli.batch.making import Outcome
+        from depthcli.batch.task import Outcome
         from depthcli.commands._save import save_depth
         from depthcli.core.maps import DepthStatus
         from depthcli.core.result import Clock

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.rig import Rig
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
@@ -116,16 +117,6 @@ def color8(image: Image) -> NDArray[np.uint8]:
 
 
 @dataclass(frozen=True)
-class Intrinsics:
-    """Pin-hole camera: focal lengths and principal point, pixels."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-
-
-@dataclass(frozen=True)
 class RgbdFrame:
     """A color image and the depth that a sensor measured for its pixels.
 
@@ -172,7 +163,7 @@ class RgbIrFrame:
     color : (H, W, 3) uint8 RGB
     infrared : (h, w) uint8; without a rig of the color image's size
     depth : (H, W) float32, meters, NaN = unknown; registered to ``color``
-    rig : the two cameras, or None where the images are rectified, the infrared one the right view
+    rig : the color (left) and the infrared camera (right), or None where the images are a rectified pair
     fb : focal length x baseline of a rectified pair, pixel meters
     """
 

@@ -154,4 +154,3 @@ _all_compiled = CompileWatch().__enter__()
 def compile_seconds() -> float:
     """Seconds this process has spent compiling kernels so far."""
     return _all_compiled.seconds
-

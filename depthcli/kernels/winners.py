@@ -1,4 +1,4 @@
-"""Winner-takes-all: the cheapest disparity of every pixel, for both views, from one volume; do they agree?"""
+"""Winner-takes-all disparities of both views from one cost volume, and the left-right difference."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 
 
 def winners(costs: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-    """Cheapest disparities of the left and of the right view.
+    """Return the disparities of the smallest costs of the left and of the right view.
 
     The right view's costs are the left's read along diagonals, ``c_R(x, d) = c(x + d, d)``. Cells outside
     the other image take no part; the smaller disparity wins ties.
@@ -74,13 +74,13 @@ def _float_winners(costs: Any, left: Any, right: Any) -> None:
 
 @jit
 def partner_difference(disparity: Any, x: int, right: Any) -> Any:
-    """``|d - d_R|`` at the match of a pixel in column x, its row of the right map given; inf outside the image."""
+    """Return ``|d - d_R|`` at the match of a pixel in column x of a row; inf where it is outside the right image."""
     u = x - int(disparity + np.float32(0.5))
     return abs(np.float32(disparity) - np.float32(right[u])) if u >= 0 else np.float32(np.inf)
 
 
 def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np.float32]:
-    """How far the right view's disparity at a pixel's match is from the pixel's own.
+    """Return the difference between the disparity of every pixel and that of the right view at its match.
 
     Parameters
     ----------

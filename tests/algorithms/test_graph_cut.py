@@ -1,88 +1,68 @@
-"""Alpha-expansion against brute force on small graphs."""
+"""One minimum cut on a grid, against all labellings."""
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from depthcli.algorithms.graph_cut import alpha_expansion, potts_energy
-from tests.naive import segments as naive
+from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 
 
-def _problem(seed, nodes, labels):
+def _weights(rng, shape, most=1.0):
+    return tuple(rng.random(np.empty(shape)[edge_ends(shape, step)[0]].shape) * most for step in STEPS)
+
+
+def _value(labels, score, weights):
+    """Pixel by pixel, as the formula says."""
+    total = (score * labels).sum()
+    for (down, across), weight in zip(STEPS, weights, strict=True):
+        first = max(0, -across)
+        for y, x in itertools.product(range(weight.shape[0]), range(weight.shape[1])):
+            total -= weight[y, x] * (labels[y, x + first] != labels[y + down, x + first + across])
+    return total
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 2), (3, 3), (2, 5)])
+@pytest.mark.parametrize("seed", range(5))
+def test_no_labelling_is_better(shape, seed):
     rng = np.random.default_rng(seed)
-    pairs = [(i, j) for i in range(nodes) for j in range(i + 1, nodes) if rng.random() < 0.6]
-    edges = np.array(pairs, np.int32).reshape(-1, 2)
-    return rng.random((nodes, labels)), edges, rng.random(len(edges))
+    score, weights = rng.normal(0, 1, shape), _weights(rng, shape)
+    copies = [score.copy(), *(weight.copy() for weight in weights)]
+    found = grid_cut(score, weights)
+    best = max(
+        _value(np.array(labels).reshape(shape), score, weights)
+        for labels in itertools.product((False, True), repeat=score.size)
+    )
+    assert _value(found, score, weights) == pytest.approx(best)
+    for array, copy in zip((score, *weights), copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 10_000), st.integers(1, 6), st.integers(1, 4))
-def test_no_expansion_can_lower_the_result(seed, nodes, labels):
-    unary, edges, weights = _problem(seed, nodes, labels)
-    result = alpha_expansion(unary, edges, weights)
-    assert result.energy == pytest.approx(naive.potts(result.labels, unary, edges, weights))
-    assert result.energy <= result.energy_before
-    for alpha in range(labels):
-        assert naive.best_expansion(result.labels, alpha, unary, edges, weights) >= result.energy - 1e-9
-
-
-def test_energy_agrees_with_the_naive_sum():
-    unary, edges, weights = _problem(3, 6, 3)
-    labels = np.array([0, 1, 2, 2, 1, 0])
-    assert potts_energy(labels, unary, edges, weights) == pytest.approx(naive.potts(labels, unary, edges, weights))
-
-
-def test_without_edges_every_node_takes_its_cheapest_label():
-    unary = np.random.default_rng(0).random((7, 5))
-    result = alpha_expansion(unary, np.zeros((0, 2)), np.zeros(0))
-    assert np.array_equal(result.labels, unary.argmin(axis=1))
-
-
-def test_strong_edges_give_one_label_and_the_best_one():
-    unary = np.array([[0.0, 3.0, 1.0], [3.0, 0.0, 1.0], [0.0, 3.0, 1.0], [3.0, 0.0, 0.5]])
-    result = alpha_expansion(unary, [[0, 1], [1, 2], [2, 3]], [100.0] * 3)
-    assert result.labels.tolist() == [2, 2, 2, 2]
-    assert result.energy == pytest.approx(3.5)
-
-
-def test_undecided_nodes_follow_the_stronger_neighbor():
-    unary = np.array([[0.0, 9.0], [0.0, 0.0], [9.0, 0.0]])
-    assert alpha_expansion(unary, [[0, 1], [1, 2]], [1.0, 2.0]).labels.tolist() == [0, 1, 1]
-
-
-def test_starts_from_the_given_labels_and_leaves_inputs_alone():
-    unary, edges, weights = _problem(5, 6, 3)
-    copies = unary.copy(), edges.copy(), weights.copy()
-    initial = np.array([0, 1, 2, 0, 1, 2])
-    result = alpha_expansion(unary, edges, weights, initial, max_sweeps=0)
-    assert np.array_equal(result.labels, initial)
-    assert result.energy == result.energy_before
-    again = alpha_expansion(unary, edges, weights, initial)
-    assert again.energy <= result.energy
-    for array, copy in zip((unary, edges, weights), copies, strict=True):
-        assert np.array_equal(array, copy)
-    assert np.array_equal(initial, [0, 1, 2, 0, 1, 2])
+def test_without_edges_the_sign_decides():
+    rng = np.random.default_rng(1)
+    score = rng.normal(0, 1, (6, 7))
+    np.testing.assert_array_equal(grid_cut(score, _weights(rng, (6, 7), 0.0)), score > 0)
 
 
 @pytest.mark.parametrize(
-    ("unary", "edges", "weights", "message"),
+    ("score", "change", "message"),
     [
-        (np.zeros((2, 0)), [], [], "L > 0"),
-        (np.zeros((2, 2)), [[0, 1]], [], "weights"),
-        (np.full((2, 2), np.nan), [[0, 1]], [1.0], "finite"),
-        (np.zeros((2, 2)), [[0, 1]], [-1.0], ">= 0"),
-        (np.zeros((2, 2)), [[0, 2]], [1.0], "existing"),
-        (np.zeros((2, 2)), [[1, 1]], [1.0], "different"),
+        (np.full((3, 3), np.nan), None, "finite"),
+        (np.zeros(3), None, "finite scores"),
+        (np.zeros((3, 3)), -1.0, ">= 0"),
+        (np.zeros((3, 3)), np.nan, ">= 0"),
     ],
 )
-def test_bad_problems_are_refused(unary, edges, weights, message):
+def test_bad_problems_are_refused(score, change, message):
+    weights = list(_weights(np.random.default_rng(0), (3, 3)))
+    if change is not None:
+        weights[2] = np.full_like(weights[2], change)
     with pytest.raises(ValueError, match=message):
-        alpha_expansion(unary, edges, weights)
+        grid_cut(score, tuple(weights))
 
 
-def test_bad_initial_labels_are_refused():
-    with pytest.raises(ValueError, match="initial"):
-        alpha_expansion(np.zeros((2, 2)), [], [], initial=[0, 2])
+def test_missing_weights_are_refused():
+    with pytest.raises(ValueError, match="4 steps"):
+        grid_cut(np.zeros((3, 3)), _weights(np.random.default_rng(0), (3, 3))[:3])

@@ -14,11 +14,10 @@ from typing import Any, ClassVar
 
 import pytest
 
-from depthcli.batch import record
+from depthcli.batch import run_folder
 from depthcli.batch.cluster import _Cluster
-from depthcli.batch.making import Task
-from depthcli.batch.reporter import Reporter
-from depthcli.batch.runner import RunOptions
+from depthcli.batch.console import Reporter
+from depthcli.batch.task import Run, RunOptions, Task
 from depthcli.cli import main
 from depthcli.data.scenes.stereo import StereoScene
 
@@ -53,7 +52,7 @@ class Cluster:
 def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cluster]:
     pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
     # The workers run elsewhere than this process and must find the package that is tested.
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(record.__file__).parents[2]), *sys.path]))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(run_folder.__file__).parents[2]), *sys.path]))
     (tmp_path / "dask").mkdir()
     made = Cluster(tmp_path / "dask")
     yield made
@@ -67,14 +66,14 @@ def start(*arguments: str | Path) -> subprocess.Popen[str]:
 
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file but the reports, hidden ones included."""
-    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in record.REPORT_FILES)
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in run_folder.REPORT_FILES)
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
 def wait_for(folder: Path, scenes: int, process: subprocess.Popen[Any]) -> None:
     """Until so many scenes are done; the run must not be over by then."""
     end = time.monotonic() + 120
-    while len(list(folder.glob(f"*/{record.RECORD_FILE}"))) < scenes:
+    while len(list(folder.glob(f"*/{run_folder.RECORD_FILE}"))) < scenes:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < end
         time.sleep(0.01)
@@ -103,9 +102,9 @@ def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, tmp_path: Path, 
     assert sum(bool(row["seconds"]) for row in rows(output)) >= SCENES - 10
 
     # Some scenes are to do again, the scheduler goes: what is done is reported, the rest can be resumed, by anyone.
-    again = sorted(path.parent.name for path in output.glob(f"*/{record.RECORD_FILE}"))[:40]
+    again = sorted(path.parent.name for path in output.glob(f"*/{run_folder.RECORD_FILE}"))[:40]
     for name in again:
-        (output / name / record.RECORD_FILE).unlink()
+        (output / name / run_folder.RECORD_FILE).unlink()
     run = start(*command)
     wait_for(output, SCENES - 36, run)
     os.kill(cluster.scheduler.pid, signal.SIGKILL)
@@ -161,13 +160,13 @@ def test_a_scene_that_kills_its_workers_fails_alone(tmp_path: Path):
 
     scenes = [StereoScene(name=name, folder=tmp_path, left=tmp_path / f"{name}.png") for name in "abc"]
     tasks = [Task(scene, tmp_path, tmp_path, 0, "run", {}, "") for scene in scenes]
-    cluster = _Cluster(Client(), None, None, RunOptions())
+    cluster = _Cluster(Client(), Run(None, None, RunOptions()))
     cluster.submit(tasks)
     rows: dict[str, dict[str, Any]] = {}
     for _ in range(2):
-        for (found, _kernels, _seconds), left in cluster.finished(Reporter(-1)):
-            rows |= {row["scene"]: row for row in found}
-            assert not left
+        for chunk in cluster.finished(Reporter(-1)):
+            rows |= {row["scene"]: row for row in chunk.rows}
+            assert not chunk.left
     assert Client.sent == [3, 1, 1, 1]
     assert {name: row["status"] for name, row in rows.items()} == {"a": "done", "b": "failed", "c": "done"}
     assert "its worker died several times" in rows["b"]["error"]

@@ -11,12 +11,11 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from depthcli.batch import record, resources
-from depthcli.batch.making import Task, discard, run_one
-from depthcli.batch.record import RECORD_FILE
-from depthcli.batch.reporter import Reporter
-from depthcli.batch.runner import Outcome, RunOptions, run_scenes
-from depthcli.batch.tables import run_table
+from depthcli.batch import resources, run_folder
+from depthcli.batch.console import Reporter, run_table
+from depthcli.batch.run_folder import RECORD_FILE
+from depthcli.batch.runner import run_scenes
+from depthcli.batch.task import Outcome, Run, RunOptions, Task, discard, run_task
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
 from depthcli.core.result import Clock
 from depthcli.data.scenes import Scene
@@ -361,14 +360,14 @@ def test_a_report_that_cannot_be_written_is_told_after_the_work(folder: Folder, 
     def full(*_: object) -> None:
         raise OutputError("report.json: cannot be written (No space left on device)")
 
-    monkeypatch.setattr("depthcli.batch.record.write_report", full)
+    monkeypatch.setattr("depthcli.batch.report_writer.write_report", full)
     with pytest.raises(IncompleteError, match="No space left"):
         folder.run()
     assert (folder.output / "d" / "out.txt").exists()
 
 
 def test_warnings_and_heartbeats_reach_people(folder: Folder, capsys: pytest.CaptureFixture[str], monkeypatch):
-    monkeypatch.setattr("depthcli.batch.reporter._HEARTBEAT", 0.0)
+    monkeypatch.setattr("depthcli.batch.console._HEARTBEAT", 0.0)
     folder.texts |= {"a": "x", "b": "damaged"}
     folder.reporter = Reporter(0)
     folder.run()
@@ -428,7 +427,9 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
                 if number == 1 and not gone:
                     gone.append(folder)
                     discard(folder.parent)  # the run ends, and the next one makes the scene
-                    assert run_one(task(tmp_path / "next"), self, config, memory)["status"] == "done"
+                    assert (
+                        run_task(task(tmp_path / "next"), Run(self, config, RunOptions()), memory)["status"] == "done"
+                    )
                 folder.mkdir(parents=True, exist_ok=True)  # as the writers of files do
                 (folder / name).write_text(text)
             return Outcome()
@@ -437,9 +438,9 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
         scene = Text(name="item", folder=tmp_path, file=tmp_path / "item.txt")
         return Task(scene, tmp_path / "run", place, 0, "run", {}, "")
 
-    row = run_one(task(tmp_path / "making"), Slow(), None, 1 << 30)
+    row = run_task(task(tmp_path / "making"), Run(Slow(), None, RunOptions()), 1 << 30)
     assert row["status"] == "failed"
     assert "the run has ended" in row["error"]
-    known = record.read_record(tmp_path / "run/item")
-    assert set(known["files"]) == set(made)
-    assert record.is_done(tmp_path / "run/item", "run", {}, known)
+    known = run_folder.read_record(tmp_path / "run/item")
+    assert set(known.files) == set(made)
+    assert known.is_done(tmp_path / "run/item", "run", {})

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from depthcli.cli import main
 from depthcli.core.frames import StereoPair
 from depthcli.data.formats.disparity import read_pfm
 from depthcli.data.formats.images import write_png
+from depthcli.data.formats.networks import network_path
 from depthcli.methods.stereo.cost.census import Census
 
 
@@ -52,6 +54,27 @@ def test_a_volume_from_the_scene_folder_and_confidence_maps(scene: Path, tmp_pat
     np.save(scene / "learned.npy", np.load(scene / "learned.npy")[:, :, ::-1])
     assert run("fuse", file, "-i", scene.parent, "-o", tmp_path / "run", "-q") == 0
     assert (made / "disp_left.pfm").stat().st_mtime_ns != before
+
+
+def test_edited_weights_are_another_input(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    network = tmp_path / "net.json"
+    shutil.copyfile(network_path("accurate"), network)
+    command = ("fuse", "accurate", "-i", scene.parent, "-o", tmp_path / "run", "-q", "--set", "max_disparity=11")
+    weights = ("--set", f"maps.choice.weights={network}")
+    assert run(*command, *weights) == 0
+    record = tmp_path / "run" / "shifted" / "record.json"
+    before = record.stat().st_mtime_ns
+    assert run(*command, *weights) == 0
+    assert record.stat().st_mtime_ns == before
+    network.write_text(network.read_text().replace('"mean":[', '"mean":[ '))
+    assert run(*command, *weights) == 0
+    assert record.stat().st_mtime_ns != before
+    network.write_text("{}")
+    capsys.readouterr()
+    for name, message in ((network, "net.json: not a network that depthcli wrote"), ("x", "no network called 'x'")):
+        assert run(*command, "--set", f"maps.choice.weights={name}") == 2
+        lines = capsys.readouterr().err.strip().splitlines()
+        assert len(lines) == 1 and message in lines[0] and "maps.choice.weights" in lines[0]
 
 
 def test_the_name_of_a_volume_may_hold_the_scene(scene: Path, tmp_path: Path):

@@ -1,12 +1,14 @@
-"""A command is one file in jobs/, its package, its layout, its protocol: nothing else is edited.
+"""A cost measure, a layout, a protocol and a command are one file each: no other file is edited.
 
-The package is copied, a toy command (invert a depth map) is put beside the others, and run as a user would.
+The package is copied, the files of ``new_files`` (and the cost measure of CONTRIBUTING.md) are put beside the others,
+and used as a user would.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,194 +17,94 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import depthcli
+from depthcli.core.frames import StereoPair
 from depthcli.data.formats.disparity import read_pfm, write_pfm
+from depthcli.data.formats.images import write_png
+from tests.methods.stereo._pairs import shifted_pair
 
-FILES = {
-    "inversion/__init__.py": '"""Inverts depth maps."""\n',
-    "inversion/config.py": '''
-from pydantic import BaseModel, ConfigDict, Field
+ROOT = Path(__file__).parents[2]
+NEW = Path(__file__).parent / "new_files"
+SQUARED = """\
+pipeline: local
+cost: squared_difference
+aggregation: {method: constant_window, window: 3}
+refinement: []
+confidence: [msm]
+"""
 
-
-class InvertConfig(BaseModel):
-    """How to invert."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    power: float = Field(1.0, gt=0, le=4, description="the depth is taken to minus this power")
-    run: dict[str, object] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
-''',
-    "data/scenes/plain.py": '''
-from dataclasses import dataclass
-from pathlib import Path
-
-from depthcli.data.scenes import Scene
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlainScene(Scene):
-    """A depth map and, where known, its inverse."""
-
-    depth: Path
-    inverse: Path | None = None
-
-    @property
-    def input_files(self):
-        return {"depth": self.depth}
-
-    @property
-    def has_truth(self):
-        return self.inverse is not None
-
-    def load(self):
-        from depthcli.data.formats.disparity import read_pfm
-
-        self.check()
-        return read_pfm(self.depth)
-
-    def truth(self):
-        from depthcli.data.formats.disparity import read_pfm
-
-        return read_pfm(self.inverse)
-''',
-    "data/layouts/plain.py": '''
-from depthcli.data.scenes.plain import PlainScene
-from depthcli.data.layouts import Folder, Layout
-
-
-class Plain(Layout):
-    """``plain.pfm`` and ``plain_inverse.pfm``."""
-
-    kind = PlainScene
-    wants = "`plain.pfm`, `plain_inverse.pfm`"
-
-    def scenes(self, folder: Folder):
-        depth = folder.one("plain", (".pfm",))
-        if depth is None:
-            return []
-        inverse = folder.one("plain_inverse", (".pfm",))
-        return [PlainScene(name=folder.name, folder=folder.path, layout=self.name, protocol="inverse", depth=depth,
-                          inverse=inverse)]
-''',
-    "evaluation/protocols/inverse.py": '''
-import numpy as np
-
-from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Presentation
-from depthcli.evaluation.protocols import Protocol
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Tally
-from depthcli.data.formats.disparity import read_pfm
-from depthcli.data.scenes.plain import PlainScene
-
-
-class Inverse(Protocol):
-    """Mean error of the inverse."""
-
-    kind = PlainScene
-    files = MapFiles(("{scene}/inverse",), (".pfm",))
-    presentation = Presentation("Inverse depth: mean error", "1/m")
-    headline = Measure("mean", "1/m", convention=ESTIMATED_ONLY)
-
-    def truth(self, scene):
-        return scene.truth()
-
-    def read(self, path, scene, truth):
-        return read_pfm(path)
-
-    def nothing(self, truth):
-        return np.full_like(truth, np.nan)
-
-    def regions(self, truth):
-        return {"all": np.isfinite(truth)}
-
-    def error(self, estimate, truth):
-        return np.abs(estimate - truth)
-
-    def wrong(self, estimate, truth):
-        return self.error(estimate, truth) > 0.5
-
-    def scores(self, estimate, truth):
-        tally = Tally("all", self.error(estimate, truth)[np.isfinite(truth)])
-        return [tally.number(self.headline, float(tally.valid.mean()), tally.valid.size)]
-''',
-    "commands/invert.py": '''"""Turn depth maps upside down."""
-
-from depthcli.data.scenes.plain import PlainScene
-from depthcli.commands._batch import ConfigCommand
-
-
-class InvertCommand(ConfigCommand):
-    kinds = (PlainScene,)
-
-    def config_model(self):
-        from depthcli.inversion.config import InvertConfig
-
-        return InvertConfig
-
-    def columns(self):
-        from depthcli.batch.tables import SIZE
-
-        return (SIZE,)
-
-    def compute(self, config, scene, folder, memory):
-        from depthcli.batch.runner import Outcome
-        from depthcli.data.formats.disparity import write_pfm
-
-        depth = scene.load()
-        write_pfm(folder / "inverse.pfm", depth**-config.power)
-        return Outcome({"width": depth.shape[1], "height": depth.shape[0]}, {"invert": 0.0})
-
-
-COMMAND = InvertCommand()
-''',
-    "configs/invert/plain.yaml": "# The inverse itself.\npower: 1.0\n",
-}
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the package with the toy's files in it, and two scenes."""
-    root = tmp_path_factory.mktemp("house")
-    source = Path(depthcli.__file__).parent
-    shutil.copytree(source, root / "depthcli", ignore=shutil.ignore_patterns("__pycache__"))
-    shipped = source / "configs"
-    shutil.copytree(shipped if shipped.is_dir() else source.parent / "configs", root / "depthcli" / "configs",
-                    dirs_exist_ok=True)  # fmt: skip
-    for name, text in FILES.items():
-        file = root / "depthcli" / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text)
-    for name, value in (("near", 2.0), ("far", 8.0)):
-        write_pfm(root / "in" / name / "plain.pfm", np.full((4, 6), value, np.float32))
-        write_pfm(root / "in" / name / "plain_inverse.pfm", np.full((4, 6), 1 / value, np.float32))
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the package with the new files in it, and two pairs of the new layout."""
+    root = tmp_path_factory.mktemp("checkout")
+    for name in ("depthcli", "configs"):
+        shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", root)
+    shutil.copytree(NEW, root / "depthcli", dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__", "configs"))
+    shutil.copytree(NEW / "configs", root / "configs", dirs_exist_ok=True)
+    (cost,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "CONTRIBUTING.md").read_text("utf-8"), re.M | re.S)
+    (root / "depthcli" / "methods" / "stereo" / "cost" / "squared_difference.py").write_text(cost)
+    (root / "squared.yaml").write_text(SQUARED)
+    for name, shift in (("near", 9), ("far", 5)):
+        pair = shifted_pair(48, 64, shift)
+        assert isinstance(pair, StereoPair)
+        write_pfm(root / "in" / name / "first_truth.pfm", np.full((48, 64), shift, np.float32))
+        write_png(root / "in" / name / "first.png", pair.left)
+        write_png(root / "in" / name / "second.png", pair.right)
     return root
 
 
-def run(house: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PYTHONPATH": str(house)}
-    command = [sys.executable, "-m", "depthcli", *map(str, arguments)]
-    return subprocess.run(command, cwd=house, env=environment, capture_output=True, text=True, check=False)
+def run(checkout: Path, *arguments: str | Path, module: str = "depthcli") -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(checkout)}
+    command = [sys.executable, "-m", module, *map(str, arguments)]
+    return subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=False)
 
 
-def test_a_new_command_needs_no_edit_elsewhere(house: Path):
-    assert "invert Turn depth maps upside down." in " ".join(run(house, "--help").stdout.split())
-    assert "invert plain" in run(house, "presets").stdout
-    assert "# the depth is taken to minus this power\npower: 1.0" in run(house, "presets", "show", "plain").stdout
-    done = run(house, "invert", "plain", "-i", "in", "-o", "run", "--jobs", "2", "--evaluate")
+def test_the_command_is_shown_and_run_as_any_other(checkout: Path):
+    assert "constant Write the same disparity everywhere." in " ".join(run(checkout, "--help").stdout.split())
+    assert re.search(r"^constant five +Five pixels everywhere", run(checkout, "presets").stdout, re.M)
+    shown = run(checkout, "presets", "show", "five").stdout
+    assert "# disparity of every pixel, pixels\ndisparity: 5.0" in shown
+    done = run(checkout, "constant", "five", "-i", "in", "-o", "five", "--jobs", "2", "--evaluate")
     assert done.returncode == 0, done.stderr
-    assert "Inverse depth: mean error" in done.stdout
-    assert np.all(read_pfm(house / "run" / "near" / "inverse.pfm") == 0.5)
-    before = (house / "run" / "near" / "inverse.pfm").stat().st_mtime_ns
-    again = run(house, "invert", "plain", "-i", "in", "-o", "run", "--json")
+    assert "Eighth of a pixel" in done.stdout
+    assert np.all(read_pfm(checkout / "five" / "near" / "disp_left.pfm") == 5)
+
+
+def test_its_runs_are_resumed_and_its_configs_are_checked(checkout: Path):
+    assert run(checkout, "constant", "five", "-i", "in", "-o", "again").returncode == 0
+    before = (checkout / "again" / "near" / "disp_left.pfm").stat().st_mtime_ns
+    again = run(checkout, "constant", "five", "-i", "in", "-o", "again", "--json")
     assert json.loads(again.stdout)["done"] == 2
     assert "2 of 2 scenes are done already" in again.stderr
-    assert (house / "run" / "near" / "inverse.pfm").stat().st_mtime_ns == before
-    other = run(house, "invert", "plain", "-i", "in", "-o", "run", "--set", "power=2")
+    assert (checkout / "again" / "near" / "disp_left.pfm").stat().st_mtime_ns == before
+    other = run(checkout, "constant", "five", "-i", "in", "-o", "again", "--set", "disparity=2")
     assert (other.returncode, "another config" in other.stderr) == (2, True)
-    typo = run(house, "invert", "plain", "-i", "in", "-o", "run2", "--set", "powr=2")
-    assert "did you mean 'power'?" in typo.stderr
-    assert run(house, "invert", "plain", "-i", "in", "-o", "run2", "--set", "power=2").returncode == 0
-    compared = run(house, "evaluate", "run", "run2", "--truth", "in", "-o", "report")
+    typo = run(checkout, "constant", "five", "-i", "in", "-o", "x", "--set", "disprity=2")
+    assert "did you mean 'disparity'?" in typo.stderr
+
+
+def test_the_cost_measure_matches_pairs_of_the_layout_and_the_protocol_ranks_the_runs(checkout: Path):
+    done = run(checkout, "stereo", "squared.yaml", "-i", "in", "-o", "squared", "--layout", "two-files")
+    assert done.returncode == 0, done.stderr
+    assert np.isfinite(read_pfm(checkout / "squared" / "near" / "confidence_msm.pfm")).all()
+    assert run(checkout, "constant", "five", "-i", "in", "-o", "constant", "--scenes", "*").returncode == 0
+    compared = run(checkout, "evaluate", "squared", "constant", "--truth", "in", "-o", "report")
     assert compared.returncode == 0, compared.stderr
-    scores = json.loads((house / "report" / "scores.json").read_text())
-    assert scores["runs"] == ["run", "run2"]
+    document = json.loads((checkout / "report" / "scores.json").read_text())
+    assert document["runs"] == ["squared", "constant"]
+    assert "eighth_pixel" in json.dumps(document)
+
+
+def test_the_linters_have_nothing_to_say(checkout: Path):
+    ruff = run(checkout, "check", "--no-cache", "depthcli", module="ruff")
+    assert ruff.returncode == 0, ruff.stdout
+    layers = subprocess.run(
+        [sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()",
+         "--no-cache"], cwd=checkout, env=os.environ | {"PYTHONPATH": str(checkout)}, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert layers.returncode == 0, layers.stdout + layers.stderr
+    assert " 0 broken." in layers.stdout

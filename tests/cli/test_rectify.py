@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.core.cameras.stereo_rig import Lens, StereoRig
+from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
-from depthcli.data.formats.calibration import read_geometry
 from depthcli.data.formats.disparity import read_pfm
 from depthcli.data.formats.images import read_image, write_png
+from depthcli.data.formats.pair_geometry import read_geometry
 from depthcli.data.formats.pictures import read_status
-from depthcli.data.formats.stereo_rig import read_stereo_rig
+from depthcli.data.formats.rigs import read_rig
 from depthcli.methods.stereo.rectification import match_views, rectify_uncalibrated, row_error
 
 SIZE = (240, 180)
@@ -33,14 +34,14 @@ def rotation(*degrees: float) -> np.ndarray:
     return cv2.Rodrigues(np.radians(np.array(degrees)))[0]
 
 
-def rig(fisheye: bool = False, strength: float = 1.0) -> StereoRig:
+def rig(fisheye: bool = False, strength: float = 1.0) -> Rig:
     lens = (0.02, -0.01, 0.003, -0.001) if fisheye else (-0.12, 0.03, 0.001, -0.0008, 0.0)
     lenses = [
-        Lens(np.array([[f, 0, cx], [0, f + 1.5, cy], [0, 0, 1]]), lens, SIZE, fisheye)
+        Camera(np.array([[f, 0, cx], [0, f + 1.5, cy], [0, 0, 1]]), lens, SIZE, fisheye)
         for f, cx, cy in ((190.0, 121.0, 88.0), (194.0, 117.5, 91.0))
     ]
     turn = rotation(*(strength * np.array([1.6, -2.2, 1.1])))
-    return StereoRig(*lenses, turn, turn @ np.array([-0.14, 0.006 * strength, -0.004 * strength]))
+    return Rig(*lenses, turn, turn @ np.array([-0.14, 0.006 * strength, -0.004 * strength]))
 
 
 def seen(rays: np.ndarray, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +51,7 @@ def seen(rays: np.ndarray, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(board[:, None], near, far), board
 
 
-def photo(lens: Lens, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+def photo(lens: Camera, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """(H, W, 3) uint8: what a camera at x' = turn x + shift sees; the mean of nine rays a pixel."""
     noise = np.random.default_rng(5).random((2, 1024, 1024, 3)).astype(np.float32)
     noise = np.stack([cv2.GaussianBlur(each, (0, 0), 2.2) for each in noise])
@@ -60,7 +61,7 @@ def photo(lens: Lens, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
     eye = np.hstack([np.eye(3), np.zeros((3, 1))])
     for dx in (-1 / 3, 0, 1 / 3):
         for dy in (-1 / 3, 0, 1 / 3):
-            plane = lens.straightened(np.stack([x.ravel() + dx, y.ravel() + dy], 1), np.eye(3), eye)
+            plane = lens.undistorted(np.stack([x.ravel() + dx, y.ravel() + dy], 1), np.eye(3), eye)
             rays = np.hstack([plane, np.ones((len(plane), 1))]) @ turn  # of x = turn.T (x' - shift)
             points, board = seen(rays, -turn.T @ shift)
             u, v = (((points[:, k] * 160 + 512) % 1023).astype(np.float32).reshape(x.shape) for k in (0, 1))
@@ -70,12 +71,12 @@ def photo(lens: Lens, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
 
 
 class Shot(NamedTuple):
-    rig: StereoRig
+    rig: Rig
     left: Path
     right: Path
 
 
-def shot(folder: Path, taken: StereoRig) -> Shot:
+def shot(folder: Path, taken: Rig) -> Shot:
     left = photo(taken.left, np.eye(3), np.zeros(3))
     right = photo(taken.right, taken.rotation, taken.translation)
     write_png(folder / "left.png", left)
@@ -93,7 +94,7 @@ def fish(tmp_path_factory: pytest.TempPathFactory) -> Shot:
     return shot(tmp_path_factory.mktemp("fish"), rig(fisheye=True))
 
 
-def opencv(file: Path, taken: StereoRig, names: str = "K1 D1 K2 D2 R T", unit: float = 1.0) -> Path:
+def opencv(file: Path, taken: Rig, names: str = "K1 D1 K2 D2 R T", unit: float = 1.0) -> Path:
     values = (
         taken.left.matrix, taken.left.coefficients, taken.right.matrix, taken.right.coefficients, taken.rotation,
         taken.translation[:, None] / unit,
@@ -105,12 +106,12 @@ def opencv(file: Path, taken: StereoRig, names: str = "K1 D1 K2 D2 R T", unit: f
     return file
 
 
-def ros(folder: Path, taken: StereoRig) -> list[Path]:
+def ros(folder: Path, taken: Rig) -> list[Path]:
     found = taken.rectified(SIZE, SIZE)
     files = []
     for name, lens, turn, projection in (
-        ("left", taken.left, found.turn, found.projection),
-        ("right", taken.right, found.turn_right, found.projection_right),
+        ("left", taken.left, found.rotation, found.projection),
+        ("right", taken.right, found.rotation_right, found.projection_right),
     ):
         model = "equidistant" if lens.fisheye else "plumb_bob"
         text = f"image_width: {SIZE[0]}\nimage_height: {SIZE[1]}\ncamera_name: {name}\ndistortion_model: {model}\n"
@@ -125,7 +126,7 @@ def ros(folder: Path, taken: StereoRig) -> list[Path]:
     return files
 
 
-def kalibr(file: Path, taken: StereoRig) -> Path:
+def kalibr(file: Path, taken: Rig) -> Path:
     text = ""
     for name, lens in (("cam0", taken.left), ("cam1", taken.right)):
         text += f"{name}:\n  camera_model: pinhole\n  distortion_model: {'equidistant' if lens.fisheye else 'radtan'}\n"
@@ -140,7 +141,7 @@ def kalibr(file: Path, taken: StereoRig) -> Path:
     return file
 
 
-def kitti(file: Path, taken: StereoRig) -> Path:
+def kitti(file: Path, taken: Rig) -> Path:
     """Cameras 2 and 3, both turned against camera 0."""
     turn, shift = rotation(3, -2, 1), np.array([0.06, 0.01, 0.02])
     lines = []
@@ -154,7 +155,7 @@ def kitti(file: Path, taken: StereoRig) -> Path:
     return file
 
 
-def same_rig(one: StereoRig, other: StereoRig) -> None:
+def same_rig(one: Rig, other: Rig) -> None:
     for a, b in ((one.left, other.left), (one.right, other.right)):
         np.testing.assert_allclose(a.matrix, b.matrix, atol=1e-9)
         np.testing.assert_allclose(np.resize(a.distortion, 4), np.resize(b.distortion, 4), atol=1e-12)
@@ -167,18 +168,18 @@ def same_rig(one: StereoRig, other: StereoRig) -> None:
 def test_every_kind_of_file_gives_the_rig(fisheye: bool, tmp_path: Path):
     taken = rig(fisheye)
     for suffix in ("yml", "xml", "json"):
-        same_rig(read_stereo_rig([opencv(tmp_path / f"a.{suffix}", taken)], fisheye=fisheye), taken)
+        same_rig(read_rig([opencv(tmp_path / f"a.{suffix}", taken)], fisheye=fisheye), taken)
     old = opencv(tmp_path / "old.yml", taken, "M1 D1 M2 D2 R T", 0.001)
-    same_rig(read_stereo_rig([old], "mm", fisheye), taken)
+    same_rig(read_rig([old], "mm", fisheye), taken)
     with pytest.raises(InputError, match="--unit mm"):
-        read_stereo_rig([old], fisheye=fisheye)
-    same_rig(read_stereo_rig(ros(tmp_path, taken)), taken)
-    same_rig(read_stereo_rig([kalibr(tmp_path / "chain.yaml", taken)]), taken)
+        read_rig([old], fisheye=fisheye)
+    same_rig(read_rig(ros(tmp_path, taken)), taken)
+    same_rig(read_rig([kalibr(tmp_path / "chain.yaml", taken)]), taken)
     if not fisheye:
-        same_rig(read_stereo_rig([kitti(tmp_path / "calib_cam_to_cam.txt", taken)]), taken)
+        same_rig(read_rig([kitti(tmp_path / "calib_cam_to_cam.txt", taken)]), taken)
 
 
-def check_depth(scenes: Path, taken: StereoRig, tmp_path: Path, alpha: float = 0.0) -> None:
+def check_depth(scenes: Path, taken: Rig, tmp_path: Path, alpha: float = 0.0) -> None:
     """Match the rectified pair, turn it into meters, compare with where the rays meet the room."""
     assert run("stereo", "fast", "-i", scenes, "-o", tmp_path / "run", "-q") == 0
     assert run("depth", tmp_path / "run", "-o", tmp_path / "depth", "--mask", "measured", "-q") == 0
@@ -187,9 +188,9 @@ def check_depth(scenes: Path, taken: StereoRig, tmp_path: Path, alpha: float = 0
     found = taken.rectified(SIZE, SIZE, alpha)
     k = found.geometry.left
     x, y = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
-    rays = np.stack([(x - k.cx) / k.fx, (y - k.cy) / k.fy, np.ones_like(x)], 2).reshape(-1, 3) @ found.turn
+    rays = np.stack([(x - k.cx) / k.fx, (y - k.cy) / k.fy, np.ones_like(x)], 2).reshape(-1, 3) @ found.rotation
     points, _ = seen(rays, np.zeros(3))
-    true = (points @ found.turn.T)[:, 2].reshape(x.shape)
+    true = (points @ found.rotation.T)[:, 2].reshape(x.shape)
     measured = np.isfinite(depth)
     assert measured.mean() > 0.6
     error = (depth - true)[measured] / true[measured]
@@ -302,7 +303,7 @@ def test_fisheye_lenses(fish: Shot, tmp_path: Path):
 
 def test_without_calibration(pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     straight = rig()
-    straight = StereoRig(*(Lens(lens.matrix, size=SIZE) for lens in (straight.left, straight.right)),
+    straight = Rig(*(Camera(lens.matrix, size=SIZE) for lens in (straight.left, straight.right)),
                          straight.rotation, straight.translation)  # fmt: skip
     taken = shot(tmp_path / "photos", straight)
     images = ("--left", taken.left, "--right", taken.right, "--name", "room")
@@ -339,9 +340,9 @@ def test_points_that_no_two_cameras_explain_are_refused():
 def test_wrong_calibrations(pinhole: Shot, tmp_path: Path, capsys):
     images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room", "-o", tmp_path / "out", "-q")
     taken = pinhole.rig
-    swapped = StereoRig(taken.left, taken.right, taken.rotation, -taken.translation)
-    above = StereoRig(taken.left, taken.right, np.eye(3), np.array([0.0, 0.1, 0.0]))
-    small = StereoRig(Lens(taken.left.matrix, size=(320, 240)), taken.right, taken.rotation, taken.translation)
+    swapped = Rig(taken.left, taken.right, taken.rotation, -taken.translation)
+    above = Rig(taken.left, taken.right, np.eye(3), np.array([0.0, 0.1, 0.0]))
+    small = Rig(Camera(taken.left.matrix, size=(320, 240)), taken.right, taken.rotation, taken.translation)
     (tmp_path / "text.yml").write_text("nothing: here\n")
     (tmp_path / "torn.yml").write_text("%YAML:1.0\n---\nK1: [1, 2\n")
     (tmp_path / "part.yml").write_text("%YAML:1.0\n---\nalpha: 5\n")
@@ -363,7 +364,7 @@ def test_wrong_calibrations(pinhole: Shot, tmp_path: Path, capsys):
     for options in ((), ("--calibration", "a", "--uncalibrated"), ("--calibration", "a", "--unit", "inch")):
         assert run("rectify", *images, *options) == 2
     # The rows of another rig's calibration do not fit: said, not refused.
-    bent = StereoRig(taken.left, taken.right, rotation(5, 0, 0) @ taken.rotation, taken.translation)
+    bent = Rig(taken.left, taken.right, rotation(5, 0, 0) @ taken.rotation, taken.translation)
     images = (*images[:-1], "--overwrite")
     assert run("rectify", *images, "--calibration", opencv(tmp_path / "bent.yml", bent)) == 0
     assert "is it the calibration of these images?" in capsys.readouterr().err

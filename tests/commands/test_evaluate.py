@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.batch.reporter import Reporter
+from depthcli.batch.console import Reporter
 from depthcli.cli import main
 from depthcli.commands.evaluate import COMMAND, evaluate
 from depthcli.core.errors import InputError

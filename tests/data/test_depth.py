@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import InputError
-from depthcli.core.frames import Intrinsics
 from depthcli.data.formats.depth import read_codes, read_depth, write_depth_png, write_ply
 from depthcli.data.formats.disparity import write_pfm
 from depthcli.data.formats.images import read_image, write_png

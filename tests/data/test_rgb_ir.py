@@ -48,7 +48,7 @@ def test_a_rig_and_a_rectified_pair(tmp_path):
     assert scene.layout == "rgb-ir"
     assert isinstance(frame.rig, Rig)
     assert frame.infrared.shape == (28, 36)
-    assert frame.rig.color.distortion[0] == 0.1
+    assert frame.rig.left.distortion[0] == 0.1
     write(tmp_path, {"rectified": True, "fb": 12.5}, (30, 40))
     assert (only(tmp_path).load_pair().rig, only(tmp_path).load_pair().fb) == (None, 12.5)
 
@@ -64,7 +64,7 @@ def test_yaml_of_opencv(tmp_path):
     rig = only(tmp_path).load_pair().rig
     assert rig is not None
     np.testing.assert_allclose(rig.translation, [-0.05, 0, 0])
-    assert rig.color.distortion == (0.1, 0, 0, 0, 0)
+    assert rig.left.distortion == (0.1, 0, 0, 0, 0)
 
 
 def test_the_image_without_the_projector_is_used(tmp_path):
@@ -88,7 +88,9 @@ def test_sixteen_bits_use_their_own_range(tmp_path):
         ({"color": None}, (28, 36), "color: want K"),
         ({"R": [[1, 2], [3, 4]]}, (28, 36), "R: want"),
         ({"t": [0, 0, 0]}, (28, 36), "baseline of 0 m"),
-        ({"infrared": {"K": np.zeros((3, 3)).tolist()}}, (28, 36), "singular"),
+        ({"t": [80, 0, 0]}, (28, 36), "baseline of 80 m; the translation is in meters"),
+        ({"infrared": {"K": np.zeros((3, 3)).tolist()}}, (28, 36), "positive focal lengths"),
+        ({"infrared": {"K": np.ones((3, 3)).tolist()}}, (28, 36), "singular"),
         ({"infrared": {"K": K, "size": [640, 480]}}, (28, 36), r"calibrated for a infrared image of \[640, 480\]"),
         ({"infrared": {"K": K, "distortion": [1, 2, 3]}}, (28, 36), "coefficients"),
         ({"color": {"K": [[float("nan")] * 3] * 3}}, (28, 36), "finite"),

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.core.cameras.geometry import Camera, KinectCalibration, depth_of_disparity, disparity_of_depth, kinect_v1
+from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.kinect import KinectCalibration, kinect_v1
+from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import write_pfm
 from depthcli.data.formats.images import read_grey, write_png

@@ -1,4 +1,4 @@
-"""Slow and obvious twins of the segment pipeline's kernels; numpy only."""
+"""Slow and obvious references for the segment pipeline's kernels; numpy only."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def segment_window(costs, labels, radius):
     return out
 
 
-def discourage_outside(costs, zones, ranges, penalty, most):
+def penalize_outside(costs, zones, ranges, penalty, most):
     out = costs.astype(np.float64)
     for y, x, d in np.ndindex(costs.shape):
         low, high = ranges[zones[y, x]]

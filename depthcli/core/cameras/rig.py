@@ -1,157 +1,198 @@
-"""Two cameras at fixed places, and their images brought to a common plane."""
+"""Two cameras at fixed places, and their images rectified: brought to a common plane, where rows correspond."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.geometry import Camera
+from depthcli.core.cameras.camera import Camera, Intrinsics
+from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
-
-_LEAST_OVERLAP = 0.05
-_STEEP = 0.3  # vertical over horizontal baseline beyond which rows of a rectified pair would have to be columns
 
 
 @dataclass(frozen=True)
 class Rig:
-    """A color and an infrared camera.
+    """Two cameras at fixed places.
 
     Attributes
     ----------
-    color, infrared : cameras
-    color_size, infrared_size : (width, height) of their images
-    rotation, translation : from the color camera's frame to the infrared camera's; (3, 3), (3,) meters
+    left, right : the cameras; of a color and an infrared camera, ``left`` is the color camera wherever it stands
+    rotation, translation : from the left camera's frame to the right one's; (3, 3), (3,) meters
+
+    Raises
+    ------
+    InputError
+        The rotation is none, the cameras stand at one place, or only one has a fisheye lens.
     """
 
-    color: Camera
-    infrared: Camera
-    color_size: tuple[int, int]
-    infrared_size: tuple[int, int]
+    left: Camera
+    right: Camera
     rotation: NDArray[np.float64]
     translation: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        for name, camera in (("color", self.color), ("infrared", self.infrared)):
-            if camera.matrix.shape != (3, 3) or not np.isfinite(camera.matrix).all():
-                raise InputError(f"calibration: want a finite 3 x 3 matrix of the {name} camera")
-            if camera.matrix[0, 0] <= 0 or camera.matrix[1, 1] <= 0 or abs(np.linalg.det(camera.matrix)) < 1e-9:
-                raise InputError(f"calibration: the {name} camera's matrix is singular")
         if self.rotation.shape != (3, 3) or self.translation.shape != (3,):
-            raise InputError("calibration: want R (3, 3) and t (3,)")
+            raise InputError("calibration: want R (3, 3) and T (3,)")
         if not np.allclose(self.rotation @ self.rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(self.rotation) < 0:
             raise InputError("calibration: R is not a rotation")
-        if not 1e-4 < np.linalg.norm(self.translation) < 10:
-            raise InputError(f"calibration: a baseline of {np.linalg.norm(self.translation):.3g} m; t is in meters")
+        if not np.isfinite(self.translation).all() or not np.linalg.norm(self.translation) > 0:
+            raise InputError("calibration: the cameras stand at one place")
+        if self.left.fisheye != self.right.fisheye:
+            raise InputError("calibration: one fisheye lens and one that is none cannot be rectified together")
 
-    def rectified(self) -> Rectified:
-        """Images of the color camera's size whose rows correspond; InputError where the baseline is not along them."""
-        turns = cv2.stereoRectify(
-            self.color.matrix, np.asarray(self.color.distortion), self.infrared.matrix,
-            np.asarray(self.infrared.distortion), self.color_size, self.rotation, self.translation[:, None], alpha=-1,
-            flags=cv2.CALIB_ZERO_DISPARITY,
-        )  # fmt: skip
-        first, second, left, right = (np.asarray(part, np.float64) for part in turns[:4])
-        shift = right[:2, 3]
-        if abs(shift[1]) > _STEEP * abs(shift[0]):
-            raise InputError("calibration: the cameras lie one above the other; their baseline must be along the rows")
-        rectified = Rectified(self, first, second, left, right)
-        if rectified.overlap() < _LEAST_OVERLAP:
-            raise InputError("calibration: the two cameras see nothing in common")
+    @property
+    def baseline(self) -> float:
+        """Distance of the cameras, meters."""
+        return float(np.linalg.norm(self.translation))
+
+    def rectified(
+        self, size: tuple[int, int], right_size: tuple[int, int], alpha: float = 0.0, *,
+        mirrored: bool = False, max_tilt: float = 0.5, min_overlap: float = 0.0,
+    ) -> RectifiedRig:  # fmt: skip
+        """Return how images of ``size`` are made whose rows correspond (Bouguet's method, as OpenCV has it).
+
+        Parameters
+        ----------
+        size, right_size : (width, height) of the two cameras' images
+        alpha : 0 shows only what both images hold, 1 all that either holds; -1 OpenCV's choice in between
+        mirrored : the right camera may stand to the left of the left one (see :attr:`RectifiedRig.mirrored`)
+        max_tilt : vertical over horizontal baseline beyond which the cameras count as one above the other
+        min_overlap : smallest share of the rectified image that both cameras must see
+
+        Raises
+        ------
+        InputError
+            Calibrated for images of another size, cameras one above the other, exchanged, or without a common view.
+        """
+        for name, camera, given in (("left", self.left, size), ("right", self.right, right_size)):
+            if camera.size is not None and camera.size != given:
+                raise InputError(f"calibrated for a {name} image of {camera.size[0]} x {camera.size[1]}, it has "
+                                 f"{given[0]} x {given[1]}")  # fmt: skip
+        cameras = (self.left.matrix, self.left.coefficients, self.right.matrix, self.right.coefficients, size)
+        places = (self.rotation, self.translation[:, None])
+        if self.left.fisheye:
+            parts = cv2.fisheye.stereoRectify(*cameras, *places, flags=cv2.CALIB_ZERO_DISPARITY, balance=alpha)[:4]
+        else:
+            parts = cv2.stereoRectify(*cameras, *places, flags=cv2.CALIB_ZERO_DISPARITY, alpha=alpha)[:4]
+        rotation, rotation_right, projection, projection_right = (np.asarray(part, np.float64) for part in parts)
+        along, across = projection_right[0, 3], projection_right[1, 3]
+        if abs(across) > max_tilt * abs(along):
+            raise InputError("the cameras lie one above the other; turn the images by 90 degrees and calibrate them so")
+        if along > 0 and not mirrored:
+            raise InputError("the right camera stands to the left of the left one; exchange the images and cameras")
+        rectified = RectifiedRig(self, size, right_size, rotation, rotation_right, projection, projection_right)
+        if min_overlap and rectified.overlap() < min_overlap:
+            raise InputError("the two cameras see nothing in common")
         return rectified
 
 
 @dataclass(frozen=True)
-class Rectified:
-    """How both cameras of a rig are turned and projected."""
+class RectifiedRig:
+    """How both cameras of a rig are turned and projected.
+
+    Attributes
+    ----------
+    rig : the cameras as they are
+    size, right_size : (width, height) of the left and the right camera's images; rectified, both have ``size``
+    rotation, rotation_right : of the cameras, (3, 3)
+    projection, projection_right : of the rectified cameras, (3, 4)
+    """
 
     rig: Rig
-    turn: NDArray[np.float64]
-    turn_infrared: NDArray[np.float64]
+    size: tuple[int, int]
+    right_size: tuple[int, int]
+    rotation: NDArray[np.float64]
+    rotation_right: NDArray[np.float64]
     projection: NDArray[np.float64]
-    projection_infrared: NDArray[np.float64]
+    projection_right: NDArray[np.float64]
+
+    @property
+    def geometry(self) -> PairGeometry:
+        """How the disparity of the rectified pair becomes depth."""
+        left, right = self.projection, self.projection_right
+        baseline = float(-right[0, 3] / right[0, 0])
+        return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]), self.size)
 
     @property
     def mirrored(self) -> bool:
-        """The infrared camera is on the left: matches lie to the right, unless both images are mirrored."""
-        return bool(self.projection_infrared[0, 3] > 0)
+        """The right camera is on the left: matches lie to the right, unless both images are mirrored."""
+        return bool(self.projection_right[0, 3] > 0)
 
     @property
     def fb(self) -> float:
         """Focal length x baseline, pixel meters."""
-        return abs(float(self.projection_infrared[0, 3]))
+        return abs(float(self.projection_right[0, 3]))
 
     def overlap(self) -> float:
-        """Share of the rectified image that both cameras see, of points at infinity."""
-        seen = []
-        for camera, turn, projection, (width, height) in (
-            (self.rig.color, self.turn, self.projection, self.rig.color_size),
-            (self.rig.infrared, self.turn_infrared, self.projection_infrared, self.rig.infrared_size),
+        """Return the share of the rectified image that both cameras see, of points at infinity."""
+        common = np.ones(self.size[::-1], bool)
+        for (x, y), rotation, (width, height) in zip(
+            self._maps(), (self.rotation, self.rotation_right), (self.size, self.right_size), strict=True
         ):
-            x, y = cv2.initUndistortRectifyMap(
-                camera.matrix, np.asarray(camera.distortion), turn, projection, self.rig.color_size, cv2.CV_32FC1
-            )
-            ahead = np.tensordot(turn.T[2], self._rays(x.shape[0], x.shape[1]), axes=1) > 0
-            seen.append((x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1) & ahead)
-        return float(np.mean(seen[0] & seen[1]))
+            ahead = np.tensordot(rotation.T[2], self._rays(), axes=1) > 0
+            common &= (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1) & ahead
+        return float(np.mean(common))
 
     def images(
-        self, color: NDArray[np.uint8], infrared: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """Both images, (H, W, ...) of the color image's size."""
-        pairs = (
-            (self.rig.color, self.turn, self.projection, color),
-            (self.rig.infrared, self.turn_infrared, self.projection_infrared, infrared),
-        )
-        found = []
-        for camera, turn, projection, image in pairs:
-            maps = cv2.initUndistortRectifyMap(
-                camera.matrix, np.asarray(camera.distortion), turn, projection, self.rig.color_size, cv2.CV_32FC1
-            )
-            seen = cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            found.append(np.asarray(seen, np.uint8))
-        return found[0], found[1]
+        self, left: NDArray[Any], right: NDArray[Any], interpolation: int = cv2.INTER_CUBIC,
+        border: int = cv2.BORDER_CONSTANT,
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:  # fmt: skip
+        """Return both rectified images, and (H, W) bool of the pixels that both cameras' images reach at infinity.
 
-    def depth(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A depth map of the color camera, in the rectified one's pixels and along its axis."""
-        camera = self.rig.color
-        maps = cv2.initUndistortRectifyMap(
-            camera.matrix, np.asarray(camera.distortion), self.turn, self.projection, self.rig.color_size, cv2.CV_32FC1
+        Parameters
+        ----------
+        left, right : images of the cameras
+        interpolation, border : OpenCV's flags: of values between pixels, and outside of the images
+        """
+        views, common = [], np.ones(self.size[::-1], bool)
+        for (x, y), image in zip(self._maps(), (left, right), strict=True):
+            views.append(cv2.remap(image, x, y, interpolation, borderMode=border))
+            height, width = image.shape[:2]
+            common &= (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+        return views[0], views[1], common
+
+    def points(
+        self, left: NDArray[np.floating[Any]], right: NDArray[np.floating[Any]]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return where (N, 2) pixels of the two cameras come to lie in the rectified images, (N, 2) each."""
+        return (
+            self.rig.left.undistorted(left, self.rotation, self.projection),
+            self.rig.right.undistorted(right, self.rotation_right, self.projection_right),
         )
-        near = cv2.remap(depth, maps[0], maps[1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT,
-                         borderValue=float("nan"))  # fmt: skip
+
+    def rectify_depth(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return a depth map of the left camera in the rectified one's pixels and along its axis, meters."""
+        x, y = self._maps()[0]
+        near = cv2.remap(depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
         # The camera only turns: a pixel's ray stays, its point's depth along the axis changes.
-        along = np.tensordot(self.turn.T[2], self._rays(depth.shape[0], depth.shape[1]), axes=1)
+        along = np.tensordot(self.rotation.T[2], self._rays(), axes=1)
         return (near / along).astype(np.float32)
 
-    def _rays(self, height: int, width: int) -> NDArray[np.float64]:
-        """(3, H, W): directions of the rectified camera's pixels."""
-        x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-        x = (x - self.projection[0, 2]) / self.projection[0, 0]
-        y = (y - self.projection[1, 2]) / self.projection[1, 1]
-        return np.stack([x, y, np.ones_like(x)])
-
-    def back(self, depth: NDArray[np.float32], other: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
-        """A sparse depth map of the rectified camera, and a map beside it, in the color camera's pixels.
+    def unrectify_depth(self, depth: NDArray[np.float32], values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Return a sparse depth map of the rectified left camera, and a map beside it, in the left camera's pixels.
 
         Of several points that meet in a pixel the nearest one stays.
         """
         rows, columns = np.nonzero(np.isfinite(depth))
-        found = np.full(depth.shape, np.nan, np.float32)
-        beside = np.full(depth.shape, np.nan, np.float32)
-        if rows.size == 0:
-            return found, beside
         z = depth[rows, columns].astype(np.float64)
         x, y = (columns - self.projection[0, 2]) * z, (rows - self.projection[1, 2]) * z
-        points = np.stack([x / self.projection[0, 0], y / self.projection[1, 1], z], axis=1) @ self.turn
-        camera = self.rig.color
-        projected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, np.asarray(camera.distortion))
-        u, v = np.rint(projected[:, 0]).astype(np.int64).T
-        inside = (u >= 0) & (v >= 0) & (u < depth.shape[1]) & (v < depth.shape[0]) & (points[:, 2] > 0)
-        u, v, far, values = u[inside], v[inside], points[inside, 2], other[rows, columns][inside]
-        order = np.lexsort((-far, v * depth.shape[1] + u))
-        found[v[order], u[order]] = far[order]
-        beside[v[order], u[order]] = values[order]
-        return found, beside
+        points = np.stack([x / self.projection[0, 0], y / self.projection[1, 1], z], axis=1) @ self.rotation
+        return self.rig.left.depth_image(points, (depth.shape[0], depth.shape[1]), values[rows, columns])
+
+    def _maps(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """x and y in the left and the right image of every rectified pixel."""
+        return [
+            self.rig.left.undistortion_maps(self.rotation, self.projection, self.size),
+            self.rig.right.undistortion_maps(self.rotation_right, self.projection_right, self.size),
+        ]
+
+    def _rays(self) -> NDArray[np.float64]:
+        """(3, H, W): directions of the rectified camera's pixels."""
+        x, y = np.meshgrid(np.arange(self.size[0], dtype=np.float64), np.arange(self.size[1], dtype=np.float64))
+        x = (x - self.projection[0, 2]) / self.projection[0, 0]
+        y = (y - self.projection[1, 2]) / self.projection[1, 1]
+        return np.stack([x, y, np.ones_like(x)])

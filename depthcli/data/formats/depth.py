@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import InputError
-from depthcli.core.frames import Intrinsics
 from depthcli.data.formats.atomic import write_bytes
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.formats.files import shown

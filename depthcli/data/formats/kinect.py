@@ -8,54 +8,54 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.geometry import Camera, KinectCalibration
+from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.kinect import UNKNOWN_CODE, KinectCalibration
 from depthcli.core.errors import InputError
 from depthcli.data.formats.depth import read_codes
 from depthcli.data.formats.disparity import read_plane
-from depthcli.data.formats.files import read_bytes
+from depthcli.data.formats.files import naming, read_bytes
 
-_RAW_MOST = 2047
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "depth_K": (3, 3), "color_K": (3, 3), "depth_kc": (5,), "color_kc": (5,), "depth_to_color_R": (3, 3),
+    "depth_to_color_t": (3,), "dc": (2,), "dc_alpha": (2,),
+}  # fmt: skip
 
 
 def read_kinect_raw(path: Path | str) -> NDArray[np.uint16]:
-    """(H, W) raw codes 0..2047 of a first-generation Kinect; codes out of range tell bytes in the wrong order."""
+    """Return (H, W) uint16 raw codes 0..2047 of a first-generation Kinect, in either order of bytes."""
     raw = read_codes(path)
-    if raw.max() > _RAW_MOST:
+    if raw.max() > UNKNOWN_CODE:  # the bytes are the wrong way round
         raw = raw.byteswap()
-    if raw.max() > _RAW_MOST:
-        raise InputError(f"{path}: codes up to {int(raw.max())}, a Kinect's go to {_RAW_MOST}")
+    if raw.max() > UNKNOWN_CODE:
+        raise InputError(f"{path}: codes up to {int(raw.max())}, a Kinect's go to {UNKNOWN_CODE}")
     return raw
 
 
 def read_kinect_calibration(path: Path) -> KinectCalibration:
-    """The calibration of Herrera et al.'s toolbox as JSON, with its distortion map ``dc_beta.npy`` beside it.
+    """Return the calibration of Herrera et al.'s toolbox as JSON, with its distortion map ``dc_beta.npy`` beside it.
 
     Raises
     ------
     InputError
         A file is damaged, or a field is missing or of the wrong shape.
     """
-    try:
-        fields = json.loads(read_bytes(path).decode("utf-8"))
-        arrays = {
-            key: np.array(fields[key], np.float64)
-            for key in ("depth_K", "color_K", "depth_kc", "color_kc", "depth_to_color_R", "depth_to_color_t", "dc",
-                        "dc_alpha")
-        }  # fmt: skip
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(f"{path}: not a Kinect calibration ({type(error).__name__}: {error})") from None
-    shapes = {"depth_K": (3, 3), "color_K": (3, 3), "depth_kc": (5,), "color_kc": (5,), "depth_to_color_R": (3, 3),
-              "depth_to_color_t": (3,), "dc": (2,), "dc_alpha": (2,)}  # fmt: skip
-    for key, shape in shapes.items():
-        if arrays[key].shape != shape or not np.isfinite(arrays[key]).all():
-            raise InputError(f"{path}: {key}: want {shape} finite numbers, got {arrays[key].shape}")
-    if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
-        raise InputError(f"{path}: singular: focal lengths and dc[1] must not be zero")
+    with naming(path):
+        try:
+            fields = json.loads(read_bytes(path).decode("utf-8"))
+            arrays = {key: np.array(fields[key], np.float64) for key in _SHAPES}
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise InputError(f"not a Kinect calibration ({type(error).__name__}: {error})") from None
+        for key, shape in _SHAPES.items():
+            if arrays[key].shape != shape or not np.isfinite(arrays[key]).all():
+                raise InputError(f"{key}: want {shape} finite numbers, got {arrays[key].shape}")
+        if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
+            raise InputError("singular: focal lengths and dc[1] must not be zero")
+        depth, color = (Camera(arrays[f"{k}_K"], tuple(arrays[f"{k}_kc"].tolist())) for k in ("depth", "color"))
     beta = path.with_name("dc_beta.npy")
     slope = arrays["dc"][1]
     return KinectCalibration(
-        depth=Camera(arrays["depth_K"], tuple(arrays["depth_kc"].tolist())),
-        color=Camera(arrays["color_K"], tuple(arrays["color_kc"].tolist())),
+        depth=depth,
+        color=color,
         rotation=arrays["depth_to_color_R"],
         translation=arrays["depth_to_color_t"],
         offset=float(-arrays["dc"][0] / slope),

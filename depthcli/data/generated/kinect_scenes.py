@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.geometry import depth_of_disparity
+from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.data.generated import textures
 from depthcli.data.generated.stereo_scenes import make_scene

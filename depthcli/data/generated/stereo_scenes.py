@@ -15,7 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.filters.discontinuity import discontinuity_mask
+from depthcli.algorithms.filters import discontinuity_mask
 from depthcli.data.generated import textures
 from depthcli.data.generated.camera import light_maps, render, trace
 from depthcli.data.generated.stage import Stage

@@ -46,14 +46,14 @@ class RgbIrScene(RgbdScene):
         """
         from depthcli.core.frames import RgbIrFrame
         from depthcli.data.formats.images import read_image
-        from depthcli.data.formats.rig import read_rig
+        from depthcli.data.formats.rigs import read_color_infrared_rig
 
         frame = self.load()
         if self.calibration is None:
             raise InputError(f"{self.folder}: no calibration of the color and the infrared camera (calib.json)")
         infrared = _eight_bit(read_image(self.infrared_plain or self.infrared))
         height, width = infrared.shape
-        rig = read_rig(self.calibration, (frame.shape[1], frame.shape[0]), (width, height))
+        rig = read_color_infrared_rig(self.calibration, (frame.shape[1], frame.shape[0]), (width, height))
         if not isinstance(rig, float):
             return RgbIrFrame(frame.color, infrared, frame.depth, rig)
         if infrared.shape != frame.shape:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.core.cameras.geometry import KinectCalibration
-    from depthcli.core.frames import Intrinsics, RgbdFrame, SparseFrame
-
-KINECT_BASELINE = 0.075
-"""Projector to camera of the first Kinect and of the sensors built like it, meters."""
+    from depthcli.core.cameras.camera import Intrinsics
+    from depthcli.core.cameras.kinect import KinectCalibration
+    from depthcli.core.frames import RgbdFrame, SparseFrame
 
 _METERS = (".pfm", ".npy")
 _USUAL_NAMES = ("color", "rgb", "image", "depth")
@@ -114,6 +112,7 @@ class RgbdScene(Scene):
         """
         import numpy as np
 
+        from depthcli.core.cameras.kinect import KINECT_BASELINE, KINECT_FOCAL_LENGTH
         from depthcli.core.frames import RgbdFrame, color8
         from depthcli.data.formats.images import read_image
 
@@ -131,7 +130,7 @@ class RgbdScene(Scene):
             )
         if not np.isfinite(depth).any():
             raise InputError(f"{self.depth}: no pixel has a depth")
-        fb = self.fb or (intrinsics.fx if intrinsics else 580.0) * KINECT_BASELINE
+        fb = self.fb or (intrinsics.fx if intrinsics else KINECT_FOCAL_LENGTH) * KINECT_BASELINE
         return RgbdFrame(color, depth, fb, intrinsics)
 
     def load_sparse(self) -> SparseFrame:
@@ -208,7 +207,7 @@ class RgbdScene(Scene):
         return np.where(mask == 255, np.float32(np.nan), depth)
 
     def _intrinsics(self) -> Intrinsics | None:
-        from depthcli.core.frames import Intrinsics
+        from depthcli.core.cameras.camera import Intrinsics
 
         return None if self.intrinsics is None else Intrinsics(*self.intrinsics)
 
@@ -216,8 +215,7 @@ class RgbdScene(Scene):
         """Color at the depth camera's resolution, and the depth as the color camera sees it."""
         import cv2
 
-        from depthcli.core.cameras.geometry import kinect_v1
-        from depthcli.core.frames import Intrinsics
+        from depthcli.core.cameras.kinect import kinect_v1
         from depthcli.data.formats.kinect import read_kinect_calibration, read_kinect_raw
 
         raw = read_kinect_raw(self.depth)
@@ -229,13 +227,9 @@ class RgbdScene(Scene):
             # Where the color image is finer than the depth, most of its pixels would meet no point.
             color = cv2.resize(color, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
         camera = calibration.color.scaled(factor)
-        scaled = type(calibration)(
-            calibration.depth, camera, calibration.rotation, calibration.translation, calibration.offset,
-            calibration.factor, calibration.beta, calibration.alpha,
-        )  # fmt: skip
+        scaled = replace(calibration, color=camera)
         depth = scaled.register(scaled.depth_of_raw(raw), (color.shape[0], color.shape[1]))
-        m = camera.matrix
-        return color, depth, Intrinsics(float(m[0, 0]), float(m[1, 1]), float(m[0, 2]), float(m[1, 2]))
+        return color, depth, camera.intrinsics
 
     @staticmethod
     def _factor(calibration: KinectCalibration, color: NDArray[np.uint8]) -> float:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.geometry import disparity_of_depth
+from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.data.formats.depth import read_depth
 from depthcli.data.formats.disparity import read_plane

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.filters.discontinuity import discontinuity_mask
+from depthcli.algorithms.filters import discontinuity_mask
 from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks
 from depthcli.evaluation.scores import Score

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel, ConfigDict, Field
 
+from depthcli.algorithms.plane_fitting.segment_planes import Members, evaluate
 from depthcli.algorithms.segmentation import Segmentation
-from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice import Choice, Proposals
 from depthcli.methods.fusion.choice.energy import Energy
@@ -22,7 +22,7 @@ from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.pipeline import Pipeline
 from depthcli.methods.stereo.refinement import RefinementStep
 from depthcli.methods.stereo.refinement.background_fill import fill_background
-from depthcli.methods.stereo.segments.planes import Members, PlaneFit, evaluate
+from depthcli.methods.stereo.segments.planes import PlaneFit
 from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
@@ -73,16 +73,9 @@ class MapFusion(BaseModel):
     choice: Choice = Field(default_factory=Energy, description="which map is taken where")
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the mix, in order")
 
-    @model_validator(mode="after")
-    def _choosable(self) -> MapFusion:
-        try:
-            self.choice.check(self.kinds)
-        except (ValueError, ConfigError) as error:
-            wrong = PydanticCustomError("choice", "{why}", {"why": str(error)})
-            raise ValidationError.from_exception_data(
-                "MapFusion", [{"type": wrong, "loc": ("choice",), "input": self.choice.method_name()}]
-            ) from None
-        return self
+    def with_network(self, trained: TrainedNetwork) -> Self:
+        """Return a copy whose choice is made by ``trained``; InputError where it was trained for other maps."""
+        return self.model_copy(update={"choice": self.choice.with_network(trained, self.kinds)})
 
     @property
     def kinds(self) -> tuple[str, ...]:

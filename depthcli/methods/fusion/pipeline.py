@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.method import Odd
+from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import MeasureName, confidence_maps, measure_name
@@ -156,7 +157,7 @@ class Fusion(AdjustingMatcher):
 
     @model_validator(mode="after")
     def _nothing_in_vain(self) -> Fusion:
-        told = () if self.maps is None else (_AGREEMENT, *self.maps.choice.tells)
+        told = () if self.maps is None else (_AGREEMENT, *self.maps.choice.confidences)
         untold = [name for name in self.confidence if name in _NEEDED and name not in told]
         if untold:
             wrong = PydanticCustomError("in_vain", _NEEDED[untold[0]])
@@ -177,6 +178,22 @@ class Fusion(AdjustingMatcher):
         if errors:
             raise ValidationError.from_exception_data("Fusion", errors)
         return self
+
+    @property
+    def network_name(self) -> str | None:
+        """Name or file of the trained network that chooses among the maps; None: none does."""
+        return None if self.maps is None else self.maps.choice.network_name
+
+    def with_network(self, trained: TrainedNetwork) -> Self:
+        """Return a copy whose choice among the maps is made by ``trained``.
+
+        Raises
+        ------
+        InputError
+            The network was trained for other maps.
+        """
+        assert self.maps is not None
+        return self.model_copy(update={"maps": self.maps.with_network(trained)})
 
     def __call__(
         self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]] | None = None

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.algorithms.trws import trws
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.kinect.local_planes import LocalPlanes
 
 CLOSE = 4.0  # multiples of the noise: a candidate so near to the measurement stands for it
 _FLOOR = 0.08  # share of votes below which candidates differ little
@@ -25,7 +25,7 @@ def choose(
     disparity: NDArray[np.float32],
     right: NDArray[np.float32],
     suspect: NDArray[np.bool_],
-    planes: LocalPlanes,
+    planes: WindowPlanes,
     noise: float,
     smoothness: float,
     truncation: float,

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.kinect.local_planes import LocalPlanes
 from depthcli.methods.kinect.votes import Voters, color_law
 
 _RATIO = 0.3  # own likelihood of the color over that of what lies behind, below which a pixel is in doubt
@@ -24,7 +24,7 @@ _SIGMA_SPACE = 20.0  # pixels
 
 def hidden_openings(
     lab: NDArray[np.uint8],
-    planes: LocalPlanes,
+    planes: WindowPlanes,
     voters: Voters,
     trusted: NDArray[np.bool_],
     jump: float,

@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.growth import grow
 from depthcli.methods.kinect.model import SurfaceModel
 from depthcli.methods.kinect.noise import noise_level
 from depthcli.methods.kinect.occlusion import farthest_fit
-from depthcli.methods.kinect.surfaces import Surfaces, add_detail
+from depthcli.methods.kinect.surfaces import add_detail, join_segments
 from depthcli.methods.kinect.suspects import jump_distance
 
 _DEEP = 6  # pixels into the near side: where the outline of a thing that is all suspect is likely behind
@@ -133,7 +133,7 @@ def fit_layer(
     modelled |= by_suspects
     owners = np.where(modelled, np.arange(count, dtype=np.int32), np.int32(-1))
     if join:
-        owners = grow(labels, modelled, surfaces, color, seen.limit)
+        owners = join_segments(labels, modelled, surfaces, color, seen.limit)
     return Layer(owners[labels], surfaces, modelled[labels])
 
 

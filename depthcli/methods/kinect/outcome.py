@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.geometry import depth_of_disparity
+from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces, surface_at
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.growth import IMPOSSIBLE
 from depthcli.methods.kinect.layer import Evidence, Layer
-from depthcli.methods.kinect.surfaces import Surfaces, surface_at
+from depthcli.methods.kinect.surfaces import SHADOW_PENALTY
 
 _SURFACE = ("coefficients", "center", "bounds", "scale")
 
@@ -164,7 +164,7 @@ def _sweep(cost, labels, own, color, trusted, limit, coefficients, center, bound
                     if not np.isnan(apart):
                         total += apart
                     if value > limit[y, x]:
-                        total += np.float32(IMPOSSIBLE)
+                        total += np.float32(SHADOW_PENALTY)
                     if total < cost[y, x]:
                         cost[y, x] = total
                         labels[y, x] = labels[v, u]

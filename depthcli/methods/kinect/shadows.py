@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.local_planes import LocalPlanes
 
 _CLOSE = 3.0  # pixels by which a gap's width may differ from the step, to count as a shadow
 _USUAL = 0.5  # share of the gaps at steps that fit, from which on all are believed to be shadows
@@ -44,7 +44,7 @@ def shadow_belief(disparity: NDArray[np.float32], jump: float) -> float:
 def shadow_limits(
     lab: NDArray[np.uint8],
     disparity: NDArray[np.float32],
-    planes: LocalPlanes,
+    planes: WindowPlanes,
     jump: float,
     tolerance: float,
     belief: float,
@@ -75,7 +75,7 @@ def shadow_limits(
 
 
 def left_rims(
-    disparity: NDArray[np.float32], planes: LocalPlanes, jump: float, belief: float
+    disparity: NDArray[np.float32], planes: WindowPlanes, jump: float, belief: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """What the surface left of a shadow continues to, in the shadow and the band on its right; and how sure that is.
 

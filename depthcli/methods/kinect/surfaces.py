@@ -1,62 +1,159 @@
-"""Surfaces of segments: what they are at every pixel, and the detail that a smooth surface leaves out."""
+"""Surfaces of segments: those that segments without a model join, and the detail that a smooth surface leaves out."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import heapq
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces, surface_at
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
+SHADOW_PENALTY = 1000.0
+"""Cost of a surface that a shadow rules out: above any path of colors, so that it is taken only without another."""
+_BOUNDARY_COST = 10  # of a common boundary of one pixel, grey levels; chosen on generated Kinect frames
 _COLUMNS = 64  # a task of the vertical pass: whole cache lines
 
 
-@dataclass(frozen=True)
-class Surfaces:
-    """One surface for each of n segments, in the unit of the values it was fitted to.
+def join_segments(
+    labels: NDArray[np.int32],
+    modelled: NDArray[np.bool_],
+    surfaces: Surfaces,
+    color: NDArray[np.uint8],
+    limit: NDArray[np.float32],
+) -> NDArray[np.int32]:
+    """Assign a surface to every segment: its own, or that of the modelled segment that it joins.
 
-    Attributes
+    Each segment without a model joins along the path of least cost through neighbors. A step costs the sum of the
+    absolute differences of the mean colors, 10 over the root of the length of the common boundary, and
+    ``SHADOW_PENALTY`` where the surface would be nearer than the shadow in which the segment lies allows.
+
+    Parameters
     ----------
-    coefficients : (n, 6) float64 of 1, x, y, x^2, xy, y^2, where x and y are pixels from ``center`` over ``unit``
-    center : (n, 2) float64, y and x, pixels
-    bounds : (n, 2) float32, least and greatest value that the surface takes
-    scale : (n,) float32, robust standard deviation of the residuals; NaN where nothing was known
-    unit : length that x and y are divided by, pixels
+    labels : (H, W) int32, 0 .. n - 1
+    modelled : (n,) bool
+    surfaces : of all segments
+    color : (H, W, 3) uint8 CIELAB
+    limit : (H, W) float32, largest possible disparity, inf where there is none
+
+    Returns
+    -------
+    (n,) int32 indices of surfaces, -1 for segments that no model reaches
     """
-
-    coefficients: NDArray[np.float64]
-    center: NDArray[np.float64]
-    bounds: NDArray[np.float32]
-    scale: NDArray[np.float32]
-    unit: float
-
-    def at(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
-        """(H, W) float32 value of the surface that ``labels`` (H, W) name, NaN where they are negative."""
-        values = np.empty(labels.shape, np.float32)
-        _evaluate(labels, self.coefficients, self.center, self.bounds, self.unit, values)
-        return values
+    count = modelled.size
+    owners = np.where(modelled, np.arange(count, dtype=np.int32), np.int32(-1))
+    if modelled.all() or not modelled.any():
+        return owners
+    mean, middle, limits = _statistics(labels, color, limit, count)
+    starts, neighbors, boundary = _neighbors(labels, count)
+    _join(
+        owners, mean, middle, limits, starts, neighbors, boundary,
+        surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit,
+    )  # fmt: skip
+    return owners
 
 
 @jit
-def surface_at(coefficients, center, bounds, unit, s, y, x):  # type: ignore[no-untyped-def]
-    """Value of surface ``s`` at (y, x), from the arrays of :class:`Surfaces`; for other kernels."""
-    u = (x - center[s, 1]) / unit
-    v = (y - center[s, 0]) / unit
-    value = (
-        coefficients[s, 0] + u * (coefficients[s, 1] + u * coefficients[s, 3])
-        + v * (coefficients[s, 2] + u * coefficients[s, 4] + v * coefficients[s, 5])
-    )  # fmt: skip
-    return min(max(value, np.float64(bounds[s, 0])), np.float64(bounds[s, 1]))
-
-
-@parallel_jit
-def _evaluate(labels, coefficients, center, bounds, unit, values):  # type: ignore[no-untyped-def]
+def _statistics(labels, color, limit, count):  # type: ignore[no-untyped-def]
+    # Mean color, center (y, x), and mean limit of every segment; inf where at most a third has a limit.
     height, width = labels.shape
-    for y in prange(height):
+    sums = np.zeros((count, 8), np.int64)  # size, three colors, y, x, pixels with a limit
+    limit_sums = np.zeros(count, np.float64)
+    for y in range(height):
         for x in range(width):
             s = labels[y, x]
-            values[y, x] = surface_at(coefficients, center, bounds, unit, s, y, x) if s >= 0 else np.nan
+            sums[s, 0] += 1
+            for c in range(3):
+                sums[s, 1 + c] += color[y, x, c]
+            sums[s, 4] += y
+            sums[s, 5] += x
+            if limit[y, x] < np.inf:
+                sums[s, 6] += 1
+                limit_sums[s] += limit[y, x]
+    mean = np.empty((count, 3), np.float64)
+    middle = np.empty((count, 2), np.float64)
+    limits = np.full(count, np.inf)
+    for s in range(count):
+        size = float(sums[s, 0])
+        for c in range(3):
+            mean[s, c] = sums[s, 1 + c] / size
+        for c in range(2):
+            middle[s, c] = sums[s, 4 + c] / size
+        if 3 * sums[s, 6] > sums[s, 0]:
+            limits[s] = limit_sums[s] / sums[s, 6]
+    return mean, middle, limits
+
+
+@jit
+def _neighbors(labels, count):  # type: ignore[no-untyped-def]
+    # The neighbors of s are ``neighbors[starts[s]:starts[s + 1]]``, with the length of the common boundary in pixels.
+    height, width = labels.shape
+    starts = np.zeros(count + 1, np.int64)
+    for y in range(height):
+        for x in range(width):
+            s = labels[y, x]
+            for step in range(2):
+                y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
+                if y2 < height and x2 < width and labels[y2, x2] != s:
+                    starts[s + 1] += 1
+                    starts[labels[y2, x2] + 1] += 1
+    for s in range(count):
+        starts[s + 1] += starts[s]
+    raw = np.empty(starts[count], np.int32)
+    free = starts[:count].copy()
+    for y in range(height):
+        for x in range(width):
+            s = labels[y, x]
+            for step in range(2):
+                y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
+                if y2 < height and x2 < width and labels[y2, x2] != s:
+                    t = labels[y2, x2]
+                    raw[free[s]] = t
+                    free[s] += 1
+                    raw[free[t]] = s
+                    free[t] += 1
+    # Each bucket, written over itself without repetitions.
+    place = np.full(count, -1, np.int64)
+    boundary = np.zeros(raw.size, np.int32)
+    end = 0
+    for s in range(count):
+        first, last = starts[s], starts[s + 1]
+        starts[s] = end
+        for k in range(first, last):
+            t = raw[k]
+            if place[t] < starts[s]:
+                place[t] = end
+                raw[end] = t
+                boundary[end] = 0
+                end += 1
+            boundary[place[t]] += 1
+    starts[count] = end
+    return starts, raw[:end], boundary[:end]
+
+
+@jit
+def _join(owners, mean, middle, limits, starts, neighbors, boundary, coefficients, center, bounds, unit):  # type: ignore[no-untyped-def]
+    waiting: Any = [(0.0, s, s) for s in range(owners.size) if owners[s] == s]
+    heapq.heapify(waiting)
+    modelled = owners >= 0
+    while len(waiting) > 0:
+        cost, s, owner = heapq.heappop(waiting)
+        if not modelled[s]:
+            if owners[s] >= 0:
+                continue
+            owners[s] = owner
+        for k in range(starts[s], starts[s + 1]):
+            t = neighbors[k]
+            if owners[t] >= 0:
+                continue
+            step = _BOUNDARY_COST / np.sqrt(float(boundary[k]))
+            for c in range(3):
+                step += abs(mean[s, c] - mean[t, c])
+            if surface_at(coefficients, center, bounds, unit, owner, middle[t, 0], middle[t, 1]) > limits[t]:
+                step += SHADOW_PENALTY
+            heapq.heappush(waiting, (cost + step, np.int64(t), owner))
 
 
 def add_detail(
@@ -66,7 +163,7 @@ def add_detail(
     scale: NDArray[np.float32],
     reach: float,
 ) -> None:
-    """Add to ``surface``, in place, the smoothed residuals of the ``known`` values of the same segment around.
+    """Add to ``surface``, in place, the smoothed residuals of the ``known`` values around in the same segment.
 
     The weight falls by e in ``reach`` pixels along a path within the segment, first along the row, then along the
     column. Far from all known pixels the surface stays as it is: a residual counts against half a pixel of zeros.
@@ -89,7 +186,7 @@ def add_detail(
 @parallel_jit
 def _residuals(surface, known, labels, scale, decay, residuals, weights):  # type: ignore[no-untyped-def]
     height, width = surface.shape
-    back = np.float32(1) - decay * decay  # the second pass sees what the first has summed up
+    back = np.float32(1) - decay * decay  # the second pass adds to the sums of the first
     for y in prange(height):
         for x in range(width):
             s = labels[y, x]

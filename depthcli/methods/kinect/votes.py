@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.local_planes import LocalPlanes
 
 LEVELS = ((1, 5), (4, 36), (12, 108))  # every pixel within 5, every fourth within 36, every twelfth within 108
 _FADE = 20.0  # pixels over which a slope is followed
@@ -36,7 +36,7 @@ class Voters:
     weight: NDArray[np.float32]
 
     @classmethod
-    def of(cls, lab: NDArray[np.uint8], planes: LocalPlanes, trust: NDArray[np.float32], stride: int) -> Voters:
+    def of(cls, lab: NDArray[np.uint8], planes: WindowPlanes, trust: NDArray[np.float32], stride: int) -> Voters:
         """Sampled from full-size maps; each stands for the ``stride ** 2`` pixels of its cell."""
         every = np.s_[::stride, ::stride]
         stack = np.stack([planes.value[every], planes.slope_x[every], planes.slope_y[every]])

@@ -20,7 +20,7 @@ from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.stages import CostStages
-from depthcli.methods.stereo.tile_winners import TileWinners
+from depthcli.methods.stereo.tiled_winners import TiledWinners
 from depthcli.methods.stereo.tiles import Candidates, Margins, Memory, Tile
 from depthcli.methods.stereo.volume import CostMinima, CostVolume, FixedPoint, RefinementContext, StereoResult
 
@@ -62,7 +62,7 @@ def match_by_costs(
     halo: int | None,
     available: Memory,
     clock: Clock,
-) -> tuple[StereoResult, TileWinners]:
+) -> tuple[StereoResult, TiledWinners]:
     """Compute costs and winners tile by tile, then refine the whole map.
 
     Parameters
@@ -84,7 +84,7 @@ def match_by_costs(
 
     plan = available.tiles(pair, candidates, margins, need)
     clock.stop("plan")
-    found = TileWinners(pair.shape, any(isinstance(step, Subpixel) for step in stages.refinement))
+    found = TiledWinners(pair.shape, any(isinstance(step, Subpixel) for step in stages.refinement))
     confidence: dict[str, NDArray[np.float32]] = {}
     for tile in plan:
         volume, spans = _tile_volume(stages, pair, tile, prior, clock)
@@ -215,7 +215,7 @@ def _add_penalty(costs: Any, spans: Any, low: Any, high: Any, corner: Any, penal
 
 
 def refined_map(
-    steps: Sequence[Refinement], found: TileWinners, pair: StereoPair, max_disparity: int, prior: Prior | None = None
+    steps: Sequence[Refinement], found: TiledWinners, pair: StereoPair, max_disparity: int, prior: Prior | None = None
 ) -> DisparityMap:
     """Return the map of all winners after all ``steps``, in order.
 
@@ -234,7 +234,7 @@ def refined_map(
 def _refined_in_bands(
     step: Refinement,
     disparity: DisparityMap,
-    found: TileWinners,
+    found: TiledWinners,
     pair: StereoPair,
     max_disparity: int,
     prior: Prior | None,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from depthcli.core.cameras.geometry import depth_of_disparity, disparity_of_depth
+from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
@@ -22,6 +22,8 @@ from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 from depthcli.methods.transparent.channels import GREY, learned_weights, mixed
 from depthcli.methods.transparent.structure import cost_at, deviation, mean_cost, quieted
 
+_MAX_TILT = 0.3  # vertical over horizontal baseline, beyond which the rectified images would be turned too far
+_MIN_OVERLAP = 0.05  # share of the rectified image that both cameras have to see, to be matched at all
 _SINGLE = {"r": (1.0, 0.0, 0.0), "g": (0.0, 1.0, 0.0), "b": (0.0, 0.0, 1.0), "grey": GREY}
 
 
@@ -39,7 +41,7 @@ def _planes() -> SegmentSteps:
     return SegmentSteps.model_validate({
         "window_radius": 0,
         "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
-        "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "most": 150},
+        "planes": {"tolerance": 0.75, "min_size": 50, "flatness": 0.9, "flat": True, "max_planes": 150},
         "energy": {
             "data_term": "dedc", "data_weight": 10, "cost_weight": 10, "truncation": 2, "visibility": 10,
             "smoothness": 10, "color_scale": 50,
@@ -121,9 +123,12 @@ class CrossModal(BaseModel):
         color, infrared, depth = frame.color, frame.infrared, frame.depth
         fb, mirrored, rectified = frame.fb, False, None
         if frame.rig is not None:
-            rectified = frame.rig.rectified()
-            color, infrared = rectified.images(color, infrared)
-            depth, fb, mirrored = rectified.depth(depth), rectified.fb, rectified.mirrored
+            size, infrared_size = ((image.shape[1], image.shape[0]) for image in (color, infrared))
+            rectified = frame.rig.rectified(
+                size, infrared_size, -1, mirrored=True, max_tilt=_MAX_TILT, min_overlap=_MIN_OVERLAP
+            )
+            color, infrared, _ = rectified.images(color, infrared, cv2.INTER_LINEAR, cv2.BORDER_REPLICATE)
+            depth, fb, mirrored = rectified.rectify_depth(depth), rectified.fb, rectified.mirrored
         clock.stop("rectify")
         if mirrored:
             color, infrared, depth = color[:, ::-1], infrared[:, ::-1], depth[:, ::-1]
@@ -133,8 +138,8 @@ class CrossModal(BaseModel):
         if mirrored:
             sparse, dense, confidence = (values[:, ::-1] for values in (sparse, dense, confidence))
         if rectified is not None:
-            sparse, confidence = rectified.back(sparse, confidence)
-            dense, _ = rectified.back(dense, dense)
+            sparse, confidence = rectified.unrectify_depth(sparse, confidence)
+            dense, _ = rectified.unrectify_depth(dense, dense)
         figures = {f"weight_{name}": weight for name, weight in zip("rgb", found.weights, strict=True)}
         figures["matched"] = float(np.mean(np.isfinite(sparse)))
         clock.stop("stereo")

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock
 from depthcli.methods.kinect.result import RefinedDepth
-from depthcli.methods.transparent.robust_fit import RobustFit, Samples
+from depthcli.methods.transparent.fit import RobustFit
 from depthcli.methods.transparent.suspects import Suspicion, noise_of
 
 _OF_FIT = 3.0  # standard deviations within which a sample agrees with its neighbors

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.filters.local_moments import local_moments
+from depthcli.algorithms.filters import local_moments
 from depthcli.core import memory
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.volume import CostVolume

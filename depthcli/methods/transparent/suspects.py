@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from depthcli.algorithms.grid_cut import STEPS, edge_ends, grid_cut
-from depthcli.methods.transparent.robust_fit import Samples
+from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
+from depthcli.algorithms.plane_fitting.sample_planes import Samples
 
 _CLIPPED = 4.0  # standard deviations that one sample may add to a region's evidence
 _EXPECTED = 4.0  # samples that a piece of a region should hold, by its area, before one alone is too few

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from depthcli.batch.presets import find_config
+from depthcli.commands.fuse import with_network
 from depthcli.core.config_file import load_config
 from depthcli.evaluation.curves import sparsification
 from depthcli.kernels.winners import winners
@@ -57,7 +58,7 @@ def test_the_best_confidence_orders_pixels_well(name, most):
 def test_mixed_maps_stand_a_lamp_in_one_view_and_a_sunny_street(folder, protocol, name, rate, most):
     """Neither taught the network."""
     pair, truth, top = real_scenes(folder, protocol)[name]
-    result = load_config(FuseConfig, find_config("fuse", "accurate"))(pair, top)
+    result = with_network(load_config(FuseConfig, find_config("fuse", "accurate")))(pair, top)
     assert rates(result.disparity.values, truth, protocol)[rate] <= most
 
 
@@ -69,7 +70,7 @@ def test_mixed_maps_stand_a_lamp_in_one_view_and_a_sunny_street(folder, protocol
 def test_mixed_maps_keep_their_accuracy_and_know_it(folder, name, most):
     """Teddy and Venus taught the network, Dolls did not."""
     pair, truth, top = real_scenes(folder)[name]
-    result = load_config(FuseConfig, find_config("fuse", "accurate"))(pair, top)
+    result = with_network(load_config(FuseConfig, find_config("fuse", "accurate")))(pair, top)
     assert rates(result.disparity.values, truth)["nonocc"] <= most
     visible = truth.masks["nonocc"]
     wrong = ~(np.abs(result.disparity.values - truth.disparity) <= 1)[visible]

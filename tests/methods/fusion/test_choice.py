@@ -1,4 +1,4 @@
-"""Choice among maps by a network: inputs and kernel against their twins, files, and what it is for."""
+"""Choice among maps by a network: inputs and kernel against slow references, files, and what it is for."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.batch.presets import find_config
+from depthcli.commands.fuse import with_network
 from depthcli.core.config_file import load_config
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.method import Family
+from depthcli.core.networks import TrainedNetwork
+from depthcli.data.formats.networks import network_path, read_network, write_network
 from depthcli.data.generated.stereo_scenes import make_scene
 from depthcli.evaluation.curves import sparsification
-from depthcli.methods.fusion.choice import Chooser, Proposals
+from depthcli.methods.fusion.choice import Proposals
 from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE, SHARED, Inputs, input_names
-from depthcli.methods.fusion.choice.network import Weights, read_weights, write_weights
+from depthcli.methods.fusion.choice.network import Network, log_odds_of
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.surfaces import matching_costs
 from depthcli.methods.fusion.votes import ColorSupport
-from depthcli.methods.stereo.slopes import slopes
 from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
 from tests.naive import choice as naive
 
@@ -44,7 +46,7 @@ def proposals(height=9, width=21, depth=12, count=4, seed=0):
     )
 
 
-def random_weights(kinds, units=(8, 4), seed=0):
+def random_network(kinds, units=(8, 4), seed=0):
     rng = np.random.default_rng(seed)
 
     def some(*shape):
@@ -56,10 +58,10 @@ def random_weights(kinds, units=(8, 4), seed=0):
         (some(*units) / 3, some(units[1])),
         (some(units[1], 1), some(1)),
     )
-    return Weights(kinds, some(size), np.abs(some(size)), layers)
+    return TrainedNetwork(kinds, input_names(kinds), some(size), np.abs(some(size)), layers)
 
 
-def test_inputs_are_those_of_the_twins():
+def test_inputs_agree_with_the_reference():
     given = proposals()
     count, height, width = given.values.shape
     inputs = Inputs.of(given)
@@ -105,32 +107,24 @@ def test_rows_hold_the_planes_in_the_order_of_their_names():
 
 
 @pytest.mark.parametrize(("height", "width", "count"), [(9, 21, 4), (1, 1, 2), (3, 5, 16), (40, 33, 3)])
-def test_the_kernel_answers_as_its_twin(height, width, count):
+def test_the_kernel_agrees_with_the_reference(height, width, count):
     given = proposals(height, width, 12, count)
-    weights = random_weights(given.kinds)
+    weights = random_network(given.kinds)
     inputs = Inputs.of(given)
     rows = inputs.rows(np.arange(height * width, dtype=np.int64))
     expected = naive.answers(rows.astype(float), weights.mean, weights.scale, weights.layers)
-    np.testing.assert_allclose(weights(inputs), expected.T, atol=1e-3)
+    np.testing.assert_allclose(log_odds_of(weights, inputs), expected.T, atol=1e-3)
 
 
-def network(weights, tmp_path):
-    file = tmp_path / "net.json"
-    write_weights(file, weights, ["a scene"])
-    found = Family.of("depthcli.methods.fusion.choice").parse({"method": "network", "weights": str(file)})
-    assert isinstance(found, Chooser)
-    return found
-
-
-def test_the_likeliest_proposal_is_taken_with_its_probability(tmp_path):
+def test_the_likeliest_proposal_is_taken_with_its_probability():
     given = proposals()
-    method = network(random_weights(given.kinds), tmp_path)
-    weights = read_weights(method.model_dump()["weights"])
+    trained = random_network(given.kinds)
+    method = Network().with_network(trained, given.kinds)
     chosen = method(given)
     assert chosen.probability is not None
     picked = chosen.values[None] == given.values
     assert picked.any(axis=0).all()
-    odds = weights(Inputs.of(given)).reshape(given.values.shape)
+    odds = log_odds_of(trained, Inputs.of(given)).reshape(given.values.shape)
     at = picked.argmax(axis=0)[None]
     expected = 1 / (1 + np.exp(-np.take_along_axis(odds, at, axis=0)[0]))
     single = picked.sum(axis=0) == 1
@@ -146,11 +140,11 @@ def test_the_likeliest_proposal_is_taken_with_its_probability(tmp_path):
 
 
 def test_files_keep_four_digits(tmp_path):
-    weights = random_weights(KINDS)
-    write_weights(tmp_path / "a.json", weights, ["x"])
-    found = read_weights(str(tmp_path / "a.json"))
-    assert found.kinds == KINDS
-    for (w, b), (v, c) in zip(weights.layers, found.layers, strict=True):
+    network = random_network(KINDS)
+    write_network(tmp_path / "a.json", network)
+    stored = read_network(tmp_path / "a.json")
+    assert stored.maps == KINDS and stored.inputs == network.inputs
+    for (w, b), (v, c) in zip(network.layers, stored.layers, strict=True):
         np.testing.assert_allclose(v, w, rtol=1e-3)
         np.testing.assert_allclose(c, b, rtol=1e-3)
 
@@ -159,35 +153,52 @@ def test_files_keep_four_digits(tmp_path):
     ("change", "message"),
     [
         ({"format": "other"}, "format 'other'"),
-        ({"inputs": ["cost"]}, "other inputs"),
-        ({"mean": [1.0]}, "layers of shapes"),
-        ({"layers": []}, "not a network of this version"),
-        ({"scale": None}, "not a network of this version"),
+        ({"inputs": ["cost"]}, "arrays of shapes"),
+        ({"mean": [1.0]}, "arrays of shapes"),
+        ({"layers": []}, "arrays of shapes"),
+        ({"layers": [1]}, "not a network that depthcli wrote"),
+        ({"scale": None}, "arrays of shapes"),
+        ({"scale": ["x"]}, "not a network that depthcli wrote"),
+        ({"mean": [float("nan")] * len(input_names(KINDS))}, "not finite"),
     ],
 )
 def test_a_file_of_something_else_is_refused(change, message, tmp_path):
     file = tmp_path / "net.json"
-    write_weights(file, random_weights(KINDS), [])
+    write_network(file, random_network(KINDS))
     file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
-    with pytest.raises(ConfigError, match=message):
-        read_weights(str(file))
-    with pytest.raises(ConfigError, match="cannot be read"):
-        read_weights(str(tmp_path / "none.json"))
-    with pytest.raises(ConfigError, match="those of the package are: accurate"):
-        read_weights("other")
+    with pytest.raises(InputError, match=rf"net\.json: .*{message}"):
+        read_network(file)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read_network(tmp_path / "none.json")
+    with pytest.raises(InputError, match="one of the package: accurate"):
+        network_path("other")
+
+
+def test_a_network_takes_only_the_inputs_it_was_trained_for():
+    trained = random_network(KINDS)
+    other = replace(trained, inputs=("cost", *trained.inputs[1:]))
+    with pytest.raises(InputError, match="another version"):
+        Network().with_network(other, KINDS)
+    with pytest.raises(InputError, match="another version"):
+        Network().with_network(random_network(KINDS, units=(6, 4)), KINDS)
+    with pytest.raises(ValueError, match="with_network first"):
+        Network()(proposals())
 
 
 def test_a_network_takes_only_the_maps_it_was_trained_for():
     maps = {"choice": {"method": "network"}, "optimizations": [{"optimization": "scanline"}]}
-    with pytest.raises(ValidationError, match="trained for the maps median, own, segments, local"):
-        FuseConfig.model_validate({"measures": ["census"], "maps": maps})
+    with pytest.raises(ConfigError, match="trained for the maps median, own, segments, local"):
+        with_network(FuseConfig.model_validate({"measures": ["census"], "maps": maps}))
     with pytest.raises(ValidationError, match="where a network chooses"):
         FuseConfig.model_validate({"measures": ["census"], "maps": {}, "confidence": ["probability"]})
 
 
 @pytest.mark.slow
 def test_the_preset_beats_its_parts_and_knows_where_it_is_right():
-    fusion = load_config(FuseConfig, find_config("fuse", "accurate"))
+    fusion = with_network(load_config(FuseConfig, find_config("fuse", "accurate")))
     fusion = fusion.model_copy(update={"confidence": ("probability", "agreement")})
     assert fusion.maps is not None
     wrong = {"mix": 0.0, "own": 0.0, **dict.fromkeys(range(len(fusion.maps.matchers)), 0.0)}

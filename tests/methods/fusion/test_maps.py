@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.data.generated.stereo_scenes import make_scene
@@ -21,7 +22,6 @@ from depthcli.methods.fusion.surfaces import (
     disagreements,
     matching_costs,
 )
-from depthcli.methods.stereo.slopes import slopes
 from depthcli.methods.stereo.volume import CostVolume
 from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
 from tests.naive import maps as naive

@@ -7,11 +7,11 @@ import numba
 import numpy as np
 import pytest
 
+from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.kinect_scenes import make_kinect_scene, simulate_kinect
 from depthcli.methods.kinect.holes import hidden_openings
-from depthcli.methods.kinect.local_planes import LocalPlanes, local_planes
 from depthcli.methods.kinect.outlines import FIRST, outline_offsets, truth_probability
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
 from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateral
@@ -43,7 +43,7 @@ def test_local_planes_are_those_of_the_twin(shape):
     rng = np.random.default_rng(sum(shape))
     disparity = random_map(rng, shape)
     trust = np.where(rng.random(shape) < 0.8, rng.random(shape), 0).astype(np.float32)
-    planes = local_planes(disparity, trust, 0.3)
+    planes = window_planes(disparity, trust, 0.3)
     np.testing.assert_array_equal(np.isnan(planes.value), np.isnan(disparity))
     for y, x in np.argwhere(~np.isnan(disparity)):
         window = np.s_[max(y - 4, 0) : y + 5, max(x - 4, 0) : x + 5]
@@ -57,14 +57,14 @@ def test_planes_that_nothing_touches_are_taken_over():
     rng = np.random.default_rng(8)
     disparity = random_map(rng, (40, 150))
     trust = np.ones((40, 150), np.float32)
-    first = local_planes(disparity, trust, 0.3)
+    first = window_planes(disparity, trust, 0.3)
     changed = np.zeros((40, 150), bool)
     changed[20:23, 70:75] = True
     other = np.where(changed, np.float32(25), disparity)
-    again, anew = local_planes(other, trust, 0.3, first, changed), local_planes(other, trust, 0.3)
+    again, anew = window_planes(other, trust, 0.3, first, changed), window_planes(other, trust, 0.3)
     for name in ("value", "slope_x", "slope_y", "scale"):
         np.testing.assert_array_equal(getattr(again, name), getattr(anew, name))
-    np.testing.assert_array_equal(first.value, local_planes(disparity, trust, 0.3).value)
+    np.testing.assert_array_equal(first.value, window_planes(disparity, trust, 0.3).value)
 
 
 def test_votes_are_those_of_the_twin():
@@ -73,7 +73,7 @@ def test_votes_are_those_of_the_twin():
     lab = rng.integers(60, 160, (*shape, 3), dtype=np.uint8)
     disparity = random_map(rng, shape)
     trust = np.where(np.isnan(disparity), 0, rng.random(shape)).astype(np.float32)
-    planes = local_planes(disparity, trust, 0.3)
+    planes = window_planes(disparity, trust, 0.3)
     limit = np.where(rng.random(shape) < 0.5, 25, np.inf).astype(np.float32)
     beyond = np.full(shape, 0.1, np.float32)
     rim = np.full(shape, np.nan, np.float32)
@@ -105,7 +105,7 @@ def test_votes_are_those_of_the_twin():
 def test_votes_of_nobody():
     shape = (6, 7)
     nothing = np.zeros(shape, np.float32)
-    planes = LocalPlanes(np.full(shape, np.nan, np.float32), nothing, nothing, nothing)
+    planes = WindowPlanes(np.full(shape, np.nan, np.float32), nothing, nothing, nothing)
     lab = np.zeros((*shape, 3), np.uint8)
     voters = [Voters.of(lab, planes, nothing, stride) for stride, _ in LEVELS]
     values, shares = cast_votes(
@@ -157,7 +157,7 @@ def test_limits_and_rims_of_shadows():
     truth = np.full((30, 120), 10.0, np.float32)
     truth[:, 60:90] = 22.0
     sample = simulate_kinect(np.full((30, 120, 3), 90, np.uint8), truth, 0, noise=0.0, discs=0)
-    planes = local_planes(sample.disparity, np.ones_like(truth), 0.1)
+    planes = window_planes(sample.disparity, np.ones_like(truth), 0.1)
     limit, beyond = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, 1.0)
     rim, bonus = left_rims(sample.disparity, planes, 1.0, 1.0)
     found = list(naive.shadows(sample.disparity, 1.0))
@@ -185,7 +185,7 @@ def test_an_opening_closed_by_the_sensor_is_doubted_for_its_color():
     opening[:, :60] = False
     assert sample.mismatch[opening].all()
     trust = np.isfinite(sample.disparity).astype(np.float32)
-    planes = local_planes(sample.disparity, trust, 0.3)
+    planes = window_planes(sample.disparity, trust, 0.3)
     lab = lab_of(color)
     near = np.isfinite(sample.disparity) & (np.arange(160) > 58)
     doubted = hidden_openings(lab, planes, Voters.of(lab, planes, trust, 4), near, 1.5, 11.0)

@@ -8,12 +8,12 @@ import io
 import numpy as np
 import pytest
 
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.kinect_scenes import KinectSample, make_kinect_sequence
 from depthcli.methods.kinect.layer import Evidence, Layer
 from depthcli.methods.kinect.sequence import SequenceState, carried_labels, still_pixels
-from depthcli.methods.kinect.surfaces import Surfaces
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.methods.kinect.test_dsrm import preset
 from tests.methods.kinect.test_surfaces import labels_of, noisy

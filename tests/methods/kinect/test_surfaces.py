@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.methods.kinect.growth import grow
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.methods.kinect.model.polynomial import Polynomial
 from depthcli.methods.kinect.occlusion import farthest_fit
-from depthcli.methods.kinect.surfaces import Surfaces, add_detail
+from depthcli.methods.kinect.surfaces import add_detail, join_segments
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.naive import kinect as naive
 
@@ -139,5 +139,5 @@ def test_segments_join(shape, share, seed):
         b = surfaces.coefficients[s]
         return b[0] + b[1] * x / 50 + b[2] * y / 50
 
-    found = grow(labels, modelled, surfaces, color, limit)
+    found = join_segments(labels, modelled, surfaces, color, limit)
     np.testing.assert_array_equal(found, naive.owners(labels, modelled, color, value_at, limit))

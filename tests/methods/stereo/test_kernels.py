@@ -10,7 +10,6 @@ import pytest
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels.cross_support import cross_arms
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
@@ -21,6 +20,7 @@ from depthcli.methods.stereo.cost.combined import Combined
 from depthcli.methods.stereo.cost.gradient import Gradient, image_gradient
 from depthcli.methods.stereo.cost.rank import Rank
 from depthcli.methods.stereo.cost.zncc import Zncc
+from depthcli.methods.stereo.cross_support import cross_arms
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.discontinuity_adjustment import DiscontinuityAdjustment

@@ -37,7 +37,7 @@ from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
-from depthcli.methods.stereo.tile_winners import TileWinners
+from depthcli.methods.stereo.tiled_winners import TiledWinners
 from depthcli.methods.stereo.tiles import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Tile
 from depthcli.methods.stereo.volume import StereoResult
 from tests.methods.stereo._pairs import PARAMETERS, TINY, blocky_pair, random_volume, texture, threads
@@ -76,7 +76,7 @@ def small_levels(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(("height", "width", "disparities"), [*TINY, (11, 37, 20)])
 def test_winners_of_tiles_are_those_of_the_image(height, width, disparities, dtype):
     costs = random_volume(height, width, disparities, dtype, width).costs
-    gathered = TileWinners((height, width), True)
+    gathered = TiledWinners((height, width), True)
     # Two rows of tiles, and the disparities in two spans with a cell between.
     middle = disparities // 2
     spans = [(0, middle, 0), (middle + 1, disparities - middle, middle)] if middle else [(0, disparities, 0)]
@@ -96,7 +96,7 @@ def test_winners_of_tiles_with_disparities_of_their_own(dtype):
     height, width, depth = 6, 40, 24
     costs = random_volume(height, width, depth, dtype, 3).costs
     parts = [(0, 13, [(0, 8), (14, 6)]), (13, 29, [(3, 9)]), (29, 40, [(0, 4), (9, 5), (20, 4)])]
-    gathered = TileWinners((height, width), True)
+    gathered = TiledWinners((height, width), True)
     allowed = np.zeros(costs.shape, bool)
     for x0, x1, listed in parts:
         spans, cells, start = [], [], 0

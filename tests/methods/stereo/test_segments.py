@@ -7,6 +7,7 @@ import numba
 import numpy as np
 import pytest
 
+from depthcli.algorithms.plane_fitting.segment_planes import Members, Planes, distinct, evaluate
 from depthcli.algorithms.regions import region_graph
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
@@ -18,9 +19,9 @@ from depthcli.methods.stereo.keypoint_matching import Matches, consistent
 from depthcli.methods.stereo.pipeline.segments import Segments
 from depthcli.methods.stereo.segments import energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, segment_window
-from depthcli.methods.stereo.segments.planes import Members, PlaneFit, Planes, distinct, evaluate
+from depthcli.methods.stereo.segments.planes import PlaneFit
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges, search_ranges, search_zones
-from depthcli.methods.stereo.segments.splitting import Split
+from depthcli.methods.stereo.segments.segmented_image import Split
 from depthcli.methods.stereo.volume import CostVolume
 from tests.naive import segments as naive
 
@@ -97,17 +98,17 @@ def test_disparities_outside_the_range_cost_more(dtype, most, penalty):
     costs = rng.integers(0, 250, (9, 12, 6)).astype(dtype)
     ranges = np.array([[0, 5], [2, 3], [4, 5], [1, 1]], np.int32)
     raw = costs.copy()
-    volume = Ranges(penalty=penalty).discourage(CostVolume(costs, 2.0), SearchRanges(_labels(), ranges))
+    volume = Ranges(penalty=penalty).penalize(CostVolume(costs, 2.0), SearchRanges(_labels(), ranges))
     assert np.array_equal(costs, raw)
     assert volume.costs.dtype == dtype
-    assert np.array_equal(volume.costs, naive.discourage_outside(costs, _labels(), ranges, 2 * penalty, most))
+    assert np.array_equal(volume.costs, naive.penalize_outside(costs, _labels(), ranges, 2 * penalty, most))
 
 
 def test_clear_costs_overrule_a_wrong_range():
     costs = np.full((4, 30, 8), 100, np.uint8)
     costs[:, :, 6] = 0
     ranges = np.array([[0, 3]], np.int32)
-    volume = Ranges(penalty=40).discourage(CostVolume(costs), SearchRanges(np.zeros((4, 30), np.int32), ranges))
+    volume = Ranges(penalty=40).penalize(CostVolume(costs), SearchRanges(np.zeros((4, 30), np.int32), ranges))
     assert np.all(Selection()(volume).values[:, 7:] == 6)
 
 
@@ -131,7 +132,7 @@ def test_selection_respects_ranges_and_checks_both_views():
     labels = np.zeros((5, 20), np.int32)
     labels[:, 10:] = 1
     found = SearchRanges(labels, np.array([[0, 5], [4, 5]], np.int32))
-    first = Selection(tolerance=0)(Ranges(penalty=300).discourage(CostVolume(costs), found))
+    first = Selection(tolerance=0)(Ranges(penalty=300).penalize(CostVolume(costs), found))
     assert np.all(first.values[:, 3:10] == 3) and first.trusted[:, 3:10].all()
     assert np.all(first.values[:, 10:] >= 4)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
-from depthcli.methods.stereo.slopes import slopes
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 from tests.methods.stereo._pairs import assert_pure, blocky_pair
 from tests.naive import stereo as naive

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.batch.presets import find_config, list_presets
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import SparseFrame
@@ -16,7 +17,6 @@ from depthcli.data.generated.sparse_depth import sparse_samples
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.walk import discover_scenes
 from depthcli.methods.transparent.config import TransparentConfig
-from depthcli.methods.transparent.robust_fit import Samples
 from depthcli.methods.transparent.suspects import Suspicion, noise_of
 from tests.methods.stereo._pairs import assert_pure
 from tests.methods.transparent._frames import NOISE, glass

@@ -65,7 +65,7 @@ class TransparentSample(Sample):
 
     def make(self, values: Mapping[str, Any], item: SampleScene, folder: Path) -> dict[str, Any]:
         """Color, infrared, depth of the sensor, sparse and true depth, mask, calib.json and meta.json."""
-        from depthcli.core.cameras.geometry import depth_of_disparity
+        from depthcli.core.cameras.triangulation import depth_of_disparity
         from depthcli.data.generated.transparent_scenes import glass_of_pair, make_transparent_scene
         from depthcli.data.scenes.rgbd import RgbdScene
         from depthcli.data.scenes.stereo import StereoScene

@@ -5,13 +5,14 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
+from depthcli.core.networks import TrainedNetwork
 from depthcli.methods.fusion.votes import ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -63,11 +64,23 @@ class Chosen:
 class Chooser(Method):
     """Makes one map of several."""
 
-    tells: ClassVar[tuple[str, ...]] = ()
-    """Confidences that it gives."""
+    confidences: ClassVar[tuple[str, ...]] = ()
+    """Names of the confidences that it gives."""
 
-    def check(self, kinds: tuple[str, ...]) -> None:
-        """ValueError where the method cannot choose among proposals of these kinds."""
+    @property
+    def network_name(self) -> str | None:
+        """Name or file of the trained network that it needs; None: it needs none."""
+        return None
+
+    def with_network(self, trained: TrainedNetwork, maps: tuple[str, ...]) -> Self:
+        """Return a copy that chooses by ``trained`` among ``maps``.
+
+        Raises
+        ------
+        InputError
+            The network was trained for other maps or other inputs.
+        """
+        raise NotImplementedError(f"{self.method_name()} needs no network")
 
     @abstractmethod
     def __call__(self, proposals: Proposals) -> Chosen:

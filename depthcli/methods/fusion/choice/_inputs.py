@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.filters.local_moments import local_moments
+from depthcli.algorithms.filters import local_moments
+from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.fusion.choice import Proposals
 from depthcli.methods.fusion.surfaces import contradictions, cost_between, disagreements, matching_costs, misfit
-from depthcli.methods.stereo.slopes import slopes
 
 OWN = (
     "cost_far", "cost_near", "dissent_near", "dissent_far", "decorrelation", "color", "color_near",

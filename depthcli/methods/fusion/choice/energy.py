@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.methods.fusion.choice import Chooser, Chosen, Proposals
 from depthcli.methods.fusion.surfaces import Smoothness, Surface, contradictions, disagreements, matching_costs
-from depthcli.methods.stereo.slopes import slopes
 
 _LEAST = 0.25  # maps closer than this are not told apart, pixels
 

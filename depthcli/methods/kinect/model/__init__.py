@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.method import Method, method_of
-from depthcli.methods.kinect.surfaces import Surfaces
 
 
 class SurfaceModel(Method):
@@ -23,9 +23,9 @@ class SurfaceModel(Method):
 
         Parameters
         ----------
-        floor : least scale of residuals: what the sensor resolves
-        start : surfaces of the same n segments in the frame before, to begin at; a segment of which too little is
-            known now keeps its surface
+        floor : smallest scale of residuals: what the sensor resolves
+        start : surfaces of the same n segments in the previous frame, to begin at; a segment of which too little is
+            known in this frame keeps its surface
         """
 
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging
-from depthcli.core.cameras.geometry import depth_of_disparity
+from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock

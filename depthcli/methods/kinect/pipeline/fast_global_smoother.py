@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.filters.opencv_threads import single_thread
+from depthcli.algorithms.filters import single_thread
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
 from depthcli.methods.kinect.noise import noise_level

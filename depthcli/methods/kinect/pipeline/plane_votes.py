@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from depthcli.algorithms.plane_fitting.window_planes import RADIUS, window_planes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
 from depthcli.methods.kinect.choice import CLOSE, choose
 from depthcli.methods.kinect.fill import nearest_fill
 from depthcli.methods.kinect.holes import hidden_openings
-from depthcli.methods.kinect.local_planes import REACH, local_planes
 from depthcli.methods.kinect.noise import noise_level
 from depthcli.methods.kinect.outcome import measured_disparity, outcome
 from depthcli.methods.kinect.outlines import truth_probability
@@ -63,7 +63,7 @@ class PlaneVotes(KinectPipeline):
         clock.stop("suspects")
 
         refined = measured
-        planes = local_planes(measured, trust, noise)
+        planes = window_planes(measured, trust, noise)
         limit, beyond = shadow_limits(lab, measured, planes, jump, 3 * noise, belief)
         clock.stop("planes")
         distance = cv2.distanceTransform((trust == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
@@ -100,11 +100,11 @@ class PlaneVotes(KinectPipeline):
             trust = (~np.isnan(refined)).astype(np.float32)
             changed = (trust != old_trust) | ((refined != old) & (trust > 0))
             clock.stop("choice")
-            planes = local_planes(refined, trust, noise, planes, changed)
+            planes = window_planes(refined, trust, noise, planes, changed)
             clock.stop("planes")
         fallback = np.isnan(planes.value)
         values = nearest_fill(planes.value)
-        sigma = np.maximum(planes.scale, np.float32(noise / (2 * REACH + 1)))
+        sigma = np.maximum(planes.scale, np.float32(noise / (2 * RADIUS + 1)))
         return outcome(frame, values, sigma.astype(np.float32), noise, clock, fallback)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:

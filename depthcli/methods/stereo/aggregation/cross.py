@@ -11,10 +11,10 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.cross_support import cross_arms
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.aggregation._intersection import intersected_means
+from depthcli.methods.stereo.cross_support import cross_arms
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
 

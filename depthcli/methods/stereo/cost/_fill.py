@@ -10,11 +10,25 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels.bits import popcount
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import intrinsic, parallel_jit, prange, types
+
+
+@intrinsic
+def popcount(typingctx: Any, value: Any) -> Any:
+    """Return the number of set bits of an unsigned integer (LLVM ``ctpop``; vectorizes)."""
+    if not isinstance(value, types.Integer):
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kind = ir.IntType(signature.args[0].bitwidth)
+        function = builder.module.declare_intrinsic("llvm.ctpop", [kind])
+        return builder.call(function, args)
+
+    return value(value), codegen
 
 
 @parallel_jit

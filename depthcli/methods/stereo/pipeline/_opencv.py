@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from depthcli.algorithms.filters.opencv_threads import single_thread
+from depthcli.algorithms.filters import single_thread
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.refinement.background_fill import fill_background

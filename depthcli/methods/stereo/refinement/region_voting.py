@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels.cross_support import cross_arms
 from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.cross_support import cross_arms
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.algorithms.plane_fitting.window_slopes import BLOCK, color_planes, framed, slopes
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.exponential import exp_minus_16
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
-from depthcli.methods.stereo.slopes import BLOCK, color_planes, framed, slopes
 from depthcli.methods.stereo.volume import RefinementContext
 
 _PER_PIXEL = 8  # values of a result; finer ones would only be noise

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
+from depthcli.algorithms.plane_fitting.least_squares import huber_weight, plane_moments, plane_slopes
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
@@ -44,7 +45,7 @@ class SurfaceFill(Refinement):
 def _continue_surfaces(values: Any, filled: Any, rows: int, reach: int, support: int, largest: Any) -> None:
     height, width = values.shape
     for y in prange(height):
-        sample = np.empty((3, (2 * rows + 1) * reach), np.float32)
+        sample = np.empty((4, (2 * rows + 1) * reach), np.float64)
         x = 0
         while x < width:
             if not np.isnan(values[y, x]):
@@ -103,7 +104,7 @@ def _plane_along_row(
                     last = values[v, u]
                     sample[0, count] = u - x
                     sample[1, count] = v - y
-                    sample[2, count] = last - start
+                    sample[2, count] = np.float32(last - start)
                     count += 1
                 else:  # another surface, or no value
                     strangers += 1
@@ -111,22 +112,13 @@ def _plane_along_row(
                         break
     if count < support:
         return 0.0, float(start)
+    across, down, d, weights = sample[0, :count], sample[1, :count], sample[2, :count], sample[3, :count]
     slope_x = slope_y = offset_d = 0.0
     for iteration in range(4):
-        s = sx = sy = sxx = sxy = syy = sd = sxd = syd = 0.0
         for i in range(count):
-            across, down, d = float(sample[0, i]), float(sample[1, i]), float(sample[2, i])
-            residual = abs(d - (slope_x * across + slope_y * down + offset_d))
-            weight = 1.0 if iteration == 0 else 1.0 / max(1.0, 2.0 * residual)
-            s += weight
-            sx += weight * across
-            sy += weight * down
-            sd += weight * d
-            sxx += weight * across * across
-            sxy += weight * across * down
-            syy += weight * down * down
-            sxd += weight * across * d
-            syd += weight * down * d
+            residual = d[i] - (slope_x * across[i] + slope_y * down[i] + offset_d)
+            weights[i] = 1.0 if iteration == 0 else huber_weight(residual, 0.5)
+        s, sx, sy, sd, sxx, sxy, syy, sxd, syd = plane_moments(across, down, d, weights)
         mean_x, mean_y, mean_d = sx / s, sy / s, sd / s
         # One pixel of variance is added: a thin sample must not yield a steep plane.
         xx = sxx / s - mean_x * mean_x + 1.0
@@ -134,8 +126,6 @@ def _plane_along_row(
         xy = sxy / s - mean_x * mean_y
         xd = sxd / s - mean_x * mean_d
         yd = syd / s - mean_y * mean_d
-        determinant = xx * yy - xy * xy
-        slope_x = (xd * yy - yd * xy) / determinant
-        slope_y = (yd * xx - xd * xy) / determinant
+        slope_x, slope_y = plane_slopes(xx, xy, yy, xd, yd, xx * yy - xy * xy)
         offset_d = mean_d - slope_x * mean_x - slope_y * mean_y
     return slope_x, float(start) + offset_d

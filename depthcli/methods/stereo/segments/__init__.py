@@ -1,4 +1,4 @@
-"""Steps of the segment-based pipeline (thesis chapter 2), each a mapping of its config, and what they work on."""
+"""Segment-based stereo (thesis chapter 2): its steps, each with its part of the config. ``steps`` has the data flow."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ from pydantic import BaseModel, ConfigDict
 
 
 class Step(BaseModel):
-    """Parameters of one step; calling it runs it."""
+    """Base of the steps: a callable with its parameters."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
+from depthcli.algorithms.plane_fitting.segment_planes import Members, Planes
 from depthcli.algorithms.regions import RegionGraph
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.segments import Step
-from depthcli.methods.stereo.segments.planes import Members, Planes
-from depthcli.methods.stereo.segments.scene import Scene
+from depthcli.methods.stereo.segments.segmented_image import SegmentedImage
 from depthcli.methods.stereo.volume import CostVolume
 
 
 class Energy(Step):
-    """What a plane costs in a segment, and different planes in neighboring ones."""
+    """Costs of planes in segments, and of different planes in neighboring segments."""
 
     data_term: Annotated[
         Literal["dedc", "matching_cost"],
@@ -25,56 +25,39 @@ class Energy(Step):
     ] = Field("dedc", description="distance from the first disparities, or matching cost")
     data_weight: float = Field(10.0, ge=0, le=1e6, description="lambda (eq. 2.9), weight of the dedc data term")
     truncation: float | None = Field(
-        None,
-        gt=0,
-        le=16384,
-        description="largest distance from a first disparity that counts, pixels; null: no limit",
+        None, gt=0, le=16384, description="largest distance from a first disparity that counts, pixels; null: no limit"
     )
     cost_weight: float = Field(10.0, ge=0, le=1e6, description="weight of the matching_cost data term")
     visibility: float = Field(
-        0.0,
-        ge=0,
-        le=1e6,
-        description="cost of a pixel not trusted that a plane puts in front of what the right view sees",
+        0.0, ge=0, le=1e6, description="cost of an untrusted pixel that would be in front of the right view's surface"
     )
     smoothness: float = Field(
-        25.0, ge=0, le=1e6, description="w (eq. 2.12): cost of a pixel of boundary between two planes"
+        25.0, ge=0, le=1e6, description="w (eq. 2.12): cost of a boundary between two planes, per pixel"
     )
     color_scale: float = Field(
-        150.0,
-        gt=0,
-        le=1e6,
-        description="sigma (eq. 2.12): difference of mean colors that makes boundaries cheap, grey levels",
+        150.0, gt=0, le=1e6, description="sigma (eq. 2.12): color difference that makes boundaries cheap, grey levels"
     )
 
-    def __call__(self, scene: Scene, volume: CostVolume, planes: Planes) -> NDArray[np.float64]:
-        """Cost of every plane in every segment, (n, L) float64."""
-        unary = out_of_range(scene.everything, scene.width, planes, scene.max_disparity)
+    def __call__(self, segments: SegmentedImage, volume: CostVolume, planes: Planes) -> NDArray[np.float64]:
+        """Return the cost of every plane in every segment, (n, L) float64."""
+        unary = out_of_range(segments.everything, segments.labels.shape[1], planes, segments.max_disparity)
         if self.data_term == "dedc":
-            most = np.inf if self.truncation is None else self.truncation
-            unary += discrepancy(scene.first.values, scene.trusted, planes, self.data_weight, most)
+            truncation = np.inf if self.truncation is None else self.truncation
+            unary += discrepancy(segments.first.values, segments.trusted, planes, self.data_weight, truncation)
         else:
-            unary += matching_cost(volume, scene.trusted, planes, self.cost_weight)
+            unary += matching_cost(volume, segments.trusted, planes, self.cost_weight)
         if self.visibility:
-            unary += visibility(scene.first.right, scene.untrusted, planes, self.visibility)
+            unary += visibility(segments.first.right, segments.untrusted, planes, self.visibility)
         return unary
-
-    def boundaries(self, graph: RegionGraph) -> NDArray[np.float64]:
-        """Cost of different planes on the two sides of every edge, (E,) float64."""
-        return smoothness(graph, self.smoothness, self.color_scale)
 
 
 def discrepancy(
-    values: NDArray[np.float32],
-    trusted: Members,
-    planes: Planes,
-    weight: float,
-    truncation: float,
+    values: NDArray[np.float32], trusted: Members, planes: Planes, weight: float, truncation: float
 ) -> NDArray[np.float64]:
-    """Disparity estimate discrepancy cost (eq. 2.9) of every plane in every segment.
+    """Compute the disparity estimate discrepancy cost (eq. 2.9) of every plane in every segment.
 
     ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m trusted pixels, n of which have the
-    plane's disparity (to the nearest pixel). A segment without trusted pixels takes any plane for nothing.
+    plane's disparity (to the nearest pixel). In a segment without trusted pixels every plane costs 0.
 
     Parameters
     ----------
@@ -95,9 +78,7 @@ def discrepancy(
 
 
 @parallel_jit
-def _discrepancy(  # type: ignore[no-untyped-def]
-    values, width, order, starts, coefficients, weight, truncation, unary
-):
+def _discrepancy(values, width, order, starts, coefficients, weight, truncation, unary):  # type: ignore[no-untyped-def]
     for t in prange(unary.shape[0]):
         first = starts[t]
         m = starts[t + 1] - first
@@ -111,7 +92,7 @@ def _discrepancy(  # type: ignore[no-untyped-def]
             px[i] = pixel % width
             py[i] = pixel // width
             pd[i] = values[pixel]
-        most = np.float32(truncation)
+        max_difference = np.float32(truncation)
         half = np.float32(0.5)
         for label in range(coefficients.shape[0]):
             a = np.float32(coefficients[label, 0])
@@ -120,16 +101,16 @@ def _discrepancy(  # type: ignore[no-untyped-def]
             total = np.float32(0.0)
             n = np.int32(0)
             for i in range(m):
-                apart = abs(a * px[i] + b * py[i] + c - pd[i])
-                n += np.int32(apart <= half)
-                total += min(apart, most)
+                difference = abs(a * px[i] + b * py[i] + c - pd[i])
+                n += np.int32(difference <= half)
+                total += min(difference, max_difference)
             unary[t, label] = weight * total * np.exp(-n / m)
 
 
 def matching_cost(volume: CostVolume, trusted: Members, planes: Planes, weight: float) -> NDArray[np.float64]:
-    """Sum of the matching costs of the segment's trusted pixels at every plane's disparity; (n, L) float64.
+    """Sum the matching costs of a segment's trusted pixels at every plane's disparity; (n, L) float64.
 
-    Disparities are rounded and limited to the volume's. Costs are in units of the measure, times ``weight``.
+    Disparities are rounded and limited to the volume's. The sum is in units of the measure, times ``weight``.
     """
     unary = np.zeros((len(trusted.starts) - 1, len(planes)))
     width = volume.costs.shape[1]
@@ -156,11 +137,11 @@ def _matching_cost(costs, width, order, starts, coefficients, weight, unary):  #
 
 
 def visibility(right: NDArray[Any], untrusted: Members, planes: Planes, weight: float) -> NDArray[np.float64]:
-    """Cost of planes that put a pixel in front of what the right view sees there; (n, L) float64.
+    """Compute the cost of planes that put pixels in front of the right view's surface; (n, L) float64.
 
-    A pixel the cross-check refused is occluded by something nearer or simply unmatched. A disparity more than
-    a pixel above the right view's own estimate at the place it points to would make it visible, and
-    the right view would have found it: such pixels cost ``weight``. Pointing out of the image costs nothing.
+    A pixel that failed the left-right check is occluded or mismatched. With a disparity more than a pixel above that
+    of the right view at its match it would be visible there, and the right view would have matched it: every such pixel
+    costs ``weight``. A match outside the right image costs nothing.
     """
     unary = np.zeros((len(untrusted.starts) - 1, len(planes)))
     _visibility(right, untrusted.order, untrusted.starts, planes.coefficients, weight, unary)
@@ -182,7 +163,7 @@ def _visibility(right, order, starts, coefficients, weight, unary):  # type: ign
 
 
 def out_of_range(everything: Members, width: int, planes: Planes, max_disparity: float) -> NDArray[np.float64]:
-    """Cost of planes that leave [0, ``max_disparity``] by more than a pixel: prohibitive; (n, L) float64."""
+    """Compute the prohibitive cost of planes that leave [0, ``max_disparity``] by more than a pixel; (n, L) float64."""
     unary = np.zeros((len(everything.starts) - 1, len(planes)))
     _out_of_range(everything.order, everything.starts, width, planes.coefficients, max_disparity, unary)
     return unary
@@ -217,11 +198,11 @@ def _out_of_range(order, starts, width, coefficients, max_disparity, unary):  # 
 
 
 def smoothness(graph: RegionGraph, weight: float, color_scale: float) -> NDArray[np.float64]:
-    """Cost of different planes in neighboring segments (eq. 2.12): ``w beta exp(-tau^2 / sigma^2)``.
+    """Compute the cost of different planes in neighboring segments (eq. 2.12), (E,): ``w beta exp(-tau^2 / sigma^2)``.
 
-    beta is the length of the common boundary in pixels, tau the distance of the mean colors; (E,) float64.
+    beta is the length of the common boundary in pixels, tau the distance of the mean colors.
     """
     first, second = graph.edges.T
-    apart = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
-    strength: NDArray[np.float64] = weight * graph.boundary * np.exp(-apart / color_scale**2)
+    distance = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
+    strength: NDArray[np.float64] = weight * graph.boundary * np.exp(-distance / color_scale**2)
     return strength

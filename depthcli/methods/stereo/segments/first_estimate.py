@@ -1,4 +1,4 @@
-"""First disparities of the segment-based pipeline: window inside the segment, selection, cross-check."""
+"""First disparities of the segment-based pipeline: windows inside segments, winner-takes-all, left-right check."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_poin
 
 @dataclass(frozen=True)
 class FirstEstimate:
-    """Disparities before any plane.
+    """Disparities before planes are fitted.
 
     Attributes
     ----------
-    values : (H, W) float32, pixels, to a fraction of a pixel
+    values : (H, W) float32, pixels, may have fractions
     trusted : (H, W) bool: the right view agrees
     right : (H, W) uint16 disparities of the right view
     """
@@ -34,21 +34,21 @@ class FirstEstimate:
 
 
 class Selection(Step):
-    """Winner takes all for both views and cross-check.
+    """Take the cheapest disparities of both views and check whether they agree.
 
-    A pixel is trusted where the right view agrees and the costs are not all the same: on a flat image any disparity
+    A pixel is trusted where the views agree and its costs are not all the same: in a uniform image every disparity
     would pass the check.
     """
 
     tolerance: float = Field(
-        1.0, ge=0, le=16384, description="a pixel is trusted where the views differ by at most this, pixels"
+        1.0, ge=0, le=16384, description="largest difference between the views at a trusted pixel, pixels"
     )
-    subpixel: bool = Field(False, description="disparities to a fraction of a pixel, by a parabola")
+    subpixel: bool = Field(False, description="move disparities to the minimum of a parabola through three costs")
 
     def __call__(self, volume: CostVolume) -> FirstEstimate:
         left, right = winners(volume.costs)
         trusted = left_right_difference(left, right) <= self.tolerance
-        _distrust_indifferent(volume.costs, trusted)
+        _distrust_constant_costs(volume.costs, trusted)
         values = left.astype(np.float32)
         if self.subpixel:
             move_to_minimum(volume.costs, values)
@@ -56,25 +56,25 @@ class Selection(Step):
 
 
 def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -> CostVolume:
-    """Mean cost over those pixels of a square window that lie in the center's own segment.
+    """Average costs over those pixels of a square window that lie in the segment of its center.
 
     Returns
     -------
     CostVolume
-        uint16 fixed point, sixteen times as fine as a uint8 volume's unit.
+        uint16 fixed point; a unit of a uint8 volume becomes 16.
     """
     fixed = as_fixed_point(volume) if volume.costs.dtype != np.uint8 else volume
     out = memory.empty(fixed.costs.shape, np.uint16)
-    sharper = FixedPoint.FRACTION if volume.costs.dtype == np.uint8 else 1
+    refinement = FixedPoint.FRACTION if volume.costs.dtype == np.uint8 else 1
     # Up to 257 uint8 costs fit into a uint16 sum, which is twice as fast.
     small = volume.costs.dtype == np.uint8 and (2 * radius + 1) ** 2 <= 257
     total = np.zeros(1, np.uint16 if small else np.uint32)
-    _segment_window(fixed.costs, labels, radius, np.float32(sharper), total, out)
-    return CostVolume(out, fixed.scale * sharper)
+    _segment_window(fixed.costs, labels, radius, np.float32(refinement), total, out)
+    return CostVolume(out, fixed.scale * refinement)
 
 
 @parallel_jit
-def _segment_window(costs: Any, labels: Any, radius: Any, sharper: Any, kind: Any, out: Any) -> None:
+def _segment_window(costs: Any, labels: Any, radius: Any, refinement: Any, kind: Any, out: Any) -> None:
     height, width, depth = costs.shape
     half = np.float32(0.5)
     for y in prange(height):
@@ -91,19 +91,19 @@ def _segment_window(costs: Any, labels: Any, radius: Any, sharper: Any, kind: An
                     row = costs[j, k]
                     for i in range(total.size):
                         total[i] += row[i]
-            factor = sharper / np.float32(count)
+            factor = refinement / np.float32(count)
             target = out[y, x]
             for i in range(total.size):
                 target[i] = np.uint16(np.int32(np.float32(total[i]) * factor + half))
 
 
-def tells_anything(volume: CostVolume) -> bool:
-    """Whether any pixel has different costs for disparities inside the right image: not so on a flat image."""
-    return bool(_tells_anything(volume.costs))
+def has_information(volume: CostVolume) -> bool:
+    """Return whether any pixel has different costs inside the right image; in a uniform image none has."""
+    return bool(_has_information(volume.costs))
 
 
 @jit
-def _tells_anything(costs: Any) -> Any:
+def _has_information(costs: Any) -> Any:
     height, width, depth = costs.shape
     for y in range(height):
         for x in range(width):
@@ -114,7 +114,7 @@ def _tells_anything(costs: Any) -> Any:
 
 
 @parallel_jit
-def _distrust_indifferent(costs: Any, trusted: Any) -> None:
+def _distrust_constant_costs(costs: Any, trusted: Any) -> None:
     height, width, depth = costs.shape
     for y in prange(height):
         for x in range(width):

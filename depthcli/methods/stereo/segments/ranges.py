@@ -1,4 +1,4 @@
-"""Search ranges from matched key points: which disparities a segment is likely to have."""
+"""Search ranges of segments from matched key points."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from depthcli.core import memory
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.keypoint_matching import Matches
 from depthcli.methods.stereo.segments import Step
+from depthcli.methods.stereo.segments.segmented_image import grid_cells
 from depthcli.methods.stereo.volume import CostVolume
 
 
 @dataclass(frozen=True)
 class SearchRanges:
-    """Where to search.
+    """Disparities to search.
 
     Attributes
     ----------
-    zones : (H, W) int32, 0 .. n - 1: the pixels that share a range
+    zones : (H, W) int32, 0 .. n - 1; pixels of a zone share a range
     limits : (n, 2) int32 lowest and highest disparity, pixels, inclusive
     """
 
@@ -30,7 +31,7 @@ class SearchRanges:
     limits: NDArray[np.int32]
 
     def by_segment(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
-        """(n, 2) lowest and highest disparity of all zones that a segment of ``labels`` (H, W) overlaps."""
+        """Return the (n, 2) lowest and highest disparities over the zones that each segment of ``labels`` overlaps."""
         limits = np.empty((int(labels.max()) + 1, 2), np.int32)
         limits[:] = np.iinfo(np.int32).max, -1
         np.minimum.at(limits[:, 0], labels, self.limits[self.zones, 0])
@@ -39,51 +40,48 @@ class SearchRanges:
 
 
 class Ranges(Step):
-    """The disparities of a segment's key points, and a penalty for all others."""
+    """Search every segment around the disparities of its key points, and penalize all others."""
 
     margin: float = Field(
-        0.25, ge=0, le=1, description="alpha (eq. 2.5): ranges grow by this part of the whole range, each side"
+        0.25, ge=0, le=1, description="alpha (eq. 2.5): part of the whole range by which ranges grow on each side"
     )
     neighbors: int = Field(
-        0,
-        ge=0,
-        le=1000,
-        description="a segment's range also covers this many key points nearest to it; 0: only its own",
+        0, ge=0, le=1000, description="number of nearest key points that a range also covers; 0: only its own"
     )
     reach: float = Field(
-        40.0, gt=0, le=16384, description="where they are not all this near, they do not count, pixels"
+        40.0, gt=0, le=16384, description="largest distance of these; where one is farther, none counts, pixels"
     )
     cell: int = Field(
-        0, ge=0, le=4096, description="larger segments have a range for each cell of a grid this wide, pixels; 0: one"
+        0, ge=0, le=4096, description="width of cells that divide a segment into parts with own ranges, pixels; 0: none"
     )
     penalty: float = Field(
-        100.0, ge=0, le=65535, description="disparities outside the range cost this much more, in units of the cost"
+        100.0, ge=0, le=65535, description="added to the cost of disparities outside the range, in units of the cost"
     )
 
     def __call__(self, labels: NDArray[np.int32], matches: Matches | None, max_disparity: int) -> SearchRanges:
-        """The ranges of the segments ``labels`` (H, W), 0 .. n - 1."""
+        """Return the ranges of the segments ``labels`` (H, W), 0 .. n - 1."""
         zones = search_zones(labels, self.cell) if self.cell else labels
         limits = search_ranges(zones, matches, max_disparity, self.margin, self.neighbors, self.reach)
         return SearchRanges(zones, limits)
 
-    def discourage(self, volume: CostVolume, found: SearchRanges) -> CostVolume:
-        """The volume with every disparity outside its zone's range dearer by ``penalty``.
+    def penalize(self, volume: CostVolume, ranges: SearchRanges) -> CostVolume:
+        """Return the volume with ``penalty`` added to every disparity outside its zone's range.
 
-        Where the image border cuts all of the range off, nothing changes. Unlike a ban, a small penalty only decides
-        between matches that are about equally good: where the range of a segment misses its true disparity (all
-        key points around lie on something else), the costs still find it.
+        Pixels whose whole range lies outside the right image keep their costs. Unlike a ban, a small penalty
+        only decides between matches of similar cost: where the range misses the true disparity (all key points around
+        lie on something else), the costs still select it.
         """
         costs = volume.costs
-        most = np.inf if costs.dtype == np.float32 else np.iinfo(costs.dtype).max
+        limit = np.inf if costs.dtype == np.float32 else np.iinfo(costs.dtype).max
         kind = np.float32 if costs.dtype == np.float32 else np.int32
         penalty = kind(min(self.penalty * volume.scale, 65535))
-        dearer: NDArray[Any] = memory.empty(costs.shape, costs.dtype)
-        _discourage(costs, found.zones, found.limits, penalty, kind(min(most, 65535)), dearer)
-        return CostVolume(dearer, volume.scale)
+        penalized: NDArray[Any] = memory.empty(costs.shape, costs.dtype)
+        _penalize(costs, ranges.zones, ranges.limits, penalty, kind(min(limit, 65535)), penalized)
+        return CostVolume(penalized, volume.scale)
 
 
 @parallel_jit
-def _discourage(costs: Any, zones: Any, ranges: Any, penalty: Any, most: Any, out: Any) -> None:
+def _penalize(costs: Any, zones: Any, ranges: Any, penalty: Any, limit: Any, out: Any) -> None:
     height, width, depth = costs.shape
     for y in prange(height):
         for x in range(width):
@@ -94,44 +92,38 @@ def _discourage(costs: Any, zones: Any, ranges: Any, penalty: Any, most: Any, ou
             if low > x:
                 continue
             for d in range(low):
-                row[d] = min(row[d] + penalty, most)
+                row[d] = min(row[d] + penalty, limit)
             for d in range(high + 1, depth):
-                row[d] = min(row[d] + penalty, most)
+                row[d] = min(row[d] + penalty, limit)
 
 
 def search_zones(labels: NDArray[np.int32], cell: int) -> NDArray[np.int32]:
-    """What shares a search range: every segment, cut along a grid of ``cell`` pixels; (H, W) int32, 0 .. n - 1.
+    """Return zones that share a search range, segments cut along a grid of ``cell`` pixels; (H, W) int32, 0 .. n - 1.
 
-    The bars of a fence are one segment, but the key points at its far end tell nothing about this one.
+    In a segment of large extent, such as the bars of a fence, distant key points say nothing about a place.
     """
-    height, width = labels.shape
-    grid = (np.arange(height)[:, None] // cell) * (width // cell + 1) + np.arange(width)[None] // cell
-    keys = labels.astype(np.int64) * (int(grid.max()) + 1) + grid
-    _, zones = np.unique(keys, return_inverse=True)
-    return zones.reshape(labels.shape).astype(np.int32)
+    grid, n_cells = grid_cells(labels.shape, cell)
+    _, zones = np.unique(labels.astype(np.int64) * n_cells + grid, return_inverse=True)
+    return np.asarray(zones.reshape(labels.shape), np.int32)
 
 
 def search_ranges(
-    labels: NDArray[np.int32],
-    matches: Matches | None,
-    max_disparity: int,
-    margin: float,
-    neighbors: int = 0,
+    labels: NDArray[np.int32], matches: Matches | None, max_disparity: int, margin: float, neighbors: int = 0,
     reach: float = np.inf,
-) -> NDArray[np.int32]:
-    """Lowest and highest disparity to search in every segment (eq. 2.2-2.5).
+) -> NDArray[np.int32]:  # fmt: skip
+    """Return the lowest and the highest disparity to search in every segment (eq. 2.2-2.5).
 
     The range of the disparities of the segment's key points, widened on both sides by ``margin`` times
-    ``max_disparity``; segments without key points keep everything. Eq. 2.4 prints a minus before theta 2,
-    which would exclude the key points themselves; a plus is meant.
+    ``max_disparity``; segments without key points keep the whole range. Eq. 2.4 prints a minus before theta 2,
+    which would exclude the key points themselves; a plus is used.
 
     Parameters
     ----------
     labels : (H, W) segments 0 .. n - 1
     matches : matched key points, or None
-    neighbors : the key points nearest to the segment's center that count as if they were its own, so that
-        segments without any (the bars of a fence) are limited too; 0 for the thesis's rule
-    reach : the farthest of them must be this near to the center, pixels
+    neighbors : number of key points nearest to the segment's center that count as its own, so that segments without
+        any are limited too; 0 for the thesis's rule
+    reach : largest distance of the farthest of them from the center, pixels
 
     Returns
     -------
@@ -149,9 +141,9 @@ def search_ranges(
         if neighbors and len(matches) >= neighbors:
             index, farthest = _nearest(labels, matches, neighbors)
             near = matches.disparity[index]
-            around = farthest <= reach
-            low = np.where(around, np.minimum(low, near.min(axis=1)), low)
-            high = np.where(around, np.maximum(high, near.max(axis=1)), high)
+            within = farthest <= reach
+            low = np.where(within, np.minimum(low, near.min(axis=1)), low)
+            high = np.where(within, np.maximum(high, near.max(axis=1)), high)
     widening = margin * max_disparity
     ranges = np.empty((count, 2), np.int32)
     ranges[:, 0] = np.clip(np.floor(np.where(np.isinf(low), 0, low - widening)), 0, max_disparity)
@@ -162,11 +154,11 @@ def search_ranges(
 def _nearest(
     labels: NDArray[np.int32], matches: Matches, neighbors: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """(n, neighbors) the matches nearest to the center of every segment; (n,) distance of the last of them."""
+    # The (n, neighbors) matches nearest to the center of every segment, and the (n,) distance of the farthest of them.
     flat = labels.ravel()
     sizes = np.maximum(np.bincount(flat), 1)
     y, x = np.divmod(np.arange(flat.size), labels.shape[1])
     center_x, center_y = np.bincount(flat, x) / sizes, np.bincount(flat, y) / sizes
-    apart = (center_x[:, None] - matches.x[None]) ** 2 + (center_y[:, None] - matches.y[None]) ** 2
-    order = np.argpartition(apart, neighbors - 1, axis=1)[:, :neighbors]
-    return order, np.sqrt(np.take_along_axis(apart, order, axis=1).max(axis=1))
+    squared = (center_x[:, None] - matches.x[None]) ** 2 + (center_y[:, None] - matches.y[None]) ** 2
+    order = np.argpartition(squared, neighbors - 1, axis=1)[:, :neighbors]
+    return order, np.sqrt(np.take_along_axis(squared, order, axis=1).max(axis=1))

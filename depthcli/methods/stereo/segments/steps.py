@@ -1,4 +1,4 @@
-"""The data flow from a cost volume to planes, in order, on one page."""
+"""Data flow of the segment-based pipeline, from a cost volume to a disparity map."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from depthcli.algorithms.keypoints import Detection
+from depthcli.algorithms.plane_fitting.segment_planes import evaluate
 from depthcli.algorithms.regions import region_graph
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.mean_shift import MeanShift
@@ -16,14 +17,12 @@ from depthcli.methods.stereo.keypoint_matching import Matches, consistent, match
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import RefinementStep
-from depthcli.methods.stereo.segments import Step, report
+from depthcli.methods.stereo.segments import Step, outputs
 from depthcli.methods.stereo.segments.assignment import Candidates, assign
 from depthcli.methods.stereo.segments.energy import Energy
-from depthcli.methods.stereo.segments.first_estimate import Selection, segment_window, tells_anything
-from depthcli.methods.stereo.segments.planes import evaluate
+from depthcli.methods.stereo.segments.first_estimate import Selection, has_information, segment_window
 from depthcli.methods.stereo.segments.ranges import Ranges
-from depthcli.methods.stereo.segments.scene import Scene
-from depthcli.methods.stereo.segments.splitting import Split
+from depthcli.methods.stereo.segments.segmented_image import SegmentedImage, Split
 from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext, StereoResult
 
@@ -33,7 +32,7 @@ def _none(value: Any) -> Any:
 
 
 class SegmentSteps(Step):
-    """Every segment of the left image is a plane; which plane is decided for all segments at once."""
+    """Explain every segment of the left image by a plane, chosen for all segments at once."""
 
     segmentation: Segmentation = Field(
         default_factory=MeanShift, description="how the left image is cut into segments; too many are fine"
@@ -42,67 +41,61 @@ class SegmentSteps(Step):
         None, description="surf, sift or none: matched key points limit the disparities of their segment"
     )
     window_radius: int = Field(
-        4,
-        ge=0,
-        le=20,
-        description="half side of the window whose pixels in the own segment are averaged, pixels; 0: none",
+        4, ge=0, le=20, description="half side of the window that averages costs in a segment, pixels; 0: none"
     )
-    ranges: Ranges = Field(default_factory=Ranges, description="what key points say about the disparities")
+    ranges: Ranges = Field(default_factory=Ranges, description="search ranges from key points")
     optimization: Optimization = Field(
-        default_factory=WinnerTakesAll,
-        description="smoothness over the image before the selection, or winner_takes_all",
+        default_factory=WinnerTakesAll, description="smoothness over the image first, or winner_takes_all"
     )
     selection: Selection = Field(default_factory=Selection, description="the first disparities")
-    split: Split = Field(default_factory=Split, description="cuts of segments that are not one plane")
+    split: Split = Field(default_factory=Split, description="cuts of segments that are not planar")
     planes: Candidates = Field(default_factory=Candidates, description="the planes that segments may lie on")
-    energy: Energy = Field(default_factory=Energy, description="what the assignment of planes minimizes")
-    rounds: int = Field(1, ge=1, le=10, description="assignments; before each but the first, planes are fitted again")
-    sweeps: int = Field(20, ge=1, le=1000, description="passes over all planes that the last assignment makes at most")
+    energy: Energy = Field(default_factory=Energy, description="energy that the assignment of planes minimizes")
+    rounds: int = Field(1, ge=1, le=10, description="number of assignments; planes are fitted again between them")
+    sweeps: int = Field(20, ge=1, le=1000, description="largest number of passes over all planes in the last one")
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the finished map, in order")
     details: bool = Field(False, description="also write segments, key points, planes and labels")
 
     def from_volume(self, pair: StereoPair, volume: CostVolume, max_disparity: int, clock: Clock) -> StereoResult:
-        """The map of ``pair`` from its matching costs.
+        """Return the map of ``pair`` from its matching costs.
 
         Parameters
         ----------
-        volume : (H, W, ``max_disparity`` + 1), left as it is
-        clock : runs since ``volume`` was begun
+        volume : (H, W, ``max_disparity`` + 1), not modified
+        clock : receives the seconds of the stages
         """
         image = pair.color8[0]
         labels = self.segmentation(image)
         clock.stop("segmentation")
         matches = self._matches(pair, max_disparity)
         clock.stop("keypoints")
-        informative = tells_anything(volume)
+        informative = has_information(volume)
         if self.window_radius:
             volume = segment_window(volume, labels, self.window_radius)
         clock.stop("window")
-        found = self.ranges(labels, matches, max_disparity)
+        ranges = self.ranges(labels, matches, max_disparity)
         if matches is not None:
-            volume = self.ranges.discourage(volume, found)
+            volume = self.ranges.penalize(volume, ranges)
         optimized = self.optimization(volume, pair)
         first = self.selection(optimized)
         clock.stop("first_estimate")
         labels = self.split(labels, first, self.planes)
         clock.stop("splitting")
-        scene = Scene.of(labels, first, region_graph(labels, image), max_disparity)
-        # On a flat image an optimizer would still carry the borders' costs everywhere.
-        assignment = (
-            assign(scene, volume, self.planes, self.energy, self.rounds, self.sweeps, clock) if informative else None
-        )
+        segments = SegmentedImage.of(labels, first, region_graph(labels, image), max_disparity)
+        assignment = None
+        if informative:  # in a uniform image an optimizer would still carry the costs of the borders everywhere
+            assignment = assign(segments, volume, self.planes, self.energy, self.rounds, self.sweeps, clock)
         if assignment is None:
-            disparity = report.nothing_known(labels.shape)
+            disparity = outputs.empty_map(labels.shape)
         else:
-            disparity = report.finished(
-                evaluate(assignment.planes.coefficients, assignment.labels[labels], max_disparity), first
-            )
+            values = evaluate(assignment.planes.coefficients, assignment.labels[labels], max_disparity)
+            disparity = outputs.map_with_status(values, first)
         disparity = refined(disparity, self.refinement, RefinementContext(pair, optimized, first.right))
         clock.stop("refinement")
-        result = StereoResult(disparity, figures=report.figures(scene, assignment, matches))
+        result = StereoResult(disparity, figures=outputs.figures(segments, assignment, matches))
         if self.details:
-            result.tables = report.tables(scene, assignment, matches, found.by_segment(labels))
-            result.pictures = report.pictures(pair, labels, matches)
+            result.tables = outputs.tables(segments, assignment, matches, ranges.by_segment(labels))
+            result.pictures = outputs.pictures(pair, labels, matches)
             clock.stop("details")
         result.seconds = clock.seconds
         return result

@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.algorithms.plane_fitting.sample_planes import Samples, nearest_samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock
 from depthcli.methods.kinect.result import RefinedDepth
 from depthcli.methods.transparent.evidence import inverse, outcome
-from depthcli.methods.transparent.nearest import nearest_samples
 from depthcli.methods.transparent.pipeline import TransparentPipeline
-from depthcli.methods.transparent.robust_fit import Samples
 
 
 class Nearest(TransparentPipeline):

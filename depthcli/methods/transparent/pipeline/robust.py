@@ -9,9 +9,8 @@ from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock
 from depthcli.methods.kinect.result import RefinedDepth
 from depthcli.methods.transparent.evidence import gather, outcome
+from depthcli.methods.transparent.fit import RobustFit, Smoothing
 from depthcli.methods.transparent.pipeline import TransparentPipeline
-from depthcli.methods.transparent.robust_fit import RobustFit
-from depthcli.methods.transparent.smoothing import Smoothing
 from depthcli.methods.transparent.suspects import Suspicion
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from depthcli.algorithms.plane_fitting.window_slopes import BLOCK, difference_limits
 from depthcli.device import DeviceArray, Kernels
 from depthcli.methods.stereo.on_device import PIXELS, DeviceContext, DeviceMap
 from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
-from depthcli.methods.stereo.slopes import BLOCK, difference_limits
 
 _KERNELS = Kernels(__package__, "slanted.cl")
 _MEDIANS = Kernels(__package__, "medians.cl")
@@ -40,7 +40,7 @@ def run(method: SlantedMedian, disparity: DeviceMap, context: DeviceContext) -> 
 def _slopes(
     known: DeviceArray, trust: DeviceArray, image: DeviceArray, radius: int, context: DeviceContext
 ) -> DeviceArray:
-    """As :func:`depthcli.methods.stereo.slopes.slopes`, (2, H, W)."""
+    """As :func:`depthcli.algorithms.plane_fitting.window_slopes.slopes`, (2, H, W)."""
     device = context.pair.device
     height, width = known.shape
     step, limits, spread = difference_limits(radius)

@@ -1,0 +1,60 @@
+"""Filters of images and maps that several packages share, and how OpenCV's filters give the same bytes everywhere."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+def local_moments(image: NDArray[np.float32], side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Compute mean and variance in windows of ``side`` pixels, reflected at the border; (H, W) float32 each."""
+    mean = cv2.blur(image, (side, side))
+    variance = np.maximum(cv2.blur(image * image, (side, side)) - mean * mean, 0)
+    return np.asarray(mean, np.float32), np.asarray(variance, np.float32)
+
+
+def discontinuity_mask(
+    disparity: NDArray[np.floating[Any]],
+    nonocc: NDArray[np.bool_],
+    known: NDArray[np.bool_] | None = None,
+    gap: float = 2.0,
+) -> NDArray[np.bool_]:
+    """Return the visible pixels near a depth discontinuity, as in the ``disc`` masks of Middlebury v2.
+
+    A 9x9 dilation of the 4-neighbor jumps above ``gap`` and of the occluded pixels, inside ``nonocc``.
+
+    Parameters
+    ----------
+    disparity : (H, W) float, pixels, finite
+    nonocc : (H, W) bool, visible in both views
+    known : (H, W) bool; only known pixels that are not visible count as occluded. None: all are known
+    gap : pixels
+    """
+    edge = ~nonocc if known is None else known & ~nonocc
+    jump_x, jump_y = np.abs(np.diff(disparity, axis=1)) > gap, np.abs(np.diff(disparity, axis=0)) > gap
+    edge[:, 1:] |= jump_x
+    edge[:, :-1] |= jump_x
+    edge[1:] |= jump_y
+    edge[:-1] |= jump_y
+    near: NDArray[np.bool_] = cv2.dilate(edge.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    return near & nonocc
+
+
+@contextlib.contextmanager
+def single_thread() -> Iterator[None]:
+    """Let OpenCV use one thread within the context.
+
+    The fast global smoother, and the WLS filter that is based on it, divide images into as many stripes as there are
+    threads and round differently at the ends of vectors: the last bits depend on the number of threads.
+    """
+    n_threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(n_threads)

@@ -1,1 +1,0 @@
-"""Operations on plain arrays that several packages share."""

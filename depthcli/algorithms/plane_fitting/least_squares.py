@@ -1,0 +1,115 @@
+"""Kernels that all robust fits share: weights of residuals, moments of weighted samples, solvers of normal equations.
+
+They are inlined, so that they work on scalars and on the lanes of a vectorized loop alike.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from depthcli.kernels.jit import jit
+
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+@jit
+def biweight_root(residual: Any) -> Any:
+    """Return ``max(0, 1 - r^2)``, the root of Tukey's biweight, of a float32 residual in units of its gate."""
+    return max(np.float32(0), np.float32(1) - residual * residual)
+
+
+@jit
+def huber_weight(residual: Any, limit: Any) -> Any:
+    """Return Huber's weight of a residual: 1 up to ``limit``, ``limit / |r|`` beyond it."""
+    return min(1.0, limit / max(abs(residual), 1e-30))
+
+
+@jit
+def plane_slopes(xx: Any, xy: Any, yy: Any, xd: Any, yd: Any, determinant: Any) -> Any:
+    """Solve for the slopes (a, b) of ``d = a x + b y + c`` by Cramer's rule.
+
+    Parameters
+    ----------
+    xx, xy, yy, xd, yd : second moments about the means (sums or means alike)
+    determinant : ``xx * yy - xy * xy``, as the caller keeps it from 0
+    """
+    return (xd * yy - yd * xy) / determinant, (yd * xx - xd * xy) / determinant
+
+
+@jit
+def plane_moments(x: Any, y: Any, d: Any, weights: Any) -> Any:
+    """Return the sums of w, wx, wy, wd, wxx, wxy, wyy, wxd and wyd over float64 samples."""
+    s = sx = sy = sd = sxx = sxy = syy = sxd = syd = 0.0
+    for i in range(d.size):
+        w = weights[i]
+        wx, wy = w * x[i], w * y[i]
+        s += w
+        sx += wx
+        sy += wy
+        sd += w * d[i]
+        sxx += wx * x[i]
+        sxy += wx * y[i]
+        syy += wy * y[i]
+        sxd += wx * d[i]
+        syd += wy * d[i]
+    return s, sx, sy, sd, sxx, sxy, syy, sxd, syd
+
+
+@jit
+def solve_cholesky(matrix: Any, right: Any, terms: int, solution: Any) -> bool:
+    """Solve normal equations of ``terms`` unknowns, by the lower half of ``matrix``, which is overwritten.
+
+    False, and no ``solution``, where a pivot vanishes beside its diagonal element: the system is singular.
+    """
+    for i in range(terms):
+        diagonal = matrix[i, i]
+        for j in range(i):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = s / matrix[j, j]
+        s = diagonal
+        for k in range(i):
+            s -= matrix[i, k] * matrix[i, k]
+        if not s > 1e-8 * diagonal:
+            return False
+        matrix[i, i] = np.sqrt(s)
+    for i in range(terms):
+        s = right[i]
+        for k in range(i):
+            s -= matrix[i, k] * solution[k]
+        solution[i] = s / matrix[i, i]
+    for i in range(terms - 1, -1, -1):
+        s = solution[i]
+        for k in range(i + 1, terms):
+            s -= matrix[k, i] * solution[k]
+        solution[i] = s / matrix[i, i]
+    return True
+
+
+@jit
+def smallest(values: Any, k: int) -> Any:
+    """Return the k-th smallest of ``values`` (Hoare's selection), which are reordered."""
+    low, high = 0, values.size - 1
+    while low < high:
+        pivot = values[(low + high) >> 1]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    return values[k]

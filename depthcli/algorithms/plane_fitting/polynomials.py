@@ -1,0 +1,249 @@
+"""Polynomials in (x, y), one a segment, fitted by reweighted least squares with Huber's weights (thesis chapter 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.plane_fitting.least_squares import (
+    MAD_TO_SIGMA,
+    huber_weight,
+    plane_moments,
+    smallest,
+    solve_cholesky,
+)
+from depthcli.kernels.jit import jit, parallel_jit, prange
+
+# Chosen on generated Kinect frames (``depthcli sample --kinect``).
+_MIN_PLANE_PIXELS, _MIN_QUADRIC_PIXELS = 30, 100  # known pixels from which a surface has degree 1, 2
+_CONVERGED = 0.05  # a surface that moves by less than this share of the floor of the scale is final
+_SCALE_UPDATES = 3  # iterations after which the scale of the residuals is left as it is
+_SCALE_SAMPLES = 100  # residuals that the scale is estimated from
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """One surface for each of n segments, in the unit of the values it was fitted to.
+
+    Attributes
+    ----------
+    coefficients : (n, 6) float64 of 1, x, y, x^2, xy, y^2, where x and y are pixels from ``center`` over ``unit``
+    center : (n, 2) float64, y and x, pixels
+    bounds : (n, 2) float32, least and greatest value that the surface takes
+    scale : (n,) float32, robust standard deviation of the residuals; NaN where nothing was known
+    unit : length that x and y are divided by, pixels
+    """
+
+    coefficients: NDArray[np.float64]
+    center: NDArray[np.float64]
+    bounds: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    unit: float
+
+    @classmethod
+    def unfitted(cls, labels: NDArray[np.int32]) -> Surfaces:
+        """Return surfaces without values, one for each of the ``labels`` (H, W) int32, 0 .. n - 1."""
+        count = int(labels.max()) + 1
+        return cls(
+            coefficients=np.zeros((count, 6)),
+            center=np.full((count, 2), np.nan),
+            bounds=np.full((count, 2), np.nan, np.float32),
+            scale=np.full(count, np.nan, np.float32),
+            unit=float(max(labels.shape)),
+        )
+
+    def at(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Evaluate the surface that ``labels`` (H, W) name at every pixel: (H, W) float32, NaN for negative labels."""
+        values = np.empty(labels.shape, np.float32)
+        _evaluate(labels, self.coefficients, self.center, self.bounds, self.unit, values)
+        return values
+
+
+@jit
+def surface_at(coefficients, center, bounds, unit, s, y, x):  # type: ignore[no-untyped-def]
+    """Return the value of surface ``s`` at (y, x), from the arrays of :class:`Surfaces`; for other kernels."""
+    u = (x - center[s, 1]) / unit
+    v = (y - center[s, 0]) / unit
+    value = (
+        coefficients[s, 0] + u * (coefficients[s, 1] + u * coefficients[s, 3])
+        + v * (coefficients[s, 2] + u * coefficients[s, 4] + v * coefficients[s, 5])
+    )  # fmt: skip
+    return min(max(value, np.float64(bounds[s, 0])), np.float64(bounds[s, 1]))
+
+
+@parallel_jit
+def _evaluate(labels, coefficients, center, bounds, unit, values):  # type: ignore[no-untyped-def]
+    height, width = labels.shape
+    for y in prange(height):
+        for x in range(width):
+            s = labels[y, x]
+            values[y, x] = surface_at(coefficients, center, bounds, unit, s, y, x) if s >= 0 else np.nan
+
+
+def fit_polynomials(
+    values: NDArray[np.float32],
+    labels: NDArray[np.int32],
+    start: Surfaces,
+    degree: int,
+    huber: float,
+    iterations: int,
+    warm_iterations: int,
+    samples: int,
+    floor: float,
+) -> Surfaces:
+    """Fit a polynomial to the known values of every segment.
+
+    Parameters
+    ----------
+    values : (H, W) float32, NaN = unknown
+    labels : (H, W) int32, 0 .. n - 1; -1: in no segment
+    start : n surfaces to begin at; one that is fitted stays as it is where fewer than 30 pixels are known
+    degree : at most 1 below 100 known pixels, 0 below 30
+    huber : residuals of u > huber scales have weight huber / u; inf: plain least squares
+    iterations, warm_iterations : largest number of reweightings, from nothing and from a fitted surface
+    samples : largest number of pixels a segment that are used, evenly spread
+    floor : smallest scale of residuals: what the sensor resolves
+    """
+    fitted = Surfaces(
+        start.coefficients.copy(), start.center.copy(), start.bounds.copy(), start.scale.copy(), start.unit
+    )
+    order, begins = _known_by_segment(labels, values, len(fitted.scale))
+    _fit(
+        order, begins, values, fitted.coefficients, fitted.center, fitted.bounds, fitted.scale, fitted.unit,
+        degree, huber, iterations, warm_iterations, floor, samples,
+    )  # fmt: skip
+    return fitted
+
+
+@jit
+def _known_by_segment(labels, values, count):  # type: ignore[no-untyped-def]
+    # Indices of known pixels grouped by segment (counting sort), and where each group begins.
+    flat, value = labels.ravel(), values.ravel()
+    begins = np.zeros(count + 1, np.int64)
+    for p in range(flat.size):
+        if flat[p] >= 0 and not np.isnan(value[p]):
+            begins[flat[p] + 1] += 1
+    for s in range(count):
+        begins[s + 1] += begins[s]
+    order = np.empty(begins[count], np.int32)
+    free = begins[:count].copy()
+    for p in range(flat.size):
+        if flat[p] >= 0 and not np.isnan(value[p]):
+            s = flat[p]
+            order[free[s]] = p
+            free[s] += 1
+    return order, begins
+
+
+@parallel_jit
+def _fit(  # type: ignore[no-untyped-def]
+    order, begins, values, coefficients, center, bounds, scale, unit, degree, huber, iterations, warm_iterations,
+    floor, samples,
+):  # fmt: skip
+    for s in prange(begins.size - 1):
+        known = begins[s + 1] - begins[s]
+        new = np.isnan(center[s, 0])
+        if known >= (1 if new else _MIN_PLANE_PIXELS):
+            turns = iterations if new else warm_iterations
+            scale[s] = _fit_one(
+                order[begins[s] : begins[s + 1]], values, coefficients[s], center[s], bounds[s], unit, degree, huber,
+                turns, floor, samples,
+            )  # fmt: skip
+
+
+@jit
+def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iterations, floor, samples):  # type: ignore[no-untyped-def]
+    # Fits ``beta`` (6,), ``center`` (2,) and ``bounds`` (2,) in place; returns the scale of the residuals.
+    width = values.shape[1]
+    total = pixels.size
+    n = min(total, samples)
+    z, u, v = np.empty(n), np.empty(n), np.empty(n)
+    residuals, scratch, weights = np.empty(n), np.empty(n), np.empty(n)
+    for k in range(n):
+        p = pixels[k * total // n]
+        y, x = p // width, p % width
+        z[k], u[k], v[k] = values[y, x], x, y
+    scratch[:] = z
+    if np.isnan(center[0]):
+        center[0], center[1] = v.mean(), u.mean()
+        beta[:] = 0
+        beta[0] = smallest(scratch, n // 2)
+    u[:] = (u - center[1]) / unit
+    v[:] = (v - center[0]) / unit
+    low, high = z.min(), z.max()
+    bounds[0] = max(low - 0.05 * (high - low), 0.5 * low)
+    bounds[1] = high + 0.05 * (high - low)
+    terms = 1
+    if total >= _MIN_PLANE_PIXELS and degree >= 1:
+        terms = 6 if total >= _MIN_QUADRIC_PIXELS and degree == 2 else 3
+    beta[terms:] = 0
+    far_u, far_v = np.abs(u).max(), np.abs(v).max()
+    extent = (1.0, far_u, far_v, far_u * far_u, far_u * far_v, far_v * far_v)
+    normal, right, new = np.empty((6, 6)), np.empty(6), np.empty(6)
+    spread = floor
+    for turn in range(iterations):
+        _residuals(z, u, v, beta, residuals)
+        if turn < _SCALE_UPDATES:
+            spread = _spread(residuals, scratch, floor)
+        limit = huber * spread
+        for k in range(n):
+            weights[k] = huber_weight(residuals[k], limit)
+        _normal_equations(z, u, v, weights, terms, normal, right)
+        if not solve_cholesky(normal, right, terms, new):  # the pixels lie on a line
+            terms = 3 if terms == 6 else 1
+            beta[terms:] = 0
+            continue
+        change = 0.0  # of the surface, anywhere in the segment, at most
+        for i in range(terms):
+            change += abs(new[i] - beta[i]) * extent[i]
+            beta[i] = new[i]
+        if change < _CONVERGED * floor and turn + 1 >= _SCALE_UPDATES:
+            break
+    _residuals(z, u, v, beta, residuals)
+    return np.float32(_spread(residuals, scratch, floor))
+
+
+@jit
+def _normal_equations(z, u, v, weights, terms, normal, right):  # type: ignore[no-untyped-def]
+    # Lower half of sum w b b' and sum w b z over the pixels' basis b = (1, u, v, u^2, uv, v^2).
+    w0, wu, wv, wz, wuu, wuv, wvv, wuz, wvz = plane_moments(u, v, z, weights)
+    normal[0, 0], normal[1, 0], normal[2, 0] = w0, wu, wv
+    normal[1, 1], normal[2, 1], normal[2, 2] = wuu, wuv, wvv
+    right[0], right[1], right[2] = wz, wuz, wvz
+    if terms <= 3:
+        return
+    normal[3:, :] = 0
+    right[3:] = 0
+    basis = np.ones(6)
+    for k in range(z.size):
+        basis[1], basis[2] = u[k], v[k]
+        basis[3], basis[4], basis[5] = u[k] * u[k], u[k] * v[k], v[k] * v[k]
+        for i in range(3, terms):
+            weighted = weights[k] * basis[i]
+            right[i] += weighted * z[k]
+            for j in range(i + 1):
+                normal[i, j] += weighted * basis[j]
+
+
+@jit
+def _residuals(z, u, v, beta, out):  # type: ignore[no-untyped-def]
+    for k in range(out.size):
+        out[k] = z[k] - (
+            beta[0] + u[k] * (beta[1] + u[k] * beta[3]) + v[k] * (beta[2] + u[k] * beta[4] + v[k] * beta[5])
+        )
+
+
+@jit
+def _spread(residuals, scratch, floor):  # type: ignore[no-untyped-def]
+    # Standard deviation by the median absolute deviation of evenly spread residuals, at least ``floor``.
+    n = residuals.size
+    few = min(n, _SCALE_SAMPLES)
+    sample = scratch[:few]
+    for k in range(few):
+        sample[k] = residuals[k * n // few]
+    middle = smallest(sample, few // 2)
+    for k in range(few):
+        sample[k] = abs(residuals[k * n // few] - middle)
+    return max(MAD_TO_SIGMA * smallest(sample, few // 2), floor)

@@ -1,0 +1,288 @@
+"""Planes through scattered, partly wrong samples: at every pixel through those of the nearest that agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
+from depthcli.kernels.jit import jit, parallel_jit, prange
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Values at some pixels.
+
+    Attributes
+    ----------
+    rows, columns : (M,) int32
+    values : (M,) float32
+    """
+
+    rows: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    values: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, values: NDArray[np.float32]) -> Samples:
+        """Return all finite pixels of an (H, W) map."""
+        rows, columns = (axis.astype(np.int32) for axis in np.nonzero(np.isfinite(values)))
+        return cls(rows, columns, values[rows, columns])
+
+    def chosen(self, keep: NDArray[np.bool_]) -> Samples:
+        """Return those where ``keep`` (M,) is true."""
+        return Samples(self.rows[keep], self.columns[keep], self.values[keep])
+
+    def distance(self, shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Compute the distance of every pixel of a map of ``shape`` from the nearest sample, (H, W), pixels."""
+        blank = np.ones(shape, np.uint8)
+        blank[self.rows, self.columns] = 0
+        return np.asarray(cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
+
+
+@dataclass(frozen=True)
+class SamplePlanes:
+    """Planes through samples, evaluated at P pixels; all (P,) float32.
+
+    Attributes
+    ----------
+    values : in the unit of the samples; NaN where there is no sample
+    sigma : standard deviation of the values: of the plane at the pixel, and of the surface from the plane
+    confidence : weighted share in [0, 1] of the neighboring samples that lie on the plane
+    mark : weighted mean of these samples' marks; 0 where none are given
+    """
+
+    values: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    mark: NDArray[np.float32]
+
+
+def sample_planes(
+    samples: Samples,
+    image: NDArray[np.uint8],
+    noise: float,
+    at: tuple[NDArray[np.int32], NDArray[np.int32]],
+    neighbors: int,
+    color_scale: float,
+    slope: float,
+    steps: int,
+    leave_own: bool = False,
+    marks: NDArray[np.float32] | None = None,
+) -> SamplePlanes:
+    """Fit a plane at every one of some pixels, to the nearest samples of similar color, by Tukey's biweight.
+
+    The fit begins at the sample that the largest weight agrees with; slopes have a Gaussian prior.
+
+    Parameters
+    ----------
+    samples : M of them
+    image : (H, W, 3) uint8
+    noise : standard deviation of good samples, in the unit of their values
+    at : (P,) int32 rows and columns of the pixels
+    neighbors : number of samples a pixel
+    color_scale : color difference at which a sample's weight falls by exp(-1/2), grey levels
+    slope : standard deviation of slopes: relative change of the value across the image's width
+    steps : number of reweightings, from a wide to a narrow gate
+    leave_own : leave out a sample on the pixel itself
+    marks : (M,) float32, a property of the samples to average
+    """
+    shape = image.shape[0], image.shape[1]
+    nearest = nearest_samples(samples.rows, samples.columns, shape, at, neighbors, leave_own)
+    values, sigma = (np.full(at[0].size, np.nan, np.float32) for _ in range(2))
+    confidence, mark = (np.zeros(at[0].size, np.float32) for _ in range(2))
+    marks = np.zeros(samples.values.size, np.float32) if marks is None else marks
+    _fit(
+        nearest, samples.rows, samples.columns, samples.values, image, at[0], at[1], np.float32(max(noise, 1e-9)),
+        np.float32(1.0 / (2.0 * color_scale**2)), np.float32(slope / shape[1]), steps,
+        marks, values, sigma, confidence, mark,
+    )  # fmt: skip
+    return SamplePlanes(values, sigma, confidence, mark)
+
+
+@parallel_jit
+def _fit(
+    nearest: Any, rows: Any, columns: Any, values: Any, image: Any, at_rows: Any, at_columns: Any, noise: Any,
+    color_rate: Any, slope: Any, steps: int, marks: Any, result: Any, sigma: Any, confidence: Any, mark: Any,
+) -> None:  # fmt: skip
+    for p in prange(at_rows.size):
+        count = 0
+        while count < nearest.shape[1] and nearest[p, count] >= 0:
+            count += 1
+        if count == 0:
+            continue
+        y, x = at_rows[p], at_columns[p]
+        dx, dy = np.empty(count, np.float32), np.empty(count, np.float32)
+        m = np.empty(count, np.float32)
+        v, w = np.empty(count, np.float32), np.empty(count, np.float32)
+        last = nearest[p, count - 1]
+        reach = np.float32(max((rows[last] - y) ** 2 + (columns[last] - x) ** 2, 1))
+        total = np.float32(0.0)
+        for k in range(count):
+            s = nearest[p, k]
+            dx[k], dy[k] = np.float32(columns[s] - x), np.float32(rows[s] - y)
+            v[k] = values[s]
+            m[k] = marks[s]
+            color = np.float32(0.0)
+            for c in range(3):
+                step = np.float32(image[rows[s], columns[s], c]) - np.float32(image[y, x, c])
+                color += step * step
+            far = dx[k] * dx[k] + dy[k] * dy[k]
+            w[k] = np.exp(-np.float32(2.0) * far / reach - color * color_rate) + np.float32(1e-12)
+            total += w[k]
+        start, steep = _start(dx, dy, v, w, noise, slope)
+        result[p], sigma[p], confidence[p], mark[p] = _plane(dx, dy, v, w, m, total, noise, steep, start, steps)
+
+
+@jit
+def _start(dx: Any, dy: Any, v: Any, w: Any, noise: Any, slope: Any) -> Any:
+    # The value of the sample that the largest weight agrees with, and the standard deviation of slopes at its depth.
+    best = np.float32(-1.0)
+    start = v[0]
+    two = np.float32(2.0)
+    for i in range(v.size):
+        votes = np.float32(0.0)
+        steep = slope * v[i]
+        for j in range(v.size):
+            far = np.sqrt((dx[i] - dx[j]) ** 2 + (dy[i] - dy[j]) ** 2)
+            if abs(v[j] - v[i]) <= two * noise + steep * far:
+                votes += w[j]
+        if votes > best:
+            best, start = votes, v[i]
+    return start, slope * start
+
+
+@jit
+def _plane(
+    dx: Any, dy: Any, v: Any, w: Any, m: Any, total: Any, noise: Any, steep: Any, start: Any, steps: int
+) -> Any:  # fmt: skip
+    # Value at the pixel, its standard deviation, the weighted share of inliers and their mean mark.
+    a, b, c = start, np.float32(0.0), np.float32(0.0)
+    variance = np.float32(1.0)
+    # Gaussian prior of slopes, in units of one sample's noise.
+    prior = (noise / max(steep, np.float32(1e-12))) ** 2
+    for step in range(steps):
+        gate = noise * np.float32(6.0 - 3.0 * step / max(1, steps - 1))
+        m00 = m01 = m02 = m12 = r0 = r1 = r2 = np.float32(0.0)
+        m11 = m22 = np.float32(0.0)
+        for k in range(v.size):
+            wide = gate + (steep * np.sqrt(dx[k] * dx[k] + dy[k] * dy[k]) if step == 0 else np.float32(0.0))
+            u = (v[k] - a - b * dx[k] - c * dy[k]) / wide
+            if u * u >= 1:
+                continue
+            f = w[k] * (1 - u * u) ** 2
+            m00 += f
+            m01 += f * dx[k]
+            m02 += f * dy[k]
+            m11 += f * dx[k] * dx[k]
+            m12 += f * dx[k] * dy[k]
+            m22 += f * dy[k] * dy[k]
+            r0 += f * (v[k] - a)
+            r1 += f * (v[k] - a) * dx[k]
+            r2 += f * (v[k] - a) * dy[k]
+        if m00 <= np.float32(1e-9) * total:
+            break
+        m01, m02, m12 = m01 / m00, m02 / m00, m12 / m00
+        m11, m22 = (m11 + prior) / m00, (m22 + prior) / m00
+        r0, r1, r2 = r0 / m00, r1 / m00, r2 / m00
+        p11, p12, p22 = m11 - m01 * m01, m12 - m01 * m02, m22 - m02 * m02
+        q1, q2 = r1 - m01 * r0, r2 - m02 * r0
+        determinant = p11 * p22 - p12 * p12
+        b, c = plane_slopes(p11, p12, p22, q1, q2, determinant)
+        a += r0 - b * m01 - c * m02
+        variance = (1 + (p22 * m01 * m01 - 2 * p12 * m01 * m02 + p11 * m02 * m02) / determinant) / m00
+    inside = np.float32(1e-12)
+    away = marked = np.float32(0.0)
+    for k in range(v.size):
+        if abs(v[k] - a - b * dx[k] - c * dy[k]) <= np.float32(3.0) * noise:
+            inside += w[k]
+            away += w[k] * np.sqrt(dx[k] * dx[k] + dy[k] * dy[k])
+            marked += w[k] * m[k]
+    off = steep * away / inside
+    return a, np.sqrt(noise * noise * variance + off * off), inside / total, marked / inside
+
+
+def nearest_samples(
+    rows: NDArray[np.int32],
+    columns: NDArray[np.int32],
+    shape: tuple[int, int],
+    at: tuple[NDArray[np.int32], NDArray[np.int32]],
+    count: int,
+    skip_own: bool = False,
+) -> NDArray[np.int32]:
+    """Return indices of the samples nearest to pixels, the nearest first; of equally near ones the earlier first.
+
+    Parameters
+    ----------
+    rows, columns : (M,) int32 pixels of the samples, inside ``shape``
+    shape : (H, W)
+    at : (P,) int32 rows and columns of the pixels
+    count : K
+    skip_own : leave out a sample that lies on the pixel itself
+
+    Returns
+    -------
+    (P, K) int32; -1 where there are fewer
+    """
+    height, width = shape
+    # Cells that hold about two samples each.
+    side = max(1, int(np.sqrt(2.0 * height * width / max(1, rows.size))))
+    across, down = -(-width // side), -(-height // side)
+    cell = (rows // side).astype(np.int64) * across + columns // side
+    order = np.argsort(cell, kind="stable").astype(np.int32)
+    first = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=across * down))]).astype(np.int64)
+    nearest = np.full((at[0].size, count), -1, np.int32)
+    _nearest(rows[order], columns[order], order, first, side, across, down, at[0], at[1], skip_own, nearest)
+    return nearest
+
+
+@parallel_jit
+def _nearest(
+    rows: Any, columns: Any, order: Any, first: Any, side: int, across: int, down: int, at_rows: Any,
+    at_columns: Any, skip_own: bool, nearest: Any,
+) -> None:  # fmt: skip
+    count = nearest.shape[1]
+    for p in prange(at_rows.size):
+        y, x = at_rows[p], at_columns[p]
+        cy, cx = y // side, x // side
+        best = np.full(count, np.int64(1) << np.int64(62), np.int64)
+        have = 0
+        ring = 0
+        while ring <= max(across, down):
+            for v in range(max(0, cy - ring), min(down, cy + ring + 1)):
+                step = 1 if abs(v - cy) == ring else max(1, 2 * ring)
+                for u in range(cx - ring, cx + ring + 1, step):
+                    if u < 0 or u >= across:
+                        continue
+                    for s in range(first[v * across + u], first[v * across + u + 1]):
+                        dy, dx = np.int64(rows[s] - y), np.int64(columns[s] - x)
+                        far = dy * dy + dx * dx
+                        if skip_own and far == 0:
+                            continue
+                        # Distance and index in one number, so that ties have an order.
+                        have = _insert(best, have, (far << np.int64(31)) | np.int64(order[s]))
+            # Whatever lies in a further ring is at least this far away.
+            reach = np.int64(ring * side + min(min(y - cy * side, cy * side + side - 1 - y),
+                                               min(x - cx * side, cx * side + side - 1 - x)) + 1)  # fmt: skip
+            if have == count and (best[count - 1] >> np.int64(31)) < reach * reach:
+                break
+            ring += 1
+        for k in range(have):
+            nearest[p, k] = np.int32(best[k] & np.int64(0x7FFFFFFF))
+
+
+@jit
+def _insert(best: Any, have: int, key: Any) -> Any:
+    count = best.size
+    if have == count and key >= best[count - 1]:
+        return have
+    at = min(have, count - 1)
+    while at > 0 and best[at - 1] > key:
+        best[at] = best[at - 1]
+        at -= 1
+    best[at] = key
+    return min(have + 1, count)

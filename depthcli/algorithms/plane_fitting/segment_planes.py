@@ -1,0 +1,310 @@
+"""Planes of segments: RANSAC and least squares over the inliers, and a small set that stands for the scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
+from depthcli.kernels.jit import jit, parallel_jit, prange
+
+_SAMPLED_PIXELS = 2000  # RANSAC planes of larger segments are judged by about so many pixels
+_MIN_CROSS = 0.5  # three pixels that span less than this many square pixels determine no plane
+_REFITS = 5  # largest number of least squares after RANSAC
+
+
+@dataclass(frozen=True)
+class Members:
+    """Pixels sorted by segment.
+
+    Attributes
+    ----------
+    order : (P,) int64 flat pixel indices, segment by segment, raster order inside
+    starts : (n + 1,) int64 where each segment begins in ``order``
+    """
+
+    order: NDArray[np.int64]
+    starts: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls, labels: NDArray[np.int32], chosen: NDArray[np.bool_] | None = None, count: int | None = None
+    ) -> Members:
+        """Sort the pixels of an (H, W) map by label, all of them or only the ``chosen`` ones."""
+        flat = labels.ravel()
+        count = int(flat.max()) + 1 if count is None else count
+        picked = np.arange(flat.size) if chosen is None else np.flatnonzero(chosen)
+        order = picked[np.argsort(flat[picked], kind="stable")]
+        starts = np.concatenate([[0], np.cumsum(np.bincount(flat[picked], minlength=count))]).astype(np.int64)
+        return cls(order.astype(np.int64), starts)
+
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """Number of pixels of every segment, (n,)."""
+        return np.diff(self.starts)
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Disparity planes ``d = a x + b y + c``.
+
+    Attributes
+    ----------
+    coefficients : (L, 3) float64 a, b, c
+    support : (L,) int64 pixels within the tolerance of the plane where it was fitted
+    center : (L, 2) float64 mean x and y of those pixels
+    """
+
+    coefficients: NDArray[np.float64]
+    support: NDArray[np.int64]
+    center: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.support)
+
+    def __getitem__(self, index: Any) -> Planes:
+        return Planes(self.coefficients[index], self.support[index], self.center[index])
+
+    @classmethod
+    def joined(cls, *sets: Planes) -> Planes:
+        """Return all planes of several sets, in order."""
+        return cls(
+            np.concatenate([s.coefficients for s in sets]),
+            np.concatenate([s.support for s in sets]),
+            np.concatenate([s.center for s in sets]),
+        )
+
+
+def fit_segment_planes(
+    values: NDArray[np.float32],
+    members: Members,
+    chosen: NDArray[np.int64],
+    tolerance: float,
+    trials: int,
+    max_slope: float,
+    flatness: float,
+    seed: int,
+) -> Planes:
+    """Fit one plane to each of the segments ``chosen`` (K,), none of them empty.
+
+    Where no three pixels span a plane of an allowed slope, it is the flat one of the median disparity.
+
+    Parameters
+    ----------
+    values : (H, W) float32 disparities, pixels
+    members : the pixels to fit, by segment
+    tolerance : distance of an inlier from the plane, pixels
+    trials : RANSAC samples a segment
+    max_slope : steepest plane, along either axis, pixels of disparity a pixel
+    flatness : a sloping plane must bring the misfit below this part of a flat one's
+    seed : of the samples; every segment has its own sequence, in any order of work
+    """
+    planes = Planes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
+    _fit(
+        values.ravel(), values.shape[1], members.order, members.starts, np.asarray(chosen, np.int64),
+        tolerance, trials, max_slope, flatness, seed, planes.coefficients, planes.support, planes.center,
+    )  # fmt: skip
+    return planes
+
+
+@parallel_jit
+def _fit(  # type: ignore[no-untyped-def]
+    values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center
+):
+    for k in prange(chosen.size):
+        first = starts[chosen[k]]
+        count = starts[chosen[k] + 1] - first
+        px = np.empty(count, np.float64)
+        py = np.empty(count, np.float64)
+        pd = np.empty(count, np.float64)
+        mx = 0.0
+        my = 0.0
+        for i in range(count):
+            pixel = order[first + i]
+            px[i] = pixel % width
+            py[i] = pixel // width
+            pd[i] = values[pixel]
+            mx += px[i]
+            my += py[i]
+        mx /= count
+        my /= count
+        for i in range(count):
+            px[i] -= mx
+            py[i] -= my
+        flat = np.median(pd)
+        state = np.uint64(seed + 1) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(chosen[k] + 1) * np.uint64(
+            0xBF58476D1CE4E5B9
+        )
+        a, b, c = _ransac(px, py, pd, flat, tolerance, trials, max_slope, state)
+        a, b, c = _refit(px, py, pd, a, b, c, tolerance, max_slope)
+        # Where a slope hardly lowers the misfit, it follows noise.
+        if flatness * _misfit(px, py, pd, 1, 0.0, 0.0, flat, tolerance, np.inf) <= _misfit(
+            px, py, pd, 1, a, b, c, tolerance, np.inf
+        ):
+            a, b, c = 0.0, 0.0, flat
+        n, sx, sy, _ = _inlier_sums(px, py, pd, a, b, c, tolerance)
+        coefficients[k, 0] = a
+        coefficients[k, 1] = b
+        coefficients[k, 2] = c - a * mx - b * my
+        support[k] = n
+        center[k, 0] = mx + sx / max(n, 1)
+        center[k, 1] = my + sy / max(n, 1)
+
+
+@jit
+def _next(state):  # type: ignore[no-untyped-def]
+    # xorshift64*: three shifts are enough to pick pixels.
+    state ^= state >> np.uint64(12)
+    state ^= state << np.uint64(25)
+    state ^= state >> np.uint64(27)
+    return state
+
+
+@jit
+def _ransac(px, py, pd, flat, tolerance, trials, max_slope, state):  # type: ignore[no-untyped-def]
+    # The plane through three pixels with the smallest misfit, or the flat one.
+    count = px.size
+    stride = max(1, count // _SAMPLED_PIXELS)
+    a, b, c = 0.0, 0.0, flat
+    best = _misfit(px, py, pd, stride, a, b, c, tolerance, np.inf)
+    for _ in range(trials if count >= 3 else 0):
+        state = _next(state)
+        i0 = int(state >> np.uint64(11)) % count
+        state = _next(state)
+        i1 = int(state >> np.uint64(11)) % count
+        state = _next(state)
+        i2 = int(state >> np.uint64(11)) % count
+        ux, uy, ud = px[i1] - px[i0], py[i1] - py[i0], pd[i1] - pd[i0]
+        vx, vy, vd = px[i2] - px[i0], py[i2] - py[i0], pd[i2] - pd[i0]
+        cross = ux * vy - uy * vx
+        if abs(cross) < _MIN_CROSS:
+            continue
+        ta = (ud * vy - uy * vd) / cross
+        tb = (ux * vd - ud * vx) / cross
+        if abs(ta) > max_slope or abs(tb) > max_slope:
+            continue
+        tc = pd[i0] - ta * px[i0] - tb * py[i0]
+        misfit = _misfit(px, py, pd, stride, ta, tb, tc, tolerance, best)
+        if misfit < best:
+            best, a, b, c = misfit, ta, tb, tc
+    return a, b, c
+
+
+@jit
+def _refit(px, py, pd, a, b, c, tolerance, max_slope):  # type: ignore[no-untyped-def]
+    # Least squares over the inliers, as long as the misfit falls.
+    for _ in range(_REFITS):
+        n, sx, sy, sd = _inlier_sums(px, py, pd, a, b, c, tolerance)
+        if n < 3:
+            break
+        sx /= n
+        sy /= n
+        sd /= n
+        xx, xy, yy, xd, yd = 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(px.size):
+            if abs(a * px[i] + b * py[i] + c - pd[i]) <= tolerance:
+                x, y, d = px[i] - sx, py[i] - sy, pd[i] - sd
+                xx += x * x
+                xy += x * y
+                yy += y * y
+                xd += x * d
+                yd += y * d
+        determinant = xx * yy - xy * xy
+        if determinant <= 1e-6 * (xx + yy) * (xx + yy) + 1e-12:  # the pixels lie on a line
+            break
+        ta, tb = plane_slopes(xx, xy, yy, xd, yd, determinant)
+        if abs(ta) > max_slope or abs(tb) > max_slope:
+            break
+        tc = sd - ta * sx - tb * sy
+        misfit = _misfit(px, py, pd, 1, ta, tb, tc, tolerance, np.inf)
+        if misfit >= _misfit(px, py, pd, 1, a, b, c, tolerance, np.inf):
+            break
+        a, b, c = ta, tb, tc
+    return a, b, c
+
+
+@jit
+def _inlier_sums(px, py, pd, a, b, c, tolerance):  # type: ignore[no-untyped-def]
+    # Number of inliers, and the sums of their x, y and disparity.
+    n, sx, sy, sd = 0, 0.0, 0.0, 0.0
+    for i in range(px.size):
+        if abs(a * px[i] + b * py[i] + c - pd[i]) <= tolerance:
+            n += 1
+            sx += px[i]
+            sy += py[i]
+            sd += pd[i]
+    return n, sx, sy, sd
+
+
+@jit
+def _misfit(px, py, pd, stride, a, b, c, tolerance, enough):  # type: ignore[no-untyped-def]
+    # Sum of squared distances, each at most tolerance squared (MSAC); stops once it exceeds ``enough``.
+    limit = tolerance * tolerance
+    total = 0.0
+    for i in range(0, px.size, stride):
+        distance = a * px[i] + b * py[i] + c - pd[i]
+        total += min(distance * distance, limit)
+        if total > enough:
+            break
+    return total
+
+
+def distinct(
+    planes: Planes, slope_tolerance: float, offset_tolerance: float, max_planes: int
+) -> tuple[Planes, NDArray[np.int32]]:
+    """Select planes without near-duplicates, the best supported first, at most ``max_planes`` of them.
+
+    A plane is a near-duplicate where a better supported one has slopes within ``slope_tolerance`` and,
+    at the center of the lesser one, a disparity within ``offset_tolerance`` pixels.
+
+    Returns
+    -------
+    planes : Planes
+    representative : (L,) int32, for every plane given the index of the one that stands for it; -1 for none
+    """
+    order = np.argsort(-planes.support, kind="stable")
+    sorted_planes = planes[order]
+    stands_for = np.full(len(planes), -1, np.int32)
+    kept = _distinct(
+        sorted_planes.coefficients, sorted_planes.center, slope_tolerance, offset_tolerance, max_planes, stands_for
+    )
+    representative = np.empty(len(planes), np.int32)
+    representative[order] = stands_for
+    return sorted_planes[kept], representative
+
+
+@jit
+def _distinct(coefficients, center, slope_tolerance, offset_tolerance, max_planes, stands_for):  # type: ignore[no-untyped-def]
+    kept = np.empty(coefficients.shape[0], np.int64)
+    count = 0
+    for k in range(coefficients.shape[0]):
+        for j in range(count):
+            da = coefficients[k, 0] - coefficients[kept[j], 0]
+            db = coefficients[k, 1] - coefficients[kept[j], 1]
+            dc = coefficients[k, 2] - coefficients[kept[j], 2]
+            if (
+                abs(da) <= slope_tolerance
+                and abs(db) <= slope_tolerance
+                and abs(da * center[k, 0] + db * center[k, 1] + dc) <= offset_tolerance
+            ):
+                stands_for[k] = j
+                break
+        if stands_for[k] < 0 and count < max_planes:
+            stands_for[k] = count
+            kept[count] = k
+            count += 1
+    return kept[:count].copy()
+
+
+def evaluate(planes: NDArray[np.float64], choice: NDArray[np.int32], max_disparity: float) -> NDArray[np.float32]:
+    """Evaluate the plane ``choice`` (H, W) at every pixel, limited to [0, ``max_disparity``]: (H, W) float32."""
+    height, width = choice.shape
+    a, b, c = planes.T
+    x = np.arange(width)[None]
+    y = np.arange(height)[:, None]
+    disparity = a[choice] * x + b[choice] * y + c[choice]
+    limited: NDArray[np.float32] = np.clip(disparity, 0, max_disparity).astype(np.float32)
+    return limited

@@ -1,0 +1,71 @@
+"""Rows and documents as strict JSON and as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, TextIO, TypeAlias
+
+Row: TypeAlias = dict[str, Any]
+"""One row of a report: column -> JSON value."""
+
+
+def to_json(value: object) -> str:
+    """Return ``value`` as indented JSON that ends with a line break; numbers that are not finite become null."""
+    plain = _finite(value)
+    text = json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False)
+    return (text if _is_utf8(text) else json.dumps(plain, indent=1, allow_nan=False)) + "\n"
+
+
+def to_json_line(value: object) -> str:
+    """Return ``value`` as JSON on one line; numbers that are not finite become null."""
+    try:
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False)
+    except (ValueError, TypeError):  # numbers that are not finite, or of numpy
+        text = json.dumps(_finite(value), ensure_ascii=False, allow_nan=False)
+    return text if _is_utf8(text) else json.dumps(_finite(value), allow_nan=False)
+
+
+def _is_utf8(text: str) -> bool:
+    """A file name need not be UTF-8; its bytes are then escaped and read back as they are."""
+    try:
+        if not text.isascii():
+            text.encode("utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def to_csv(rows: Sequence[Mapping[str, object]]) -> str:
+    """Return rows as CSV with a header; columns stand in the order of their first appearance."""
+    text = io.StringIO()
+    write_csv(text, rows)
+    return text.getvalue()
+
+
+def write_csv(file: TextIO, rows: Sequence[Mapping[str, object]]) -> None:
+    """Write rows to an open file as :func:`to_csv` does; mappings in them become ``outer_inner`` columns."""
+    columns = list(dict.fromkeys(key for row in rows for key in _flat(row)))
+    writer = csv.DictWriter(file, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(map(_flat, rows))
+
+
+def _flat(row: Mapping[str, object]) -> dict[str, object]:
+    out: dict[str, object] = {}
+    for key, value in row.items():
+        out.update({f"{key}_{k}": v for k, v in value.items()} if isinstance(value, Mapping) else {key: value})
+    return out

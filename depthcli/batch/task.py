@@ -1,0 +1,237 @@
+"""One scene as a task: computed in a hidden folder, then moved into its own folder with its record written last."""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+import os
+import shutil
+import time
+import traceback
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from depthcli.batch import resources
+from depthcli.batch.json_csv import Row
+from depthcli.batch.report_writer import failed_row
+from depthcli.batch.run_folder import RECORD_FILE, SceneRecord, file_digest, read_record, remove_scene, write_record
+from depthcli.batch.sharing import Shard
+from depthcli.core import memory
+from depthcli.core.errors import DepthcliError, OutputError
+from depthcli.data.scenes import Scene
+
+BUG = "a bug in depthcli: "
+"""Prefix of the error of a scene that failed by a fault of the program."""
+
+
+@dataclass
+class Outcome:
+    """What the report says of one scene.
+
+    Attributes
+    ----------
+    facts : columns of the report that are the same in every run (size, density, figures)
+    seconds : time by stage, in order
+    warnings : lines that are shown to the user
+    """
+
+    facts: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a run is carried out; none of it changes the results.
+
+    Attributes
+    ----------
+    jobs : worker processes; 1 computes in this process
+    threads : threads of each; None divides the cores among them
+    max_memory : bytes that all of them together may use; None: what is available
+    overwrite : replace what an earlier run with another config or from other inputs left
+    shard : the part of the scenes that this process computes, while others fill the same folder; None: all
+    fail_fast : stop at the first scene that fails
+    keep : shell patterns of the files that are kept of a scene; none: all
+    scheduler : address of the dask.distributed cluster that computes; None: this machine
+    """
+
+    jobs: int = 1
+    threads: int | None = None
+    max_memory: int | None = None
+    overwrite: bool = False
+    shard: Shard | None = None
+    fail_fast: bool = False
+    keep: tuple[str, ...] = ()
+    scheduler: str | None = None
+
+    def threads_each(self) -> int:
+        """Return the number of threads of one worker."""
+        return self.threads or max(1, resources.cores() // self.jobs)
+
+    def memory_each(self) -> int:
+        """Return the bytes that one worker may use."""
+        return (self.max_memory or resources.available_memory()) // self.jobs
+
+
+_Config = TypeVar("_Config", contravariant=True)
+_Scene = TypeVar("_Scene", contravariant=True)
+
+
+class Work(Protocol[_Config, _Scene]):
+    """What a command does with a scene; picklable, for worker processes."""
+
+    @property
+    def name(self) -> str: ...
+
+    def compute(self, config: _Config, scene: _Scene, folder: Path, memory: int, /) -> Outcome:
+        """Compute ``scene`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
+
+    def files(self, config: _Config, scene: _Scene, /) -> dict[str, Path]:
+        """Return role -> file, for all files whose content the result depends on."""
+
+    def settings(self, config: _Config, scene: _Scene, /) -> dict[str, str]:
+        """Return what the result depends on beside the config and files."""
+
+    def effort(self, config: _Config, scene: _Scene, /) -> int | None:
+        """Return an estimate of the computing time in any unit; None: in proportion to the size of its files."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A command with its config, whose types only the command itself needs to know; picklable."""
+
+    work: Work[Any, Any]
+    config: Any
+    options: RunOptions
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One scene to compute.
+
+    Attributes
+    ----------
+    scene : the scene
+    output, workspace : the run folder, and the folder in it where scenes are computed
+    number : number of the scene in this call, and the name of its folder in ``workspace``
+    run : identity of the run
+    inputs : role -> digest of what the result depends on
+    source : path of the input, for the report
+    keep : shell patterns of the files that are kept; none: all
+    """
+
+    scene: Scene
+    output: Path
+    workspace: Path
+    number: int
+    run: str
+    inputs: dict[str, str]
+    source: str
+    keep: tuple[str, ...] = ()
+
+    @property
+    def target(self) -> Path:
+        """The scene's folder in the run folder."""
+        return self.output / self.scene.name
+
+    @property
+    def hidden(self) -> Path:
+        """The folder in which the scene is computed."""
+        return self.workspace / str(self.number)
+
+    @property
+    def trace(self) -> Path:
+        """The file for the traceback of a bug."""
+        return self.output / f"traceback-{self.scene.name.replace('/', '_')}.txt"
+
+    def failed(self, error: str) -> Row:
+        """Return the row of the report for a scene that failed."""
+        return failed_row(self.scene.name, error, self.source)
+
+
+def run_task(task: Task, run: Run, limit: int) -> Row:
+    """Compute a scene with at most ``limit`` bytes and return its row; any failure becomes the row's ``error``."""
+    resources.reset_peak()
+    opened, lost = None, False
+    try:
+        task.scene.check()
+        task.hidden.mkdir(parents=True)
+        opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
+        outcome = run.work.compute(run.config, task.scene, task.hidden, limit)
+        _delete_unwanted(task)
+        _install(task, outcome, opened)
+        seconds = {name: round(value, 6) for name, value in outcome.seconds.items()}
+        row: Row = {"scene": task.scene.name, "status": "done", "error": "", **outcome.facts, "seconds": seconds}
+        row |= {"peak_memory": resources.peak_memory(), "source": task.source, "warnings": outcome.warnings}
+    except MemoryError:
+        row = task.failed("out of memory; see --max-memory")
+    except DepthcliError as error:
+        row = task.failed(str(error))
+    except OSError as error:
+        row = task.failed(f"{error.filename or task.target}: {error.strerror or error}")
+    except Exception as error:
+        what = f"{type(error).__name__}: {error}".splitlines()[0][:300]
+        with contextlib.suppress(OSError):
+            task.trace.write_text(traceback.format_exc(), "utf-8", "backslashreplace")
+        row = task.failed(f"{BUG}{what}; the traceback is in {task.trace.name}, please report it")
+    finally:
+        memory.release()
+        if opened is not None:
+            # Another process may have taken the scene over where this run was ended while it was computed.
+            lost = not _is_open(task.hidden, opened)
+            os.close(opened)
+        shutil.rmtree(task.hidden, ignore_errors=True)
+    if row["status"] == "failed" and not lost and (known := read_record(task.target)) is not None:
+        with contextlib.suppress(OSError):  # the result of an earlier run from other inputs must not stay
+            remove_scene(task.target, known)
+    return row
+
+
+def _delete_unwanted(task: Task) -> None:
+    for path in [path for path in task.hidden.rglob("*") if path.is_file()] if task.keep else []:
+        name = path.relative_to(task.hidden).as_posix()
+        if not any(fnmatch.fnmatchcase(name, each) or fnmatch.fnmatchcase(path.name, each) for each in task.keep):
+            path.unlink()
+
+
+def discard(folder: Path) -> None:
+    """Delete a folder in which scenes are computed; it is renamed first, so that a writer loses it all at once."""
+    away = folder.with_name(f"{folder.name}-{time.time_ns()}")
+    try:
+        folder.rename(away)
+    except OSError:
+        away = folder
+    shutil.rmtree(away, ignore_errors=True)
+
+
+def _is_open(folder: Path, opened: int) -> bool:
+    try:
+        return os.path.samestat(os.stat(folder), os.fstat(opened))
+    except OSError:
+        return False
+
+
+def _install(task: Task, outcome: Outcome, opened: int) -> None:
+    """Move a computed scene into the run folder; ``opened`` is the open folder that it was computed in."""
+    try:
+        made = sorted(path for path in task.hidden.rglob("*") if path.is_file())
+        files = {path.relative_to(task.hidden).as_posix(): file_digest(path) for path in made}
+        if not _is_open(task.hidden, opened):
+            raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
+        write_record(task.hidden, SceneRecord(task.scene.name, task.run, task.inputs, files, outcome.facts))
+        earlier = read_record(task.target)
+        if earlier is not None:
+            remove_scene(task.target, earlier)
+        task.target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            task.hidden.rename(task.target)
+        except OSError:  # the folder exists and holds files of others
+            task.target.mkdir(exist_ok=True)
+            for name in (*files, RECORD_FILE):
+                (task.target / name).parent.mkdir(exist_ok=True)
+                os.replace(task.hidden / name, task.target / name)
+    except OSError as error:
+        raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
+    task.trace.unlink(missing_ok=True)

@@ -1,0 +1,141 @@
+"""One camera: where it projects a point to, with the distortion of its lens or without."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+
+COEFFICIENT_COUNTS = {False: (4, 5, 8, 12, 14), True: (4,)}
+"""How many distortion coefficients OpenCV's models take: pinhole (False) and fisheye (True)."""
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera without distortion: focal lengths and principal point, pixels."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    @classmethod
+    def of_matrix(cls, matrix: NDArray[np.float64]) -> Intrinsics:
+        """Return the intrinsics in a camera matrix (3, 3) or projection (3, 4)."""
+        return cls(float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2]))
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera with lens distortion.
+
+    Attributes
+    ----------
+    matrix : (3, 3) float64, pixels
+    distortion : coefficients of OpenCV's pinhole model (k1, k2, p1, p2, k3 ...) or of its fisheye model (k1 to k4)
+    size : (width, height) of its images, or None where it is not known
+    fisheye : which model
+
+    Raises
+    ------
+    InputError
+        The matrix is no camera's, or the coefficients do not fit the model.
+    """
+
+    matrix: NDArray[np.float64]
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    size: tuple[int, int] | None = None
+    fisheye: bool = False
+
+    def __post_init__(self) -> None:
+        if self.matrix.shape != (3, 3) or not np.isfinite(self.matrix).all() or min(np.diag(self.matrix)) <= 0:
+            raise InputError("calibration: want a finite 3 x 3 camera matrix with positive focal lengths")
+        if abs(np.linalg.det(self.matrix)) < 1e-9:
+            raise InputError("calibration: the camera matrix is singular")
+        counts = COEFFICIENT_COUNTS[self.fisheye]
+        if len(self.distortion) not in counts or not np.isfinite(self.distortion).all():
+            model = "fisheye" if self.fisheye else "pinhole"
+            raise InputError(
+                f"calibration: a {model} lens has {', '.join(map(str, counts))} coefficients of distortion "
+                f"(got {len(self.distortion)})"
+            )
+
+    @property
+    def coefficients(self) -> NDArray[np.float64]:
+        """The distortion as OpenCV takes it."""
+        return np.asarray(self.distortion, np.float64)
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The camera without its distortion."""
+        return Intrinsics.of_matrix(self.matrix)
+
+    def scaled(self, factor: float) -> Camera:
+        """Return the same camera with an image of ``factor`` times the size."""
+        matrix = self.matrix.copy()
+        matrix[:2, 2] = (matrix[:2, 2] + 0.5) * factor - 0.5
+        matrix[[0, 1], [0, 1]] *= factor
+        return Camera(matrix, self.distortion, None, self.fisheye)
+
+    def rays(self, pixels: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Return (N, 2), x / z and y / z of the points that this camera projects to (N, 2) ``pixels``."""
+        return self.undistorted(pixels, np.eye(3), np.eye(3))
+
+    def undistorted(
+        self, pixels: NDArray[np.floating[Any]], rotation: NDArray[np.float64], projection: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return (N, 2), where a camera without distortion, turned by ``rotation``, projects what is at ``pixels``."""
+        if len(pixels) == 0:
+            return np.zeros((0, 2))
+        undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
+        points = np.asarray(pixels, np.float64)[:, None]
+        return np.asarray(undistort(points, self.matrix, self.coefficients, R=rotation, P=projection[:, :3]),
+                          np.float64)[:, 0]  # fmt: skip
+
+    def undistortion_maps(
+        self, rotation: NDArray[np.float64], projection: NDArray[np.float64], size: tuple[int, int]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return x and y in this camera's image of every pixel of one without distortion, turned by ``rotation``.
+
+        Parameters
+        ----------
+        rotation, projection : of the other camera; (3, 3), (3, 3) or (3, 4)
+        size : (width, height) of the other camera's image
+        """
+        build = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
+        x, y = build(self.matrix, self.coefficients, rotation, projection[:, :3], size, cv2.CV_32FC1)
+        return np.asarray(x, np.float32), np.asarray(y, np.float32)
+
+    def depth_image(
+        self, points: NDArray[np.float64], shape: tuple[int, int], *values: NDArray[np.float32]
+    ) -> list[NDArray[np.float32]]:
+        """Return the depth map of a cloud of points; of the points in one pixel the nearest one counts.
+
+        Parameters
+        ----------
+        points : (N, 3) in the camera's frame, meters
+        shape : (H, W) of the image
+        values : (N,) each, what else is known of the points
+
+        Returns
+        -------
+        (H, W) float32, NaN where no point is: the depth, and every one of ``values``
+        """
+        images = [np.full(shape, np.nan, np.float32) for _ in range(1 + len(values))]
+        ahead = points[:, 2] > 0
+        points = points[ahead]
+        if len(points) == 0:
+            return images
+        projected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), self.matrix, self.coefficients)
+        x, y = np.rint(projected[:, 0]).astype(np.int64).T
+        inside = (x >= 0) & (y >= 0) & (x < shape[1]) & (y < shape[0])
+        x, y, depth = x[inside], y[inside], points[inside, 2]
+        order = np.lexsort((-depth, y * shape[1] + x))  # of equal pixels the nearest comes last, and stays
+        for image, samples in zip(images, (depth, *(each[ahead][inside] for each in values)), strict=True):
+            image[y[order], x[order]] = samples[order]
+        return images

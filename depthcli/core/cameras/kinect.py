@@ -1,0 +1,118 @@
+"""The depth sensor of a first-generation Kinect: its raw codes, and its depth as the color camera sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.camera import Camera
+
+KINECT_BASELINE = 0.075
+"""Projector to camera of the first Kinect and of the sensors built like it, meters."""
+
+KINECT_FOCAL_LENGTH = 580.0
+"""Of the first Kinect's depth camera, pixels of its 640 x 480 images."""
+
+UNKNOWN_CODE = 2047
+"""Raw code of a pixel without depth, the largest of 11 bits."""
+
+_MAX_STEP = 0.03  # relative difference of two depths between which a pixel is filled; set by hand
+
+
+@dataclass(frozen=True)
+class KinectCalibration:
+    """Both cameras of a first-generation Kinect and how its raw codes become depth.
+
+    The plain model is the triangulation of the thesis's eq. 1.1, ``Z = Zr / (1 + Zr / (f b) d)``, with the
+    shift ``d`` counted in raw codes: ``1 / Z = (offset - raw) / factor``. The calibrated one (Herrera et al., TPAMI
+    2012) corrects the codes first: ``raw + beta(x, y) exp(alpha_0 - alpha_1 raw)``.
+
+    Attributes
+    ----------
+    depth, color : cameras
+    rotation, translation : from the depth camera's frame to the color camera's; (3, 3), (3,) meters
+    offset, factor : raw code of infinity; code meters
+    beta : (H, W) spatial distortion of the codes, or None
+    alpha : its decay
+    """
+
+    depth: Camera
+    color: Camera
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    offset: float = 1092.5
+    factor: float = 351.3
+    beta: NDArray[np.float64] | None = None
+    alpha: tuple[float, float] = (0.0, 0.0)
+
+    def depth_of_raw(self, raw: NDArray[np.uint16]) -> NDArray[np.float32]:
+        """Return the depth of raw codes 0..2046 (2047 = none); (H, W) float32, meters, NaN where unknown."""
+        codes = raw.astype(np.float64)
+        if self.beta is not None:
+            codes += self.beta * np.exp(self.alpha[0] - self.alpha[1] * codes)
+        with np.errstate(divide="ignore"):
+            depth = self.factor / (self.offset - codes)
+        depth[(raw >= UNKNOWN_CODE) | ~(depth > 0) | ~np.isfinite(depth)] = np.nan
+        return depth.astype(np.float32)
+
+    def register(self, depth: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Return the depth camera's map as the color camera has it.
+
+        Points are projected, and of those in one pixel the nearest one counts; a single pixel without any, between
+        two neighbors of similar depth, gets their mean.
+
+        Parameters
+        ----------
+        depth : (H, W) float32, meters, NaN = unknown
+        shape : (H', W') of the color image that ``color`` describes
+
+        Returns
+        -------
+        (H', W') float32, meters, NaN = unknown
+        """
+        rows, cols = np.nonzero(np.isfinite(depth))
+        rays = self.depth.rays(np.stack([cols, rows], axis=1))
+        z = depth[rows, cols].astype(np.float64)
+        points = np.stack([rays[:, 0] * z, rays[:, 1] * z, z], axis=1) @ self.rotation.T + self.translation
+        return _close_gaps(self.color.depth_image(points, shape)[0])
+
+
+def _close_gaps(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    out = depth.copy()
+    for axis in (1, 0):
+        before, center, after = (
+            out[:, k : out.shape[1] - 2 + k] if axis else out[k : out.shape[0] - 2 + k] for k in (0, 1, 2)
+        )
+        with np.errstate(invalid="ignore"):
+            bridge = np.isnan(center) & (np.abs(before - after) <= _MAX_STEP * np.minimum(before, after))
+        center[bridge] = (before[bridge] + after[bridge]) / 2
+    return out
+
+
+def kinect_v1() -> KinectCalibration:
+    """Return a typical calibration, that of the NYU Depth v2 recordings (Silberman et al., ECCV 2012)."""
+    depth = Camera(
+        np.array([[582.62448167737955, 0, 313.04475870804731], [0, 582.69103270988637, 238.44389626620386], [0, 0, 1]]),
+        (
+            -0.099897236553084481,
+            0.39065324602765344,
+            0.0019290592870229277,
+            -0.0019422022475975055,
+            -0.51031725053400578,
+        ),
+    )
+    color = Camera(
+        np.array([[518.85790117450188, 0, 325.58244941119034], [0, 519.46961112127485, 253.73616633400465], [0, 0, 1]]),
+        (0.20796615318809061, -0.58613825163911781, 0.00072231363135888329, 0.0010479627195765181, 0.49856986684705107),
+    )
+    rotation = np.array(
+        [
+            [0.99997798940829263, 0.0050518419386157446, 0.0043011152014118693],
+            [-0.0050359919480810989, 0.99998051861143999, -0.0036879781309514218],
+            [-0.0043196624923060242, 0.0036662365748484798, 0.99998394948385538],
+        ]
+    )
+    translation = np.array([-0.025031875059141302, 0.00029342312935846411, -0.00066238747008330102])
+    return KinectCalibration(depth, color, rotation.T, translation)

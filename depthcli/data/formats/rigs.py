@@ -1,0 +1,270 @@
+"""Calibrations of two cameras, as calibration programs store them, and those of a color and an infrared camera."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.rig import Rig
+from depthcli.core.errors import InputError
+from depthcli.data.formats.files import naming, read_bytes, shown
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+"""Meters of the units that a translation may be stored in."""
+
+_MAX_BYTES = 1 << 22  # a calibration has a few kilobytes
+_MAX_BASELINE = 20.0  # meters; a longer one is in another unit
+_SENSOR_BASELINES = (1e-4, 10.0)  # meters, of a color and an infrared camera; another one is in another unit
+# What the parts are called in files of OpenCV.
+_NAMES = {
+    "K1": ("K1", "M1", "cameraMatrix1", "camera_matrix_1", "left_camera_matrix", "K_left"),
+    "D1": ("D1", "distCoeffs1", "dist_coeffs_1", "left_distortion_coefficients", "D_left"),
+    "K2": ("K2", "M2", "cameraMatrix2", "camera_matrix_2", "right_camera_matrix", "K_right"),
+    "D2": ("D2", "distCoeffs2", "dist_coeffs_2", "right_distortion_coefficients", "D_right"),
+    "R": ("R", "rotation", "rotation_matrix"),
+    "T": ("T", "t", "translation", "translation_vector"),
+}
+# Distortion models of the programs' files: whether OpenCV's fisheye model is meant.
+_KALIBR = {"radtan": False, "equidistant": True, "equi": True, "none": False}
+_ROS = {"plumb_bob": False, "rational_polynomial": False, "equidistant": True, "fisheye": True}
+
+
+def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, cameras: tuple[int, int] = (2, 3)) -> Rig:
+    """Return the two cameras of a calibration, whose kind is found by its content.
+
+    Parameters
+    ----------
+    paths : one file, or two that belong together: OpenCV's ``FileStorage`` as YAML, XML or JSON (K1 D1 K2 D2 R T in
+        either), ROS's ``camera_info`` of the left and the right camera, Kalibr's camchain, KITTI's ``calib_cam_to_cam``
+    unit : of OpenCV's translation, a key of ``UNITS``; the others have meters
+    fisheye : the lenses of OpenCV's file follow its fisheye model; the other formats name the model
+    cameras : numbers of the left and the right one, in KITTI's file
+
+    Raises
+    ------
+    InputError
+        Not readable, of no known kind, or a part is missing or wrong; one line that names the file.
+    """
+    texts = [read_bytes(path, _MAX_BYTES).decode("utf-8", "replace") for path in paths]
+    with naming(paths[0]):
+        if any(text.lstrip().startswith(("%YAML", "<?xml", "<opencv_storage", "{")) for text in texts):
+            rig = _opencv(texts, UNITS[unit], fisheye)
+        elif re.search(r"^K_0\d:", texts[0], re.MULTILINE):
+            rig = _kitti(texts[0], cameras)
+        else:
+            rig = _of_yaml([_mapping(path, text) for path, text in zip(paths, texts, strict=True)])
+        if rig.baseline > _MAX_BASELINE:
+            raise InputError(f"a baseline of {rig.baseline:g} m; is the translation in millimeters? then say --unit mm")
+        return rig
+
+
+def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_size: tuple[int, int]) -> Rig | float:
+    """Return the calibration of a color and an infrared camera, ``left`` and ``right`` of the rig.
+
+    JSON holds ``color`` and ``infrared``, each with ``K`` (3, 3), and where known ``distortion`` and ``size``, and
+    ``R`` (3, 3), ``t`` (3,) in meters, from the color camera's frame to the infrared camera's; or ``rectified: true``
+    with ``fb``. YAML is OpenCV's, with ``M1 D1 M2 D2 R T``, camera 1 the color one.
+
+    Parameters
+    ----------
+    color_size, infrared_size : (width, height) of the images
+
+    Returns
+    -------
+    The rig, or focal length x baseline (pixel meters) of images that are rectified already
+
+    Raises
+    ------
+    InputError
+        A damaged file, a missing or wrong field, a singular calibration, or one for images of other sizes.
+    """
+    text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
+    with naming(path):
+        if path.suffix.lower() in (".yml", ".yaml"):
+            stored = _opencv([text], 1.0, False)
+            cameras = [stored.left, stored.right]
+            rotation, translation = stored.rotation, stored.translation
+        else:
+            fields = _json(text)
+            if fields.get("rectified") is True:
+                fb = fields.get("fb")
+                if isinstance(fb, bool) or not isinstance(fb, int | float) or not 0 < fb < 1e9:
+                    raise InputError(f"fb: want focal length x baseline, pixel meters (got {fb!r})")
+                return float(fb)
+            cameras = [_json_camera(fields, "color", color_size), _json_camera(fields, "infrared", infrared_size)]
+            rotation, translation = (_listed(fields, key, shape) for key, shape in (("R", (3, 3)), ("t", (3,))))
+        color, infrared = (
+            Camera(camera.matrix, camera.distortion, size, camera.fisheye)
+            for camera, size in zip(cameras, (color_size, infrared_size), strict=True)
+        )
+        low, high = _SENSOR_BASELINES
+        if not low < (baseline := float(np.linalg.norm(translation))) < high:
+            raise InputError(f"a baseline of {baseline:.3g} m; the translation is in meters")
+        return Rig(color, infrared, rotation, translation)
+
+
+def _json(text: str) -> dict[str, Any]:
+    try:
+        fields = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not valid JSON ({error})") from error
+    if not isinstance(fields, dict):
+        raise InputError(f"want a JSON object, got {type(fields).__name__}")
+    return fields
+
+
+def _json_camera(fields: dict[str, Any], name: str, image_size: tuple[int, int]) -> Camera:
+    camera = fields.get(name)
+    if not isinstance(camera, dict):
+        raise InputError(f"{name}: want K, distortion, size (got {str(camera)[:40]!r})")
+    size = camera.get("size")
+    if size is not None and size != list(image_size):
+        raise InputError(f"calibrated for a {name} image of {str(size)[:40]}, it has {image_size[0]} x {image_size[1]}")
+    matrix = _listed(camera, "K", (3, 3), name)
+    if camera.get("distortion") is None:
+        return Camera(matrix)
+    return Camera(matrix, tuple(_listed(camera, "distortion", (-1,), name).tolist()))
+
+
+def _opencv(texts: Sequence[str], meters: float, fisheye: bool) -> Rig:
+    parts: dict[str, NDArray[np.float64]] = {}
+    size = None
+    for text in texts:
+        try:
+            storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+            for part, names in _NAMES.items():
+                for name in names:
+                    value = storage.getNode(name).mat()
+                    if value is not None:
+                        parts.setdefault(part, np.asarray(value, np.float64))
+            size = size or _opencv_size(storage)
+            model = storage.getNode("model").string() + storage.getNode("distortion_model").string()
+        except (cv2.error, SystemError) as error:
+            raise InputError("not a file of OpenCV's FileStorage") from error
+        fisheye = fisheye or any(word in model.lower() for word in ("fisheye", "equidistant"))
+    missing = [part for part in _NAMES if part not in parts]
+    if missing:
+        raise InputError(f"no {', '.join(missing)}; want K1 D1 K2 D2 R T (or M1 ..., cameraMatrix1 ...)")
+    left, right = (
+        Camera(_shaped(parts[f"K{n}"], f"K{n}", (3, 3)), tuple(parts[f"D{n}"].ravel().tolist()), size, fisheye)
+        for n in (1, 2)
+    )
+    rotation = parts["R"] if parts["R"].size == 9 else cv2.Rodrigues(_shaped(parts["R"], "R", (3,)))[0]
+    translation = _shaped(parts["T"], "T", (3,)) * meters
+    return Rig(left, right, np.asarray(rotation, np.float64).reshape(3, 3), translation)
+
+
+def _opencv_size(storage: Any) -> tuple[int, int] | None:
+    pair = [int(storage.getNode(name).real()) for name in ("image_width", "image_height")]
+    node = storage.getNode("imageSize")
+    if min(pair) <= 0 and node.isSeq() and node.size() == 2:
+        pair = [int(node.at(k).real()) for k in (0, 1)]
+    return (pair[0], pair[1]) if min(pair) > 0 else None
+
+
+def _kitti(text: str, numbers_of_cameras: tuple[int, int]) -> Rig:
+    fields = dict(re.findall(r"^(\w+):\s*(.*?)\s*$", text, re.MULTILINE))
+
+    def numbers(key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        try:
+            values = np.array([float(word) for word in fields.get(key, "").split()])
+        except ValueError:
+            values = np.zeros(0)
+        return _shaped(values, key, shape)
+
+    calibrated, rotations, translations = [], [], []
+    for number in numbers_of_cameras:
+        width, height = numbers(f"S_0{number}", (2,)).astype(int)
+        distortion = tuple(numbers(f"D_0{number}", (5,)).tolist())
+        calibrated.append(Camera(numbers(f"K_0{number}", (3, 3)), distortion, (int(width), int(height))))
+        rotations.append(numbers(f"R_0{number}", (3, 3)))
+        translations.append(numbers(f"T_0{number}", (3,)))
+    rotation = rotations[1] @ rotations[0].T
+    return Rig(calibrated[0], calibrated[1], rotation, translations[1] - rotation @ translations[0])
+
+
+def _mapping(path: Path, text: str) -> dict[str, Any]:
+    try:
+        data = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise InputError(f"no calibration of a kind that is known ({type(error).__name__})") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{shown(path.name)}: no calibration of a kind that is known (OpenCV, ROS, Kalibr, KITTI)")
+    return data
+
+
+def _of_yaml(files: Sequence[dict[str, Any]]) -> Rig:
+    if "cam0" in files[0]:
+        return _kalibr(files[0])
+    if "camera_matrix" in files[0]:
+        if len(files) != 2:
+            raise InputError("one camera_info; give the left and the right one: --calibration L --calibration R")
+        return _ros(files[0], files[1])
+    raise InputError("no calibration of a kind that is known (OpenCV's K1 ..., ROS's camera_matrix, Kalibr's cam0)")
+
+
+def _kalibr(file: dict[str, Any]) -> Rig:
+    calibrated = []
+    for name in ("cam0", "cam1"):
+        camera = file.get(name)
+        if not isinstance(camera, dict):
+            raise InputError(f"no {name}; want a camchain of two cameras")
+        model, lens = str(camera.get("camera_model")), str(camera.get("distortion_model"))
+        if model != "pinhole" or lens not in _KALIBR:
+            raise InputError(f"{name}: {model}, {lens}: want pinhole with {', '.join(_KALIBR)}")
+        fx, fy, cx, cy = _listed(camera, "intrinsics", (4,), name)
+        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        distortion = np.zeros(4) if lens == "none" else _listed(camera, "distortion_coeffs", (4,), name)
+        size = _listed(camera, "resolution", (2,), name).astype(int)
+        calibrated.append(Camera(matrix, tuple(distortion.tolist()), (int(size[0]), int(size[1])), _KALIBR[lens]))
+    place = _listed(file["cam1"], "T_cn_cnm1", (4, 4), "cam1")
+    return Rig(calibrated[0], calibrated[1], place[:3, :3], place[:3, 3])
+
+
+def _ros(left: dict[str, Any], right: dict[str, Any]) -> Rig:
+    calibrated, rotations = [], []
+    for name, camera in (("left", left), ("right", right)):
+        model = str(camera.get("distortion_model", "plumb_bob"))
+        if model not in _ROS:
+            raise InputError(f"{name}: distortion_model {model}: want {', '.join(_ROS)}")
+        width, height = (int(_listed(camera, key, (1,), name)[0]) for key in ("image_width", "image_height"))
+        distortion = _data(camera, "distortion_coefficients", (-1,), name)
+        matrix = _data(camera, "camera_matrix", (3, 3), name)
+        calibrated.append(Camera(matrix, tuple(distortion.tolist()), (width, height), _ROS[model]))
+        rotations.append(_data(camera, "rectification_matrix", (3, 3), name))
+    projection = _data(right, "projection_matrix", (3, 4), "right")
+    if projection[0, 0] <= 0 or projection[0, 3] == 0:
+        raise InputError("right: projection_matrix holds no baseline; is it the camera_info of a stereo calibration?")
+    shift = np.array([projection[0, 3] / projection[0, 0], projection[1, 3] / projection[1, 1], 0.0])
+    # Both frames meet in the rectified one: R' x' = R x + shift.
+    return Rig(calibrated[0], calibrated[1], rotations[1].T @ rotations[0], rotations[1].T @ shift)
+
+
+def _data(camera: dict[str, Any], key: str, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+    part = camera.get(key)
+    return _listed(part if isinstance(part, dict) else {"data": part}, "data", shape, f"{name}: {key}")
+
+
+def _listed(mapping: dict[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
+    try:
+        values = np.asarray(mapping.get(key), np.float64).ravel()
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    return _shaped(values, f"{name}: {key}" if name else key, shape)
+
+
+def _shaped(values: NDArray[np.float64], name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    fits = values.size > 0 and (shape == (-1,) or values.size == int(np.prod(shape)))
+    if not fits or not np.isfinite(values).all():
+        wanted = " x ".join(map(str, shape)) if shape != (-1,) else "some"
+        raise InputError(f"{name}: want {wanted} finite numbers, got {values.size}")
+    return values.reshape(shape)

@@ -1,0 +1,110 @@
+"""Inverse depth of every pixel from scattered samples: planes that agree with them, smoothed far from all samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples, sample_planes
+from depthcli.kernels.jit import parallel_jit, prange
+
+
+class RobustFit(BaseModel):
+    """A plane through the nearest samples of similar color that agree with each other, by Tukey's biweight."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    neighbors: int = Field(24, ge=3, le=64, description="number of nearest samples that a plane is fitted to")
+    color_scale: float = Field(
+        60.0, gt=0, description="color difference at which a sample's weight falls by exp(-1/2), grey levels"
+    )
+    slope: float = Field(
+        0.8, ge=0, description="typical slope of surfaces: change of depth across the image's width, over the depth"
+    )
+    steps: int = Field(5, ge=1, le=50, description="reweighted least squares, from a wide to a narrow gate")
+
+    def __call__(
+        self,
+        samples: Samples,
+        image: NDArray[np.uint8],
+        noise: float,
+        at: tuple[NDArray[np.int32], NDArray[np.int32]],
+        leave_own: bool = False,
+        marks: NDArray[np.float32] | None = None,
+    ) -> SamplePlanes:
+        """Fit at pixels; see :func:`~depthcli.algorithms.plane_fitting.sample_planes.sample_planes`."""
+        return sample_planes(
+            samples, image, noise, at, self.neighbors, self.color_scale, self.slope, self.steps, leave_own, marks
+        )
+
+
+class Smoothing(BaseModel):
+    """The mean of a window, weighted by similarity of color, far from all samples.
+
+    There a plane is an extrapolation, and those of neighboring pixels rest on other samples: their mean is nearer to
+    the surface. Near samples it would only flatten the fit.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    reach: float = Field(
+        0.011,
+        ge=0,
+        description="distance from the nearest sample from which on values are smoothed, over the width",
+    )
+    radius: int = Field(5, ge=0, le=50, description="half the side of the window, pixels")
+    color_scale: float = Field(
+        12.0, gt=0, description="color difference at which a neighbor's weight falls by exp(-1/2), grey levels"
+    )
+
+    def __call__(
+        self,
+        values: NDArray[np.float32],
+        samples: Samples,
+        image: NDArray[np.uint8],
+        wanted: NDArray[np.bool_],
+    ) -> NDArray[np.float32]:
+        """Smooth a map.
+
+        Parameters
+        ----------
+        values : (H, W) float32, fitted; NaN = unknown, left out of the means
+        samples : those that ``values`` were fitted to
+        image : (H, W, 3) uint8
+        wanted : (H, W) bool, pixels to smooth; others keep ``values``
+
+        Returns
+        -------
+        (H, W) float32
+        """
+        height, width = values.shape
+        selected = wanted & np.isfinite(values) & (samples.distance((height, width)) > self.reach * width)
+        result = values.copy()
+        _smooth(values, image, selected, self.radius, np.float32(1.0 / (2.0 * self.color_scale**2)), result)
+        return result
+
+
+@parallel_jit
+def _smooth(values: Any, image: Any, wanted: Any, radius: int, rate: Any, result: Any) -> None:
+    height, width = values.shape
+    for y in prange(height):
+        for x in range(width):
+            if not wanted[y, x]:
+                continue
+            total = weight = np.float32(0.0)
+            for v in range(max(0, y - radius), min(height, y + radius + 1)):
+                for u in range(max(0, x - radius), min(width, x + radius + 1)):
+                    off = values[v, u] - values[y, x]
+                    if np.isnan(off):
+                        continue
+                    color = np.float32(0.0)
+                    for c in range(3):
+                        step = np.float32(image[v, u, c]) - np.float32(image[y, x, c])
+                        color += step * step
+                    w = np.exp(-color * rate)
+                    weight += w
+                    total += w * off
+            result[y, x] = values[y, x] + total / weight

@@ -1,0 +1,88 @@
+"""Alpha-expansion against brute force on small graphs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from depthcli.algorithms.alpha_expansion import alpha_expansion, potts_energy
+from tests.naive import segments as naive
+
+
+def _problem(seed, nodes, labels):
+    rng = np.random.default_rng(seed)
+    pairs = [(i, j) for i in range(nodes) for j in range(i + 1, nodes) if rng.random() < 0.6]
+    edges = np.array(pairs, np.int32).reshape(-1, 2)
+    return rng.random((nodes, labels)), edges, rng.random(len(edges))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 6), st.integers(1, 4))
+def test_no_expansion_can_lower_the_result(seed, nodes, labels):
+    unary, edges, weights = _problem(seed, nodes, labels)
+    result = alpha_expansion(unary, edges, weights)
+    assert result.energy == pytest.approx(naive.potts(result.labels, unary, edges, weights))
+    assert result.energy <= result.energy_before
+    for alpha in range(labels):
+        assert naive.best_expansion(result.labels, alpha, unary, edges, weights) >= result.energy - 1e-9
+
+
+def test_energy_agrees_with_the_naive_sum():
+    unary, edges, weights = _problem(3, 6, 3)
+    labels = np.array([0, 1, 2, 2, 1, 0])
+    assert potts_energy(labels, unary, edges, weights) == pytest.approx(naive.potts(labels, unary, edges, weights))
+
+
+def test_without_edges_every_node_takes_its_cheapest_label():
+    unary = np.random.default_rng(0).random((7, 5))
+    result = alpha_expansion(unary, np.zeros((0, 2)), np.zeros(0))
+    assert np.array_equal(result.labels, unary.argmin(axis=1))
+
+
+def test_strong_edges_give_one_label_and_the_best_one():
+    unary = np.array([[0.0, 3.0, 1.0], [3.0, 0.0, 1.0], [0.0, 3.0, 1.0], [3.0, 0.0, 0.5]])
+    result = alpha_expansion(unary, [[0, 1], [1, 2], [2, 3]], [100.0] * 3)
+    assert result.labels.tolist() == [2, 2, 2, 2]
+    assert result.energy == pytest.approx(3.5)
+
+
+def test_undecided_nodes_follow_the_stronger_neighbor():
+    unary = np.array([[0.0, 9.0], [0.0, 0.0], [9.0, 0.0]])
+    assert alpha_expansion(unary, [[0, 1], [1, 2]], [1.0, 2.0]).labels.tolist() == [0, 1, 1]
+
+
+def test_starts_from_the_given_labels_and_leaves_inputs_alone():
+    unary, edges, weights = _problem(5, 6, 3)
+    copies = unary.copy(), edges.copy(), weights.copy()
+    initial = np.array([0, 1, 2, 0, 1, 2])
+    result = alpha_expansion(unary, edges, weights, initial, max_sweeps=0)
+    assert np.array_equal(result.labels, initial)
+    assert result.energy == result.energy_before
+    again = alpha_expansion(unary, edges, weights, initial)
+    assert again.energy <= result.energy
+    for array, copy in zip((unary, edges, weights), copies, strict=True):
+        assert np.array_equal(array, copy)
+    assert np.array_equal(initial, [0, 1, 2, 0, 1, 2])
+
+
+@pytest.mark.parametrize(
+    ("unary", "edges", "weights", "message"),
+    [
+        (np.zeros((2, 0)), [], [], "L > 0"),
+        (np.zeros((2, 2)), [[0, 1]], [], "weights"),
+        (np.full((2, 2), np.nan), [[0, 1]], [1.0], "finite"),
+        (np.zeros((2, 2)), [[0, 1]], [-1.0], ">= 0"),
+        (np.zeros((2, 2)), [[0, 2]], [1.0], "existing"),
+        (np.zeros((2, 2)), [[1, 1]], [1.0], "different"),
+    ],
+)
+def test_bad_problems_are_refused(unary, edges, weights, message):
+    with pytest.raises(ValueError, match=message):
+        alpha_expansion(unary, edges, weights)
+
+
+def test_bad_initial_labels_are_refused():
+    with pytest.raises(ValueError, match="initial"):
+        alpha_expansion(np.zeros((2, 2)), [], [], initial=[0, 2])
