@@ -28,7 +28,7 @@ class Labelling:
 
 
 def potts_energy(labels: ArrayLike, unary: ArrayLike, edges: ArrayLike, weights: ArrayLike) -> float:
-    """Sum of ``unary[n, labels[n]]`` and of the weights of all edges whose ends differ in label."""
+    """Return the sum of ``unary[n, labels[n]]`` and of the weights of all edges whose ends differ in label."""
     labels = np.asarray(labels)
     ends = np.asarray(edges, dtype=np.int64).reshape(-1, 2)
     data = np.asarray(unary)[np.arange(labels.size), labels].sum()
@@ -72,12 +72,11 @@ def alpha_expansion(
     if labels.shape != (nodes,) or (nodes and not 0 <= labels.min() <= labels.max() < label_count):
         raise ValueError(f"want {nodes} initial labels in [0, {label_count})")
 
-    before = potts_energy(labels, costs, ends, strength)
-    energy = before
+    energy = energy_before = potts_energy(labels, costs, ends, strength)
     graph = _Neighbors.of(nodes, ends, strength)
     by_label = np.ascontiguousarray(costs.T)  # a column of a large matrix misses the cache at every node
     keep = costs[np.arange(nodes), labels]
-    since_change = 0  # labels tried since the last move that helped: after all of them, nothing can
+    since_change = 0  # labels tried since the last move that lowered the energy; after all of them, none can
     for _ in range(max_sweeps):
         for alpha in range(label_count):
             if since_change >= label_count:
@@ -91,12 +90,12 @@ def alpha_expansion(
             if moved_energy < energy - 1e-9 * max(1.0, abs(energy)):
                 labels, energy, since_change = moved, moved_energy, 0
                 keep = costs[np.arange(nodes), labels]
-    return Labelling(labels, before, energy)
+    return Labelling(labels, energy_before, energy)
 
 
 @dataclass(frozen=True)
 class _Neighbors:
-    """Edges by node: those of node n are ``starts[n] .. starts[n + 1] - 1``; ``total`` (N,) is their weight."""
+    # The edges of node n are ``starts[n] .. starts[n + 1] - 1``; ``total`` (N,) is the sum of their weights.
 
     starts: NDArray[np.int64]
     other: NDArray[np.int32]
@@ -133,10 +132,8 @@ def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArra
 def _expand(
     labels: NDArray[np.int32], alpha: int, rise: NDArray[np.float64], neighbors: _Neighbors
 ) -> NDArray[np.int32] | None:
-    """The best labels among those where any set of nodes switched to ``alpha``; None = no better ones.
-
-    ``rise`` (N,) is what switching costs every node by itself.
-    """
+    # The labels of least energy that switching nodes to ``alpha`` gives, or None where no switch lowers it.
+    # ``rise`` (N,): what switching adds to the unary cost of every node.
     starts, other, weight = neighbors.starts, neighbors.other, neighbors.weight
     chosen = _candidates(labels, alpha, rise, starts, other, weight, neighbors.total)
     if len(chosen) == 0:
@@ -152,13 +149,10 @@ def _expand(
 
 @jit
 def _candidates(labels, alpha, rise, starts, other, weight, total):  # type: ignore[no-untyped-def]
-    """Nodes that some set worth switching could contain, in order; (K,) int64.
-
-    At best all neighbors of a node that may switch do, and all its edges to them and to ``alpha`` are saved. Where
-    that does not pay it stays, which makes staying more attractive for its neighbors, and so on. Of what is left
-    a connected part gains nothing where no node's switch is paid by the edges that are cut now: the gain of
-    a set is at most theirs, each counted at least once.
-    """
+    # The (K,) int64 nodes, in order, that can be in a set whose switch lowers the energy. In the best case all
+    # neighbors of a node that may switch do, which saves all its edges to them and to ``alpha``. Where that does not
+    # outweigh ``rise``, the node stays, which raises the cost of switching for its neighbors, and so on. Of the rest, a
+    # connected part stays where no node's rise is below its edges that are cut now: these bound the part's saving.
     nodes = labels.size
     may = labels != alpha
     slack = rise - total
@@ -180,15 +174,15 @@ def _candidates(labels, alpha, rise, starts, other, weight, total):  # type: ign
                     may[m] = False
                     stack[top] = m
                     top += 1
-    seen = np.zeros(nodes, np.bool_)
+    visited = np.zeros(nodes, np.bool_)
     for seed in range(nodes):
-        if not may[seed] or seen[seed]:
+        if not may[seed] or visited[seed]:
             continue
-        seen[seed] = True
+        visited[seed] = True
         stack[0] = seed
         count = 1
         done = 0
-        pays = False
+        lowers = False
         while done < count:
             n = stack[done]
             done += 1
@@ -197,12 +191,12 @@ def _candidates(labels, alpha, rise, starts, other, weight, total):  # type: ign
                 m = other[e]
                 if labels[m] != labels[n]:
                     saved += weight[e]
-                if may[m] and not seen[m]:
-                    seen[m] = True
+                if may[m] and not visited[m]:
+                    visited[m] = True
                     stack[count] = m
                     count += 1
-            pays = pays or rise[n] < saved
-        if not pays:
+            lowers = lowers or rise[n] < saved
+        if not lowers:
             for i in range(count):
                 may[stack[i]] = False
     return np.flatnonzero(may)
@@ -210,12 +204,10 @@ def _candidates(labels, alpha, rise, starts, other, weight, total):  # type: ign
 
 @jit
 def _binary_problem(labels, alpha, rise, starts, other, weight, chosen):  # type: ignore[no-untyped-def]
-    """Cost of x = 1 (switch) minus cost of x = 0 of the ``chosen`` nodes, and the edges between them.
-
-    Pair costs are E(0,0) = cut (0 where both have one label now), E(0,1) = E(1,0) = w, E(1,1) = 0, that is
-    E00 + (w - E00) x_p - w x_q + (2 w - E00) (1 - x_p) x_q. A neighbor at alpha adds w to x = 0;
-    one that stays elsewhere adds its cut cost to x = 0 and w to x = 1.
-    """
+    # Cost of x = 1 (switch) minus cost of x = 0 of the ``chosen`` nodes, and the edges between them.
+    # Pair costs are E(0,0) = cut (0 where both have one label now), E(0,1) = E(1,0) = w, E(1,1) = 0, that is
+    # E00 + (w - E00) x_p - w x_q + (2 w - E00) (1 - x_p) x_q. A neighbor at alpha adds w to x = 0;
+    # one that stays elsewhere adds its cut cost to x = 0 and w to x = 1.
     index = np.full(labels.size, -1, np.int64)
     links = 0
     for k in range(chosen.size):
@@ -228,20 +220,20 @@ def _binary_problem(labels, alpha, rise, starts, other, weight, chosen):  # type
     count = 0
     for k in range(chosen.size):
         n = chosen[k]
-        here = rise[n]
+        cost = rise[n]
         for e in range(starts[n], starts[n + 1]):
             m = other[e]
             w = weight[e]
             cut = w if labels[m] != labels[n] else 0.0
             if index[m] < 0:
-                here += -w if labels[m] == alpha else w - cut
+                cost += -w if labels[m] == alpha else w - cut
             elif n < m:
-                here += w - cut
+                cost += w - cut
                 p[count] = k
                 q[count] = index[m]
                 capacity[count] = 2.0 * w - cut
                 count += 1
             else:
-                here -= w
-        score[k] = here
+                cost -= w
+        score[k] = cost
     return score, p[:count].copy(), q[:count].copy(), capacity[:count].copy()

@@ -32,7 +32,7 @@ def binary_cut(
 
 
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
-"""Row and column steps to the four neighbors that edges lead to; the other four lead back."""
+"""Row and column steps from a pixel to the four of its eight neighbors that its edges lead to."""
 
 
 def edge_ends(shape: tuple[int, int], step: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:

@@ -13,7 +13,7 @@ from depthcli.kernels.jit import jit
 
 @jit
 def root(parent, i):  # type: ignore[no-untyped-def]
-    """First member of the set that i belongs to, in a forest of (N,) parents; shortens the way."""
+    """Return the first member of the set of i in a disjoint-set forest of (N,) parents, shortening paths."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -22,7 +22,7 @@ def root(parent, i):  # type: ignore[no-untyped-def]
 
 @jit
 def join(parent, i, j):  # type: ignore[no-untyped-def]
-    """Unite two sets. The smaller index becomes the root, so labels do not depend on the order of joining."""
+    """Unite the sets of i and j; the smaller root stays, so labels do not depend on the order of joining."""
     i, j = root(parent, i), root(parent, j)
     if i < j:
         parent[j] = i
@@ -36,23 +36,22 @@ def _components(color, limit):  # type: ignore[no-untyped-def]
     parent = np.arange(height * width).astype(np.int32)
     for y in range(height):
         for x in range(width):
-            here = y * width + x
             for step in range(2):
                 y2, x2 = (y, x - 1) if step == 0 else (y - 1, x)
                 if y2 < 0 or x2 < 0:
                     continue
-                apart = np.int64(0)
+                squared = np.int64(0)
                 for c in range(channels):
                     difference = np.int64(color[y, x, c]) - np.int64(color[y2, x2, c])
-                    apart += difference * difference
-                if apart <= limit:
-                    join(parent, here, y2 * width + x2)
+                    squared += difference * difference
+                if squared <= limit:
+                    join(parent, y * width + x, y2 * width + x2)
     return consecutive(parent).reshape(height, width)
 
 
 @jit
 def consecutive(parent):  # type: ignore[no-untyped-def]
-    """(N,) int32 numbers of the sets, counted in the order of their roots."""
+    """Return (N,) int32 numbers of the sets, counted in the order of their roots."""
     labels = np.empty(parent.size, np.int32)
     count = 0
     for i in range(parent.size):
@@ -72,16 +71,16 @@ def _join_all(parent, first, second):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _best_neighbors(edges, rank, wanted):  # type: ignore[no-untyped-def]
-    """(N,) int32 neighbor of the smallest rank of every wanted region, the first of equal ones; -1 where none."""
-    best = np.full(wanted.size, -1, np.int32)
-    least = np.empty(wanted.size, np.float64)
+def _best_neighbors(edges, rank, selected):  # type: ignore[no-untyped-def]
+    # The (N,) int32 neighbors of smallest rank of the selected regions, the first of equal ones; -1 where none.
+    best = np.full(selected.size, -1, np.int32)
+    min_rank = np.empty(selected.size, np.float64)
     for e in range(edges.shape[0]):
         for side in range(2):
             n, m = edges[e, side], edges[e, 1 - side]
-            if wanted[n] and (best[n] < 0 or rank[e] < least[n] or (rank[e] == least[n] and m < best[n])):
+            if selected[n] and (best[n] < 0 or rank[e] < min_rank[n] or (rank[e] == min_rank[n] and m < best[n])):
                 best[n] = m
-                least[n] = rank[e]
+                min_rank[n] = rank[e]
     return best
 
 
@@ -90,19 +89,17 @@ def connected_components(color: NDArray[np.uint8], max_distance: float) -> NDArr
 
     Labels (H, W) int32 count from 0 in raster order of the regions' first pixels.
     """
-    labels: NDArray[np.int32] = _components(np.ascontiguousarray(color), max_distance * max_distance)
-    return labels
+    return np.asarray(_components(np.ascontiguousarray(color), max_distance * max_distance), np.int32)
 
 
 def connected_components_of_labels(labels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """4-connected pieces of equal value in an (H, W) int32 map, numbered like :func:`connected_components`."""
-    pieces: NDArray[np.int32] = _components(np.ascontiguousarray(labels)[..., None], 0.0)
-    return pieces
+    """Label 4-connected pieces of equal value in an (H, W) int32 map, as :func:`connected_components` does."""
+    return np.asarray(_components(np.ascontiguousarray(labels)[..., None], 0.0), np.int32)
 
 
 @dataclass(frozen=True)
 class RegionGraph:
-    """Regions of a label map and who touches whom.
+    """Regions of a label map and which of them touch.
 
     Attributes
     ----------
@@ -121,7 +118,7 @@ class RegionGraph:
 
 
 def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
-    """Graph of the regions of ``labels`` (H, W), 0 .. n - 1, over ``image`` (H, W) or (H, W, C)."""
+    """Return the graph of the regions of ``labels`` (H, W), 0 .. n - 1, over ``image`` (H, W) or (H, W, C)."""
     count = int(labels.max()) + 1 if labels.size else 0
     flat = labels.ravel()
     sizes = np.bincount(flat, minlength=count)
@@ -141,7 +138,7 @@ def _pair_keys(one: NDArray[np.int32], other: NDArray[np.int32], count: int) -> 
 def _graph(
     sizes: NDArray[np.int64], sums: NDArray[np.float64], keys: NDArray[np.int64], lengths: NDArray[np.int64] | None
 ) -> RegionGraph:
-    """The graph of pairs given by ``i * N + j``, each as often as it is there, or ``lengths`` times."""
+    # Pairs are given as i * N + j, and count once each, or ``lengths`` times.
     count = max(len(sizes), 1)
     if lengths is None:
         pairs, boundary = np.unique(keys, return_counts=True)
@@ -153,7 +150,7 @@ def _graph(
 
 
 def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> tuple[RegionGraph, NDArray[np.int32]]:
-    """The graph after the regions ``source`` have joined ``target``, and the new number of every region."""
+    # The graph after the regions ``source`` have joined ``target``, and the new number of every region.
     parent = np.arange(len(graph.sizes), dtype=np.int32)
     _join_all(parent, source.astype(np.int32), target.astype(np.int32))
     group: NDArray[np.int32] = consecutive(parent)
@@ -161,9 +158,9 @@ def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> t
     sizes = np.bincount(group, graph.sizes, count).astype(np.int64)
     sums = np.stack([np.bincount(group, column, count) for column in graph.sums.T], axis=1).astype(np.float64)
     first, second = group[graph.edges.T]
-    apart = first != second
-    keys = _pair_keys(first[apart], second[apart], count)
-    return _graph(sizes, sums, keys, graph.boundary[apart]), group
+    separate = first != second
+    keys = _pair_keys(first[separate], second[separate], count)
+    return _graph(sizes, sums, keys, graph.boundary[separate]), group
 
 
 def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min_size: int) -> NDArray[np.int32]:
@@ -176,8 +173,8 @@ def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min
     number = np.arange(len(graph.sizes), dtype=np.int32)
     while len(graph.sizes) >= 2 and (small := graph.sizes < min_size).any():
         first, second = graph.edges.T
-        apart = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
-        target = _best_neighbors(graph.edges, apart, small)
+        distance = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
+        target = _best_neighbors(graph.edges, distance, small)
         source = np.flatnonzero(target >= 0)
         graph, group = _merged(graph, source, target[source])
         number = group[number]
@@ -185,15 +182,14 @@ def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min
 
 
 def joined_regions(count: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(count,) int32 group of every region, numbered by first member, where ``edges`` (E, 2) join regions."""
+    """Return the (count,) int32 groups of regions joined by ``edges`` (E, 2), numbered by their first members."""
     parent = np.arange(count, dtype=np.int32)
     _join_all(parent, np.ascontiguousarray(edges[:, 0]), np.ascontiguousarray(edges[:, 1]))
-    groups: NDArray[np.int32] = consecutive(parent)
-    return groups
+    return np.asarray(consecutive(parent), np.int32)
 
 
 def merge_small_labels(pieces: NDArray[np.int32], parents: NDArray[np.int32], min_size: int) -> NDArray[np.int32]:
-    """Join pieces of fewer than ``min_size`` pixels to the piece of the same parent they share most boundary with.
+    """Join pieces of fewer than ``min_size`` pixels to the piece of the same parent with the longest common boundary.
 
     ``parents`` (H, W) is the map the pieces (H, W) were cut from; a piece that is all of its parent stays.
     """

@@ -1,4 +1,4 @@
-"""Sequential tree-reweighted message passing on pixel grids where every pixel has its own few candidate values."""
+"""Sequential tree-reweighted message passing on pixel grids where every pixel has its own candidate values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
-_BAND = 24  # rows that one task passes through in order
+_BAND = 24  # rows that one task visits in order; any number gives a valid order, this one keeps all cores busy
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class ValueLabelling:
     ----------
     labels : (N,) int32, index of the chosen candidate
     energy : of ``labels``
-    lower_bound : no labelling has less energy (up to rounding)
+    lower_bound : of the energy of any labelling, up to rounding
     """
 
     labels: NDArray[np.int32]
@@ -36,23 +36,22 @@ def trws(
     truncation: float,
     iterations: int = 10,
 ) -> ValueLabelling:
-    """Choose one candidate a pixel: ``sum unary + sum weight min(|v_p - v_q|, truncation)`` over neighbor pairs, low.
+    """Choose one candidate a pixel that make ``sum unary + sum weight min(|v_p - v_q|, truncation)`` small.
 
     Kolmogorov, "Convergent tree-reweighted message passing for energy minimization", PAMI 2006, on the pixels that
     are active, with eight neighbors (four, where the weights of the diagonals are 0). Pixels are visited band by
-    band: rows 0 of all bands of rows, rows 1, ..., with the last row of each band after all others. That is an
-    order as good as any, and lets the bands run side by side with the same answer at any number of threads.
+    band: rows 0 of all bands of rows, rows 1, ..., with the last row of each band after all others. In this order
+    bands run in parallel with the same result at any number of threads.
 
     Parameters
     ----------
     values : (N, K) float32, candidates of the N active pixels in raster order
-    unary : (N, K) float32 costs, inf = no candidate; the first of every pixel must be finite, and none after an
-        inf counts
+    unary : (N, K) float32 costs, inf = no candidate, nor any after it; the first of every pixel must be finite
     active : (H, W) bool, N of them True
-    weights : (N, 4) float32 >= 0, of the pairs with the neighbor on the right, below left, below, and below right
-        (not read where that neighbor is not active)
+    weights : (N, 4) float32 >= 0, of the pairs with the neighbor on the right, below left, below, and below right;
+        ignored where that neighbor is not active
     truncation : largest cost of a difference
-    iterations : passes there and back
+    iterations : number of forward and backward passes
 
     Raises
     ------
@@ -80,80 +79,80 @@ def trws(
     choices = choices.astype(np.int32)
     values, unary = np.ascontiguousarray(values), np.ascontiguousarray(unary)
     weights = np.ascontiguousarray(weights)
-    share, before = _order(nodes, count)
+    share, earlier = _order(nodes, count)
     messages = np.zeros((count, 4, values.shape[1]), np.float32)
     cap = np.float32(truncation)
-    least = np.zeros(height, np.float64)
+    row_bounds = np.zeros(height, np.float64)
     for _ in range(iterations):
-        _forward(nodes, values, unary, weights, cap, choices, share, before, messages)
-        _backward(nodes, values, unary, weights, cap, choices, share, before, messages, least)
+        _forward(nodes, values, unary, weights, cap, choices, share, earlier, messages)
+        _backward(nodes, values, unary, weights, cap, choices, share, earlier, messages, row_bounds)
     labels = np.zeros(count, np.int32)
-    _select(nodes, values, unary, weights, cap, choices, before, messages, labels)
-    return ValueLabelling(labels, _energy(nodes, values, unary, weights, cap, labels), float(least.sum()))
+    _select(nodes, values, unary, weights, cap, choices, earlier, messages, labels)
+    return ValueLabelling(labels, _energy(nodes, values, unary, weights, cap, labels), float(row_bounds.sum()))
 
 
-# Neighbor k of a pixel lies at (_DOWN[k], _ACROSS[k]); pair k < 4 is stored with the pixel, pair k >= 4 with the
+# Neighbor k of a pixel lies at (_DY[k], _DX[k]); pair k < 4 is stored with the pixel, pair k >= 4 with the
 # neighbor, as its pair k - 4.
-_DOWN = np.array([0, 1, 1, 1, 0, -1, -1, -1])
-_ACROSS = np.array([1, -1, 0, 1, -1, 1, 0, -1])
+_DY = np.array([0, 1, 1, 1, 0, -1, -1, -1])
+_DX = np.array([1, -1, 0, 1, -1, 1, 0, -1])
 
 
 @jit
 def _rank(y, height):  # type: ignore[no-untyped-def]
-    """When a row is visited: rows of different bands may share a rank, but no neighbors do."""
+    # The turn in which a row is visited: rows of different bands may share one, but no neighbors do.
     row = y % _BAND
     return _BAND if row == _BAND - 1 and y != height - 1 else row
 
 
 @jit
 def _order(nodes, count):  # type: ignore[no-untyped-def]
-    """Share of a node's cost that each of its trees gets, (N,); which of its neighbors come first, bits (N,)."""
+    # Share of a node's cost that each of its trees gets, (N,); bits of the neighbors visited before it, (N,).
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     share = np.empty(count, np.float32)
-    before = np.zeros(count, np.uint8)
+    earlier = np.zeros(count, np.uint8)
     for y in range(height):
         for x in range(width):
             n = nodes[y + 1, x + 1]
             if n < 0:
                 continue
-            earlier, later = 0, 0
+            n_earlier, n_later = 0, 0
             for k in range(8):
-                if nodes[y + 1 + _DOWN[k], x + 1 + _ACROSS[k]] < 0:
+                if nodes[y + 1 + _DY[k], x + 1 + _DX[k]] < 0:
                     continue
-                first = k == 4 if _DOWN[k] == 0 else _rank(y + _DOWN[k], height) < _rank(y, height)
+                first = k == 4 if _DY[k] == 0 else _rank(y + _DY[k], height) < _rank(y, height)
                 if first:
-                    earlier += 1
-                    before[n] |= np.uint8(1 << k)
+                    n_earlier += 1
+                    earlier[n] |= np.uint8(1 << k)
                 else:
-                    later += 1
-            share[n] = np.float32(1.0) / np.float32(max(earlier, later, 1))
-    return share, before
+                    n_later += 1
+            share[n] = np.float32(1.0) / np.float32(max(n_earlier, n_later, 1))
+    return share, earlier
 
 
 @jit
 def _visit(  # type: ignore[no-untyped-def]
-    y, x, n, send_to_earlier, nodes, values, unary, weights, truncation, choices, share, before, messages, belief,
+    y, x, n, send_to_earlier, nodes, values, unary, weights, truncation, choices, share, earlier, messages, belief,
 ):  # fmt: skip
-    """Renew the messages from pixel (y, x), node n, to its earlier or its later neighbors; its least belief."""
+    # Update the messages from pixel (y, x), node n, to its earlier or later neighbors; return its part of the bound.
     labels = choices[n]
     for i in range(labels):
         belief[i] = unary[n, i]
     for k in range(8):
-        m = nodes[y + 1 + _DOWN[k], x + 1 + _ACROSS[k]]
+        m = nodes[y + 1 + _DY[k], x + 1 + _DX[k]]
         if m >= 0:
             message = messages[n, k] if k < 4 else messages[m, k - 4]
             for i in range(labels):
                 belief[i] += message[i]
-    least = belief[0]
+    lowest = belief[0]
     for i in range(1, labels):
-        least = min(least, belief[i])
+        lowest = min(lowest, belief[i])
     for i in range(labels):
-        belief[i] -= least
+        belief[i] -= lowest
     part = share[n]
-    total = np.float64(least)
+    total = np.float64(lowest)
     for k in range(8):
-        m = nodes[y + 1 + _DOWN[k], x + 1 + _ACROSS[k]]
-        if m < 0 or ((before[n] >> k) & 1) != send_to_earlier:
+        m = nodes[y + 1 + _DY[k], x + 1 + _DX[k]]
+        if m < 0 or ((earlier[n] >> k) & 1) != send_to_earlier:
             continue
         message = messages[n, k] if k < 4 else messages[m, k - 4]
         weight = weights[n, k] if k < 4 else weights[m, k - 4]
@@ -163,7 +162,7 @@ def _visit(  # type: ignore[no-untyped-def]
             message[i] = part * belief[i] - message[i]
             own = min(own, message[i])
         others = choices[m]
-        # What is sent has to be worked out before the old message, which shares its place, is overwritten.
+        # The new message is computed aside, since it overwrites the old one.
         for j in range(others):
             best = own + cap
             for i in range(labels):
@@ -179,7 +178,7 @@ def _visit(  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _forward(nodes, values, unary, weights, truncation, choices, share, before, messages):  # type: ignore[no-untyped-def]
+def _forward(nodes, values, unary, weights, truncation, choices, share, earlier, messages):  # type: ignore[no-untyped-def]
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     bands = (height + _BAND - 1) // _BAND
     for last in range(2):
@@ -190,13 +189,13 @@ def _forward(nodes, values, unary, weights, truncation, choices, share, before, 
                     for x in range(width):
                         n = nodes[y + 1, x + 1]
                         if n >= 0:
-                            _visit(y, x, n, 0, nodes, values, unary, weights, truncation, choices, share, before,
+                            _visit(y, x, n, 0, nodes, values, unary, weights, truncation, choices, share, earlier,
                                    messages, belief)  # fmt: skip
 
 
 @parallel_jit
-def _backward(nodes, values, unary, weights, truncation, choices, share, before, messages, least):  # type: ignore[no-untyped-def]
-    """As :func:`_forward`, the other way round; ``least`` (H,) float64: the rows' parts of the lower bound."""
+def _backward(nodes, values, unary, weights, truncation, choices, share, earlier, messages, row_bounds):  # type: ignore[no-untyped-def]
+    # As ``_forward``, in reverse order; ``row_bounds`` (H,) float64 are the rows' parts of the lower bound.
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     bands = (height + _BAND - 1) // _BAND
     for last in range(1, -1, -1):
@@ -209,13 +208,13 @@ def _backward(nodes, values, unary, weights, truncation, choices, share, before,
                         n = nodes[y + 1, x + 1]
                         if n >= 0:
                             total += _visit(y, x, n, 1, nodes, values, unary, weights, truncation, choices, share,
-                                            before, messages, belief)  # fmt: skip
-                    least[y] = total
+                                            earlier, messages, belief)  # fmt: skip
+                    row_bounds[y] = total
 
 
 @parallel_jit
-def _select(nodes, values, unary, weights, truncation, choices, before, messages, labels):  # type: ignore[no-untyped-def]
-    """Labels in the order of the visits: each given those before it, and the messages of those after it."""
+def _select(nodes, values, unary, weights, truncation, choices, earlier, messages, labels):  # type: ignore[no-untyped-def]
+    # Labels in the order of the visits: each from the labels of earlier and the messages of later neighbors.
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     bands = (height + _BAND - 1) // _BAND
     for last in range(2):
@@ -231,10 +230,10 @@ def _select(nodes, values, unary, weights, truncation, choices, before, messages
                     for i in range(choices[n]):
                         cost = unary[n, i]
                         for k in range(8):
-                            m = nodes[y + 1 + _DOWN[k], x + 1 + _ACROSS[k]]
+                            m = nodes[y + 1 + _DY[k], x + 1 + _DX[k]]
                             if m < 0:
                                 continue
-                            if (before[n] >> k) & 1:
+                            if (earlier[n] >> k) & 1:
                                 weight = weights[n, k] if k < 4 else weights[m, k - 4]
                                 cost += weight * min(abs(values[n, i] - values[m, labels[m]]), truncation)
                             else:
@@ -254,7 +253,7 @@ def _energy(nodes, values, unary, weights, truncation, labels):  # type: ignore[
                 continue
             total += unary[n, labels[n]]
             for k in range(4):
-                m = nodes[y + _DOWN[k], x + _ACROSS[k]]
+                m = nodes[y + _DY[k], x + _DX[k]]
                 if m >= 0:
                     total += weights[n, k] * min(abs(values[n, labels[n]] - values[m, labels[m]]), truncation)
     return total

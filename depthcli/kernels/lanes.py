@@ -1,8 +1,8 @@
-"""Sixteen float32 side by side, as a value in kernels: loops whose vectors the compiler would not find itself.
+"""Vectors of sixteen float32 as values in kernels, for loops that the compiler does not vectorize well itself.
 
-A loop over a few dozen floats of several arrays costs more tests whether they overlap than arithmetic, and sums over
-rows of another array are loaded and stored at every row. With these values sums stay in registers. They become LLVM
-vectors, which every processor's back end turns into its own instructions.
+In a loop over a few dozen floats of several arrays, tests whether they overlap take longer than arithmetic, and sums
+over rows of another array are loaded and stored at every row. With these values sums stay in registers. They become
+LLVM vectors, which the back end of every processor turns into its own instructions.
 
 Values are made by :func:`load` and :func:`splat`, added, subtracted and multiplied by the operators, and written by
 :func:`store`. Nothing tests whether indices lie inside an array.
@@ -47,7 +47,7 @@ def _address(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> A
 
 @intrinsic
 def load(typingctx: Any, array: Any, index: Any) -> Any:
-    """``array[index : index + LANES]`` of a flat float32 array."""
+    """Return ``array[index : index + LANES]`` of a flat float32 array."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.load(_address(context, builder, signature.args[0], args[0], args[1]), align=4)
@@ -57,7 +57,7 @@ def load(typingctx: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    """``array[index : index + LANES] = value`` in a flat float32 array."""
+    """Assign ``array[index : index + LANES] = value`` in a flat float32 array."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         builder.store(args[2], _address(context, builder, signature.args[0], args[0], args[1]), align=4)
@@ -72,7 +72,7 @@ def _constant(value: float) -> Any:
 
 @intrinsic
 def splat(typingctx: Any, value: Any) -> Any:
-    """One float32 in all lanes."""
+    """Return a vector with one float32 in all lanes."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         nothing = ir.Constant(_FLOATS, ir.Undefined)
@@ -93,12 +93,12 @@ def _binary(build: Callable[[Any, Any, Any], Any]) -> Any:
     return operation
 
 
-def _smaller(builder: Any, a: Any, b: Any) -> Any:
+def _minimum(builder: Any, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_ordered("<", a, b), a, b)
 
 
-smaller = _binary(_smaller)
-"""The smaller of two values, lane by lane."""
+minimum = _binary(_minimum)
+"""Return the minimum of two values, lane by lane."""
 
 
 def _operator(symbol: Callable[[Any, Any], Any], build: Callable[[Any, Any, Any], Any]) -> None:
@@ -124,34 +124,34 @@ def _reduction(build: Callable[[Any, Any, Any], Any]) -> Any:
     def operation(typingctx: Any, value: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             # Halves on halves: the same order of additions on every processor.
-            rest, width = args[0], LANES
+            reduced, width = args[0], LANES
             while width > 1:
                 width //= 2
                 order = [(k + width) % LANES for k in range(LANES)]
-                moved = builder.shuffle_vector(rest, rest, ir.Constant(_INTEGERS, order))
-                rest = build(builder, rest, moved)
-            return builder.extract_element(rest, ir.Constant(_WORD, 0))
+                moved = builder.shuffle_vector(reduced, reduced, ir.Constant(_INTEGERS, order))
+                reduced = build(builder, reduced, moved)
+            return builder.extract_element(reduced, ir.Constant(_WORD, 0))
 
         return types.float32(_lanes), codegen
 
     return operation
 
 
-total_of = _reduction(lambda builder, a, b: builder.fadd(a, b))
-"""Sum of the lanes."""
-least = _reduction(_smaller)
-"""The smallest of the lanes."""
+lane_sum = _reduction(lambda builder, a, b: builder.fadd(a, b))
+"""Return the sum of the lanes."""
+lane_min = _reduction(_minimum)
+"""Return the smallest of the lanes."""
 
 
 @intrinsic
 def exp_minus(typingctx: Any, value: Any) -> Any:
-    """exp(-x) of x >= 0 in every lane, relative error below 1e-6; x above 80 counts as 80.
+    """Return exp(-x) of x >= 0 in every lane, relative error below 1e-6; x above 80 counts as 80.
 
     As :func:`depthcli.kernels.exponential.exp_minus`.
     """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        x = _smaller(builder, args[0], _constant(80.0))
+        x = _minimum(builder, args[0], _constant(80.0))
         x = builder.fmul(x, _constant(-1.4426950408889634), flags=_FLAGS)
         whole = builder.fptosi(x, _INTEGERS)
         rest = builder.fsub(x, builder.sitofp(whole, _FLOATS), flags=_FLAGS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.dense_crf import GaussianKernel, TruncatedLinear, mean_field
-from depthcli.algorithms.permutohedral import Lattice
+from depthcli.algorithms.dense_crf.permutohedral import Lattice
 from tests.methods.stereo._pairs import assert_pure
 from tests.naive import dense_crf as naive
 

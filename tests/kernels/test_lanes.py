@@ -6,7 +6,7 @@ import numpy as np
 
 from depthcli.kernels import lanes
 from depthcli.kernels.jit import jit
-from depthcli.kernels.lanes import exp_minus, least, load, smaller, splat, store, total_of
+from depthcli.kernels.lanes import exp_minus, lane_min, lane_sum, load, minimum, splat, store
 
 
 @jit
@@ -15,11 +15,11 @@ def _compute(a, b, factor, out):
     store(out, 0, x + y)
     store(out, 16, x - y)
     store(out, 32, x * splat(factor))
-    store(out, 48, smaller(x, y))
+    store(out, 48, minimum(x, y))
     store(out, 64, exp_minus(x * x))
     y += x
     store(out, 80, y)
-    return total_of(x), least(x)
+    return lane_sum(x), lane_min(x)
 
 
 def test_lanes_compute_as_numpy_does():

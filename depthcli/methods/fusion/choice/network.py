@@ -13,7 +13,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.networks import TrainedNetwork
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.kernels.lanes import LANES, load, smaller, splat, store
+from depthcli.kernels.lanes import LANES, load, minimum, splat, store
 from depthcli.methods.fusion.choice import Chooser, Chosen, Proposals
 from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE_PLANES, SHARED, Inputs, gather, input_names
 from depthcli.methods.fusion.votes import LANES as MAX_MAPS
@@ -91,7 +91,7 @@ def _tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @jit
 def _positive(a: Any) -> Any:
-    return splat(np.float32(0)) - smaller(splat(np.float32(0)) - a, splat(np.float32(0)))
+    return splat(np.float32(0)) - minimum(splat(np.float32(0)) - a, splat(np.float32(0)))
 
 
 @jit

@@ -1,0 +1,252 @@
+"""Kernels of mean field inference: messages, energies and marginals of tiles of points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from depthcli.algorithms.dense_crf.permutohedral import BAND
+from depthcli.kernels.exponential import float_bits
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.lanes import LANES, exp_minus, lane_min, lane_sum, load, minimum, splat, store
+
+_TILE = 16  # points whose labels are processed together: they stay in the first-level cache
+_BLOCK = 4 * LANES  # labels that are held in registers together
+
+
+@parallel_jit
+def join_lattices(
+    slots: Any, weights: Any, density: Any, share: Any, weight: Any, offset: Any, column: int, all_slots: Any,
+    all_weights: Any, own: Any,
+) -> None:  # fmt: skip
+    """Write the corners of one lattice into the columns from ``column`` on, with normalized weights."""
+    for n in prange(own.size):
+        scale = np.sqrt(weight / density[n])
+        own[n] += share[n] * scale * scale
+        for c in range(slots.shape[1]):
+            all_slots[n, column + c] = slots[n, c] + offset
+            all_weights[n, column + c] = weights[n, c] * scale
+
+
+@parallel_jit
+def start(
+    unary: Any, q: Any, given: bool, labels: int, slots: Any, weights: Any, corners: int, bands: Any, width: int,
+    partial: Any, finite: Any,
+) -> None:  # fmt: skip
+    """Write the initial marginals to ``q``, unless they are ``given``, and spread them over the lattices.
+
+    ``finite`` becomes False for bands that have an energy that is not finite.
+    """
+    count = q.size // labels
+    for b in prange(finite.size):
+        _clear(partial, bands, b, width)
+        tile, total = np.zeros(_TILE * width, np.float32), np.ones(_TILE, np.float32)
+        largest = np.int32(0)
+        stop = min(count, (b + 1) * BAND)
+        for first in range(b * BAND, stop, _TILE):
+            size = min(_TILE, stop - first)
+            for k in range(first * labels, (first + size) * labels):
+                largest = max(largest, np.int32(float_bits(unary[np.uint64(k)]) & np.int32(0x7FFFFFFF)))
+            source = q if given else unary
+            for p in range(size):
+                for k in range(labels):
+                    tile[np.uint64(p * width + k)] = source[np.uint64((first + p) * labels + k)]
+            if not given:
+                _softmax(tile, width, labels, width, size, total)
+                _write(tile, width, total, q, first, labels, size)
+            _spread(tile, width, total, slots, weights, corners, first, size, width, partial)
+        # A number that is not finite has larger bits than all others.
+        finite[b] = largest < np.int32(0x7F800000)
+
+
+@parallel_jit
+def update(
+    unary: Any, q: Any, labels: int, near: Any, slots: Any, vertex: Any, weights: Any, corners: int, own: Any,
+    truncation: int, matrix: Any, bands: Any, width: int, more: bool, partial: Any,
+) -> None:  # fmt: skip
+    """Run one step of mean field for all points: read messages, write marginals to ``q``, spread them (if ``more``)."""
+    count = own.size
+    # Rows of a tile lie one behind the other, with zeros between them for the windows that reach beyond their ends.
+    margin = max(truncation - 1, 0)
+    lead = -(-margin // LANES) * LANES
+    stride = -(-(labels + margin) // LANES) * LANES
+    for b in prange(bands.shape[0]):
+        if more:
+            _clear(partial, bands, b, width)
+        # Windows read as far behind the last row as they are long.
+        message = np.zeros(_TILE * stride + 4 * lead + LANES, np.float32)
+        once, twice = np.zeros_like(message), np.zeros_like(message)
+        total, spare = np.ones(_TILE, np.float32), np.zeros(LANES, np.float32)
+        stop = min(count, (b + 1) * BAND)
+        for first in range(b * BAND, stop, _TILE):
+            size = min(_TILE, stop - first)
+            _read(
+                near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride, spare
+            )  # fmt: skip
+            if truncation:
+                # min(|k|, T) is T less a triangle, which is a window of length T over another one. T times the sum
+                # of all messages is the same for every label of a point, and makes no difference to its marginals.
+                _window(message, truncation, once)
+                _window(once, truncation, twice)
+                _energies(unary, labels, first, size, np.float32(-1.0), twice, lead - margin, stride, once)
+            else:
+                _product(matrix, message, stride, size, twice)
+                _energies(unary, labels, first, size, np.float32(1.0), twice, 0, stride, once)
+            _softmax(once, stride, labels, width, size, total)
+            _write(once, stride, total, q, first, labels, size)
+            if more:
+                _spread(once, stride, total, slots, weights, corners, first, size, width, partial)
+
+
+@jit
+def _clear(partial: Any, bands: Any, b: int, width: int) -> None:
+    zero = splat(np.float32(0.0))
+    for k in range(0, bands.shape[1], 2):
+        for i in range(bands[b, k] * width, bands[b, k + 1] * width, LANES):
+            store(partial, i, zero)
+
+
+@jit
+def _spread(
+    tile: Any, stride: int, total: Any, slots: Any, weights: Any, corners: int, first: int, size: int, width: int,
+    partial: Any,
+) -> None:  # fmt: skip
+    # Adds the marginals of points, the rows of a tile divided by their ``total``, to their slots.
+    for p in range(size):
+        factor = np.float32(1.0) / total[p]
+        begin, at = (first + p) * corners, p * stride
+        for k in range(0, width - _BLOCK + 1, _BLOCK):
+            v0, v1 = load(tile, at + k), load(tile, at + k + LANES)
+            v2, v3 = load(tile, at + k + 2 * LANES), load(tile, at + k + 3 * LANES)
+            for c in range(begin, begin + corners):
+                w, to = splat(factor * weights[c]), slots[c] * width + k
+                store(partial, to, load(partial, to) + w * v0)
+                store(partial, to + LANES, load(partial, to + LANES) + w * v1)
+                store(partial, to + 2 * LANES, load(partial, to + 2 * LANES) + w * v2)
+                store(partial, to + 3 * LANES, load(partial, to + 3 * LANES) + w * v3)
+        for k in range(width - width % _BLOCK, width, LANES):
+            value = load(tile, at + k)
+            for c in range(begin, begin + corners):
+                to = slots[c] * width + k
+                store(partial, to, load(partial, to) + splat(factor * weights[c]) * value)
+
+
+@jit
+def _read(
+    near: Any, width: int, slots: Any, vertex: Any, weights: Any, corners: int, own: Any, q: Any, labels: int,
+    first: int, size: int, message: Any, lead: int, stride: int, spare: Any,
+) -> None:  # fmt: skip
+    # Writes the messages of points to the rows of a tile: values of their vertices without their own share.
+    for p in range(size):
+        begin, at, to = (first + p) * corners, (first + p) * labels, lead + p * stride
+        share = splat(-own[first + p])
+        for k in range(0, labels - _BLOCK + 1, _BLOCK):
+            v0, v1 = share * load(q, at + k), share * load(q, at + k + LANES)
+            v2, v3 = share * load(q, at + k + 2 * LANES), share * load(q, at + k + 3 * LANES)
+            for c in range(begin, begin + corners):
+                w, source = splat(weights[c]), vertex[slots[c]] * width + k
+                v0 += w * load(near, source)
+                v1 += w * load(near, source + LANES)
+                v2 += w * load(near, source + 2 * LANES)
+                v3 += w * load(near, source + 3 * LANES)
+            store(message, to + k, v0)
+            store(message, to + k + LANES, v1)
+            store(message, to + k + 2 * LANES, v2)
+            store(message, to + k + 3 * LANES, v3)
+        for k in range(labels - labels % _BLOCK, labels, LANES):
+            if k + LANES <= labels:
+                value = share * load(q, at + k)
+            else:  # the next point's marginals lie behind
+                for rest in range(k, labels):
+                    spare[rest - k] = q[at + rest]
+                value = share * load(spare, 0)
+            for c in range(begin, begin + corners):
+                value += splat(weights[c]) * load(near, vertex[slots[c]] * width + k)
+            store(message, to + k, value)
+
+
+@jit
+def _window(source: Any, length: int, target: Any) -> None:
+    # target[i] = source[i] + ... + source[i + length - 1]. The window doubles once for every further binary digit of
+    # its length, and grows by one where that is 1: more additions than a running sum, but on sixteen labels at a time.
+    digit = 0
+    while length >> (digit + 1):
+        digit += 1
+    for i in range(0, source.size - LANES + 1, LANES):
+        store(target, i, load(source, i))
+    width = 1
+    while digit > 0:
+        digit -= 1
+        if (length >> digit) & 1:
+            for i in range(0, source.size - 2 * width - LANES + 1, LANES):
+                store(target, i, load(target, i) + load(target, i + width) + load(source, i + 2 * width))
+            width = 2 * width + 1
+        else:
+            for i in range(0, source.size - width - LANES + 1, LANES):
+                store(target, i, load(target, i) + load(target, i + width))
+            width = 2 * width
+
+
+@jit
+def _product(matrix: Any, message: Any, stride: int, size: int, cost: Any) -> None:
+    # cost = matrix times message, row by row; ``matrix`` is transposed.
+    labels = matrix.shape[0]
+    for p in range(size):
+        for k in range(labels):
+            cost[np.uint64(p * stride + k)] = np.float32(0.0)
+        for j in range(labels):
+            factor = message[p * stride + j]
+            for k in range(labels):
+                cost[np.uint64(p * stride + k)] += factor * matrix[j, k]
+
+
+@jit
+def _energies(
+    unary: Any, labels: int, first: int, size: int, sign: Any, cost: Any, begin: int, stride: int, tile: Any
+) -> None:  # fmt: skip
+    # tile = unary + sign cost, row by row.
+    signs = splat(sign)
+    for p in range(size):
+        at, source, to = (first + p) * labels, begin + p * stride, p * stride
+        for k in range(0, labels - LANES + 1, LANES):
+            store(tile, to + k, load(unary, at + k) + signs * load(cost, source + k))
+        for k in range(labels - labels % LANES, labels):
+            tile[to + k] = unary[at + k] + sign * cost[source + k]
+
+
+@jit
+def _softmax(tile: Any, stride: int, labels: int, width: int, size: int, total: Any) -> None:
+    # tile = exp(smallest energy - energy), row by row, 0 behind the labels; total = sums of the rows.
+    for p in range(size):
+        at = p * stride
+        for k in range(labels, width):
+            tile[at + k] = np.float32(3e38)
+        low = load(tile, at)
+        for k in range(LANES, width, LANES):
+            low = minimum(low, load(tile, at + k))
+        total[p] = lane_min(low)
+    # A loop of its own: the exponentials of a point need not wait for its smallest energy.
+    for p in range(size):
+        at = p * stride
+        low, sums = splat(total[p]), splat(np.float32(0.0))
+        for k in range(0, width, LANES):
+            power = exp_minus(load(tile, at + k) - low)
+            store(tile, at + k, power)
+            sums += power
+        total[p] = lane_sum(sums)
+        for k in range(labels, width):
+            tile[at + k] = np.float32(0.0)
+
+
+@jit
+def _write(tile: Any, stride: int, total: Any, q: Any, first: int, labels: int, size: int) -> None:
+    # q = the rows of a tile divided by their ``total``.
+    for p in range(size):
+        factor = np.float32(1.0) / total[p]
+        factors = splat(factor)
+        at, to = p * stride, (first + p) * labels
+        for k in range(0, labels - LANES + 1, LANES):
+            store(q, to + k, factors * load(tile, at + k))
+        for k in range(labels - labels % LANES, labels):
+            q[to + k] = factor * tile[at + k]
