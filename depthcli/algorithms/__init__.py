@@ -1,1 +1,1 @@
-"""Label maps and solvers of labelling problems: energies on graphs, no image semantics."""
+"""Solvers and building blocks that several methods share: labelling problems, segmentation, key points, filters."""

@@ -137,7 +137,7 @@ class Lattice:
 def blur(
     lattice: Lattice, width: int, partial: NDArray[np.float32], near: NDArray[np.float32], far: NDArray[np.float32]
 ) -> None:
-    """Sum the slots (T rows of ``width``) of every vertex and blur the vertices, into ``near``: V + 1 rows, the last 0."""
+    """Sum the slots (T rows of ``width``) of vertices and blur these, into ``near``: V + 1 rows, the last one 0."""
     steps = len(lattice.neighbors)
     source, target = (near, far) if steps % 2 == 0 else (far, near)
     source[-width:] = 0

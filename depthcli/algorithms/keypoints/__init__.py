@@ -1,4 +1,4 @@
-"""Key points: repeatable spots of a picture with a description that survives the change of view. One file a method."""
+"""Key points: distinctive points of an image with descriptors for matching. One file a method."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class KeyPoints:
     x, y : (N,) float32 position, pixels; the center of the first pixel is (0, 0)
     scale : (N,) float32 standard deviation of the blob's Gaussian, pixels
     response : (N,) float32 strength, in the detector's own unit
-    sign : (N,) int8 +1 for dark blobs on light ground, -1 for the reverse, 0 where the detector does not tell
+    sign : (N,) int8 +1 for dark blobs on light ground, -1 for the reverse, 0 where the detector does not distinguish
     descriptors : (N, K) float32, rows of length 1
     """
 
@@ -37,11 +37,11 @@ class KeyPoints:
 
 
 class Detector(Method):
-    """Finds and describes key points."""
+    """A detector of key points that also computes their descriptors."""
 
     @abstractmethod
     def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
-        """Key points of an (H, W) uint8 grey image; deterministic, possibly none."""
+        """Return the key points of an (H, W) uint8 grey image; deterministic, possibly none."""
 
 
 Detection = Annotated[Detector, *method_of("depthcli.algorithms.keypoints")]

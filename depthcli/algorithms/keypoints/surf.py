@@ -10,29 +10,27 @@ from pydantic import Field
 from depthcli.algorithms.keypoints import Detector, KeyPoints
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
-_LAYERS = 4
+_LAYERS = 4  # filter sizes of an octave, as in the paper
 
 
 class Surf(Detector):
-    """Blobs by box-filtered Hessians over integral images, described by Haar responses; no orientation.
+    """Detect blobs by box-filtered Hessians over integral images and describe them by Haar responses, upright.
 
-    A rectified pair shows everything upright, so the orientation would only add noise. The 64 numbers
-    of a descriptor are the sums of dx, |dx|, dy and |dy| over 4 x 4 overlapping cells (Agrawal, Konolige and
-    Blas, ECCV 2008), which changes less than disjoint cells do when a point is found a little off.
+    In a rectified pair the orientation of a point would only add noise. The 64 numbers of a descriptor are the sums of
+    dx, |dx|, dy and |dy| over 4 x 4 overlapping cells (Agrawal, Konolige and Blas, ECCV 2008), which change less than
+    those of disjoint cells when a point is displaced a little.
     """
 
     threshold: float = Field(
-        5e-6, gt=0, le=1, description="smallest determinant of the Hessian, image values in [0, 1]; lower finds more"
+        5e-6, gt=0, le=1, description="smallest determinant of the Hessian, image values in [0, 1]"
     )
-    octaves: int = Field(2, ge=1, le=6, description="doublings of the scale searched")
+    octaves: int = Field(2, ge=1, le=6, description="number of octaves (doublings of scale) that are searched")
 
     def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:
         grey = np.ascontiguousarray(image, dtype=np.float32) / np.float32(255)
         # Zero mean keeps the sums small, so that differences of them stay exact enough.
         integral = np.ascontiguousarray(cv2.integral(grey - grey.mean(), sdepth=cv2.CV_64F))
-        points = np.concatenate(
-            [self._octave(integral, octave) for octave in range(self.octaves)] or [np.zeros((0, 5), np.float32)]
-        )
+        points = np.concatenate([self._octave(integral, octave) for octave in range(self.octaves)])
         points = points[np.lexsort((points[:, 2], points[:, 0], points[:, 1], -points[:, 3]))]
         descriptors = np.zeros((len(points), 64), np.float32)
         _describe(integral, points, descriptors)
@@ -40,29 +38,28 @@ class Surf(Detector):
         return KeyPoints(x, y, scale, response, sign.astype(np.int8), descriptors)
 
     def _octave(self, integral: NDArray[np.float64], octave: int) -> NDArray[np.float32]:
-        """Key points (N, 5) float32 of one octave: x, y, scale, response, sign."""
+        # Key points (N, 5) float32 of one octave: x, y, scale, response, sign.
         step = 1 << octave
         sizes = filter_sizes(octave)
         height, width = integral.shape[0] - 1, integral.shape[1] - 1
-        shape = (_LAYERS, -(-height // step), -(-width // step))
         if min(height, width) < sizes[-1]:
             return np.zeros((0, 5), np.float32)
-        responses = np.zeros(shape, np.float32)
-        signs = np.zeros(shape, np.int8)
+        responses = np.zeros((_LAYERS, -(-height // step), -(-width // step)), np.float32)
+        signs = np.zeros(responses.shape, np.int8)
         for layer, size in enumerate(sizes):
             _hessian(integral, step, size, responses[layer], signs[layer])
-        found: NDArray[np.float32] = _maxima(responses, signs, step, sizes[0], sizes[1] - sizes[0], self.threshold)
-        return found
+        maxima = _maxima(responses, signs, step, sizes[0], sizes[1] - sizes[0], self.threshold)
+        return np.asarray(maxima, np.float32)
 
 
 def filter_sizes(octave: int) -> list[int]:
-    """Side lengths of the box filters of an octave: 9, 15, 21, 27 in the first, steps double after it."""
+    """Return the side lengths of the box filters of an octave: 9, 15, 21, 27 in the first, steps double after it."""
     return [3 * ((2 << octave) * (layer + 1) + 1) for layer in range(_LAYERS)]
 
 
 @jit
 def _box(integral, y, x, height, width):  # type: ignore[no-untyped-def]
-    """Sum of the pixels [y, y + height) x [x, x + width), cut to the image."""
+    # Sum of the pixels [y, y + height) x [x, x + width) inside the image.
     rows, columns = integral.shape
     y0 = min(max(y, 0), rows - 1)
     x0 = min(max(x, 0), columns - 1)
@@ -73,10 +70,9 @@ def _box(integral, y, x, height, width):  # type: ignore[no-untyped-def]
 
 @parallel_jit
 def _hessian(integral, step, size, responses, signs):  # type: ignore[no-untyped-def]
-    """Determinant of the box-filter Hessian, normalized by the filter's area; 0 where the filter does not fit."""
+    # Determinant of the box-filter Hessian, normalized by the filter's area; 0 where the filter does not fit.
     height, width = integral.shape[0] - 1, integral.shape[1] - 1
-    lobe = size // 3
-    half = size // 2
+    lobe, half = size // 3, size // 2
     area = 1.0 / (size * size)
     for j in prange(responses.shape[0]):
         y = j * step
@@ -98,19 +94,17 @@ def _hessian(integral, step, size, responses, signs):  # type: ignore[no-untyped
                 - _box(integral, y - lobe, x - lobe, lobe, lobe)
                 - _box(integral, y + 1, x + 1, lobe, lobe)
             )
-            dxx *= area
-            dyy *= area
-            dxy *= area
-            # 0.9 squared: what the boxes make of the ratio between the Gaussian's second derivatives.
+            dxx, dyy, dxy = area * dxx, area * dyy, area * dxy
+            # 0.9 squared: ratio of box filters to Gaussian derivatives (w of the paper).
             responses[j, i] = dxx * dyy - 0.81 * dxy * dxy
             signs[j, i] = 1 if dxx + dyy >= 0.0 else -1
 
 
 @jit
 def _maxima(responses, signs, step, first_size, size_step, threshold):  # type: ignore[no-untyped-def]
-    """Maxima over 3 x 3 x 3 cells, moved to the peak of the parabola through them."""
+    # Maxima over 3 x 3 x 3 cells, moved to the peak of the parabola through them.
     layers, rows, columns = responses.shape
-    found = np.empty((256, 5), np.float32)
+    points = np.empty((256, 5), np.float32)
     count = 0
     for k in range(1, layers - 1):
         for j in range(1, rows - 1):
@@ -121,17 +115,17 @@ def _maxima(responses, signs, step, first_size, size_step, threshold):  # type: 
                 dx, dy, dk = _offset(responses, k, j, i)
                 if abs(dx) > 1.0 or abs(dy) > 1.0 or abs(dk) > 1.0:
                     continue  # no peak here: a ridge
-                if count == found.shape[0]:
+                if count == points.shape[0]:
                     larger = np.empty((2 * count, 5), np.float32)
-                    larger[:count] = found
-                    found = larger
-                found[count, 0] = (i + dx) * step
-                found[count, 1] = (j + dy) * step
-                found[count, 2] = 1.2 / 9.0 * (first_size + (k + dk) * size_step)
-                found[count, 3] = value
-                found[count, 4] = signs[k, j, i]
+                    larger[:count] = points
+                    points = larger
+                points[count, 0] = (i + dx) * step
+                points[count, 1] = (j + dy) * step
+                points[count, 2] = 1.2 / 9.0 * (first_size + (k + dk) * size_step)
+                points[count, 3] = value
+                points[count, 4] = signs[k, j, i]
                 count += 1
-    return found[:count].copy()
+    return points[:count].copy()
 
 
 @jit
@@ -150,7 +144,7 @@ def _is_peak(responses, k, j, i):  # type: ignore[no-untyped-def]
 
 @jit
 def _offset(r, k, j, i):  # type: ignore[no-untyped-def]
-    """Peak of the second-order Taylor polynomial around a cell, in cells; 9 where there is none."""
+    # Peak of the second-order Taylor polynomial around a cell, in cells; 9 where there is none.
     gx = 0.5 * (r[k, j, i + 1] - r[k, j, i - 1])
     gy = 0.5 * (r[k, j + 1, i] - r[k, j - 1, i])
     gk = 0.5 * (r[k + 1, j, i] - r[k - 1, j, i])
@@ -179,11 +173,9 @@ def _offset(r, k, j, i):  # type: ignore[no-untyped-def]
 
 @parallel_jit
 def _describe(integral, points, descriptors):  # type: ignore[no-untyped-def]
-    """Fill ``descriptors`` (N, 64): 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9."""
+    # (N, 64) from 24 x 24 Haar responses at the point's scale, in 4 x 4 cells of 9 x 9.
     for n in prange(points.shape[0]):
-        cx = points[n, 0]
-        cy = points[n, 1]
-        scale = points[n, 2]
+        cx, cy, scale = points[n, 0], points[n, 1], points[n, 2]
         half = max(1, int(np.floor(scale + 0.5)))
         horizontal = np.empty((24, 24), np.float32)
         vertical = np.empty((24, 24), np.float32)
@@ -201,12 +193,8 @@ def _describe(integral, points, descriptors):  # type: ignore[no-untyped-def]
         out = descriptors[n]
         length = np.float32(0.0)
         for cell in range(16):
-            top = cell // 4 * 5
-            left = cell % 4 * 5
-            dx = np.float32(0.0)
-            dy = np.float32(0.0)
-            ax = np.float32(0.0)
-            ay = np.float32(0.0)
+            top, left = cell // 4 * 5, cell % 4 * 5
+            dx, dy, ax, ay = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
             for j in range(9):
                 for i in range(9):
                     weight = np.float32(np.exp(((i - 4) * (i - 4) + (j - 4) * (j - 4)) / -12.5))
@@ -217,8 +205,7 @@ def _describe(integral, points, descriptors):  # type: ignore[no-untyped-def]
                     ax += abs(h)
                     ay += abs(v)
             # Cells far from the point count less.
-            v = cell // 4 - 1.5
-            h = cell % 4 - 1.5
+            v, h = cell // 4 - 1.5, cell % 4 - 1.5
             weight = np.float32(np.exp((v * v + h * h) / -4.5))
             out[4 * cell] = weight * dx
             out[4 * cell + 1] = weight * ax

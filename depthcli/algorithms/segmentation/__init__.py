@@ -1,4 +1,4 @@
-"""Image segmentation: partitions of a picture into regions. One file a method."""
+"""Image segmentation: partitions of an image into connected regions. One file a method."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from depthcli.core.method import Method, method_of
 
 
 class Segmenter(Method):
-    """Partitions an image into connected regions."""
+    """A method that partitions an image into connected regions."""
 
     @abstractmethod
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
-        """Labels (H, W) int32, 0 .. n - 1, every label one 4-connected region, of an (H, W, 3) RGB image."""
+        """Return (H, W) int32 labels 0 .. n - 1 of the 4-connected regions of an (H, W, 3) RGB image."""
 
     def layers(self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None = None) -> list[NDArray[np.int32]]:
-        """Partitions from fine to coarse; one, where a method has no levels.
+        """Return partitions from fine to coarse; only one if the method has no levels.
 
         Parameters
         ----------
         image : (H, W, 3) RGB
-        depth : (H, W) float32, NaN = unknown, or None: depth, disparity or inverse depth, for methods that keep its
-            edges; others do not look at it
+        depth : (H, W) float32 depth, disparity or inverse depth, NaN = unknown, or None; ignored by methods that do not
+            use it
         """
         return [self(image)]
 

@@ -11,15 +11,13 @@ from depthcli.algorithms.segmentation import Segmenter
 
 
 class Felzenszwalb(Segmenter):
-    """Joins pixels along edges weaker than those inside the regions on both sides; sizes follow the texture."""
+    """Join pixels along edges weaker than those inside the regions on both sides; sizes follow the texture."""
 
     aliases = ("FH",)
 
     scale: float = Field(20.0, gt=0, le=1e6, description="larger values give larger regions, grey levels x pixels")
-    sigma: float = Field(0.8, ge=0, le=10, description="of the Gaussian that smooths the image first, pixels")
-    min_size: int = Field(
-        20, ge=1, le=10**8, description="smaller regions join the neighbor of the nearest color, pixels"
-    )
+    sigma: float = Field(0.8, ge=0, le=10, description="standard deviation of the smoothing before, pixels")
+    min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor, pixels")
 
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
         from skimage.segmentation import felzenszwalb

@@ -12,27 +12,22 @@ from depthcli.algorithms.regions import connected_components, merge_small_region
 from depthcli.algorithms.segmentation import Segmenter
 from depthcli.kernels.jit import parallel_jit, prange
 
-_LANES = 16  # pixels of a window's row that are looked at together
-_STEPS = 5
-_STILL = 1  # shift (pixels, plus squared grey levels) at which a mode is found
+_LANES = 16  # pixels of a window's row in one vector
+_MAX_ITERATIONS, _CONVERGED_SHIFT = 5, 1  # OpenCV's defaults; shift: pixels, plus squared grey levels
 
 
 class MeanShift(Segmenter):
-    """Moves every pixel to its mode in the joint space of position and color; modes that touch are a region.
+    """Move every pixel to its mode in the joint space of position and color; adjacent similar modes form a region.
 
-    Small radii over-segment, which stereo matching wants: a region must not cross a depth edge.
+    Small radii over-segment, as stereo matching needs it: a region must not cross a depth edge.
     """
 
     aliases = ("MS",)
 
     spatial_radius: float = Field(5.0, gt=0, le=50, description="hs, radius of the window, pixels")
     color_radius: float = Field(6.0, gt=0, le=255, description="hr, radius of the window in color, grey levels")
-    join_distance: float = Field(
-        4.0, ge=0, le=442, description="neighbors whose filtered colors are nearer than this are one region"
-    )
-    min_size: int = Field(
-        20, ge=1, le=10**8, description="smaller regions join the neighbor of the nearest color, pixels"
-    )
+    join_distance: float = Field(4.0, ge=0, le=442, description="largest color difference of joined neighbors")
+    min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor, pixels")
 
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
         filtered = mode_colors(image, self.spatial_radius, self.color_radius)
@@ -41,7 +36,7 @@ class MeanShift(Segmenter):
 
 
 def mode_colors(image: NDArray[np.uint8], spatial_radius: float, color_radius: float) -> NDArray[np.uint8]:
-    """Color of every pixel's mode: what ``cv2.pyrMeanShiftFiltering`` gives at ``maxLevel=0``, many times as fast.
+    """Compute the color of every pixel's mode, as ``cv2.pyrMeanShiftFiltering`` with ``maxLevel=0`` but much faster.
 
     Parameters
     ----------
@@ -61,15 +56,15 @@ def mode_colors(image: NDArray[np.uint8], spatial_radius: float, color_radius: f
 
 @parallel_jit
 def _shift(planes: Any, radius: float, limit: Any, modes: Any) -> None:
-    # Sums of a window stay apart by lane until all its rows are added: six sums of vectors, no branch.
+    # Sums of a window stay separate by lane until all its rows are added: six sums of vectors, no branch.
     height, width, _ = modes.shape
     for y in prange(height):
         sums = np.empty((6, _LANES), np.int32)
-        number, across, down, reds, greens, blues = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+        number, columns, rows, reds, greens, blues = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
         for x in range(width):
             u, v = x, y
             red, green, blue = np.int32(planes[0, y, x]), np.int32(planes[1, y, x]), np.int32(planes[2, y, x])
-            for _ in range(_STEPS):
+            for _ in range(_MAX_ITERATIONS):
                 left, right = max(int(np.rint(u - radius)), 0), min(int(np.rint(u + radius)), width - 1)
                 top, bottom = max(int(np.rint(v - radius)), 0), min(int(np.rint(v + radius)), height - 1)
                 sums[:] = 0
@@ -80,13 +75,11 @@ def _shift(planes: Any, radius: float, limit: Any, modes: Any) -> None:
                         b = planes[1, row, start : start + _LANES]
                         c = planes[2, row, start : start + _LANES]
                         for i in range(_LANES):
-                            apart_red, apart_green = np.int32(a[i]) - red, np.int32(b[i]) - green
-                            apart_blue = np.int32(c[i]) - blue
-                            apart = apart_red * apart_red + apart_green * apart_green + apart_blue * apart_blue
-                            near = np.int32((apart <= limit) & (np.int32(i) <= last))
+                            dr, dg, db = np.int32(a[i]) - red, np.int32(b[i]) - green, np.int32(c[i]) - blue
+                            near = np.int32((dr * dr + dg * dg + db * db <= limit) & (np.int32(i) <= last))
                             number[i] += near
-                            across[i] += near * np.int32(start + i)
-                            down[i] += near * np.int32(row)
+                            columns[i] += near * np.int32(start + i)
+                            rows[i] += near * np.int32(row)
                             reds[i] += near * np.int32(a[i])
                             greens[i] += near * np.int32(b[i])
                             blues[i] += near * np.int32(c[i])
@@ -94,15 +87,13 @@ def _shift(planes: Any, radius: float, limit: Any, modes: Any) -> None:
                 if count == 0:
                     break
                 inverse = 1.0 / count
-                new_u, new_v = int(np.rint(np.sum(across) * inverse)), int(np.rint(np.sum(down) * inverse))
+                new_u, new_v = int(np.rint(np.sum(columns) * inverse)), int(np.rint(np.sum(rows) * inverse))
                 new_red = np.int32(np.rint(np.sum(reds) * inverse))
                 new_green = np.int32(np.rint(np.sum(greens) * inverse))
                 new_blue = np.int32(np.rint(np.sum(blues) * inverse))
                 shift = abs(new_u - u) + abs(new_v - v)
                 change = (new_red - red) ** 2 + (new_green - green) ** 2 + (new_blue - blue) ** 2
                 u, v, red, green, blue = new_u, new_v, new_red, new_green, new_blue
-                if shift == 0 or shift + change <= _STILL:
+                if shift == 0 or shift + change <= _CONVERGED_SHIFT:
                     break
-            modes[y, x, 0] = red
-            modes[y, x, 1] = green
-            modes[y, x, 2] = blue
+            modes[y, x, 0], modes[y, x, 1], modes[y, x, 2] = red, green, blue

@@ -11,16 +11,14 @@ from depthcli.algorithms.segmentation import Segmenter
 
 
 class Slic(Segmenter):
-    """Superpixels of about one size, compact and even: k-means in color and position, started from a grid."""
+    """Compute compact superpixels of similar size: k-means in color and position, started from a grid."""
 
-    size: float = Field(200.0, ge=4, le=1e6, description="aimed at, pixels a region")
+    size: float = Field(200.0, ge=4, le=1e6, description="approximate size of a region, pixels")
     compactness: float = Field(
-        10.0, gt=0, le=1000, description="weight of distance against color: small values follow edges, large are square"
+        10.0, gt=0, le=1000, description="weight of distance against color: small follows edges, large gives squares"
     )
-    iterations: int = Field(10, ge=1, le=100, description="of k-means")
-    min_size: int = Field(
-        20, ge=1, le=10**8, description="smaller regions join the neighbor of the nearest color, pixels"
-    )
+    iterations: int = Field(10, ge=1, le=100, description="number of k-means iterations")
+    min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor, pixels")
 
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
         from skimage.segmentation import slic

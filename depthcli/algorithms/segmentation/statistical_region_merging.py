@@ -14,31 +14,33 @@ from depthcli.algorithms.regions import consecutive, root
 from depthcli.algorithms.segmentation import Segmenter
 from depthcli.kernels.jit import jit
 
-_LEVELS = 256  # g of the paper
-_DEPTH_LEVELS = 4095  # few enough that the sum over a large image is an int32
-_TABLE = 4096  # sizes whose bound is looked up
+_LEVELS = 256  # of grey; g of the paper
+_DEPTH_LEVELS = 4095  # so few that their sum over a large image fits into int32
+_TABLE = 4096  # region sizes whose bound is tabulated
 _SIZE, _COLOR, _KNOWN, _DEPTH = 0, 1, 4, 5  # columns of a region's row of sums
 
 
 class StatisticalRegionMerging(Segmenter):
-    """Merges neighbors in order of their difference, unless the means of their regions differ significantly.
+    """Merge neighbors in order of their difference, unless the means of their regions differ significantly.
 
-    With depth, the order and the test look at depth too; a region whose depth is unknown merges by color alone,
-    which is what carries depth into the gaps of a sensor's map.
+    With depth, the order and the test also use depth; a region of unknown depth merges by color alone, so that regions
+    extend over the gaps of a sensor's map.
     """
 
-    complexity: float = Field(128, gt=0, le=65536, description="Q, number of statistical sources: more, more regions")
+    complexity: float = Field(
+        128, gt=0, le=65536, description="Q, number of statistical sources; more regions if large"
+    )
     coarser: tuple[Annotated[float, Field(gt=0, le=65536)], ...] = Field(
         (), description="Q of further layers, falling: each goes on merging the regions of the one before"
     )
     depth_guidance: float = Field(
-        16, ge=0, le=65536, description="Q of the test on depth; 0: depth is not looked at (plain SRM)"
+        16, ge=0, le=65536, description="Q of the test on depth; 0: depth is ignored (plain SRM)"
     )
     smoothing: float = Field(1.0, ge=0, le=10, description="sigma of the 3 x 3 Gaussian before merging; 0: none")
-    min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor in the end, pixels")
+    min_size: int = Field(20, ge=1, le=10**8, description="smaller regions finally join a neighbor, pixels")
 
     @model_validator(mode="after")
-    def _falling(self) -> StatisticalRegionMerging:
+    def _check_order(self) -> StatisticalRegionMerging:
         if any(b >= a for a, b in pairwise((self.complexity, *self.coarser))):
             raise ValueError("complexity and coarser must fall from layer to layer")
         return self
@@ -63,7 +65,7 @@ class StatisticalRegionMerging(Segmenter):
 
 
 def _depth_levels(depth: NDArray[np.float32]) -> NDArray[np.int16]:
-    """``depth`` in levels of its range (0.5 % to 99.5 % quantile), -1 = unknown; all -1 where there is no range."""
+    # Levels of the range from the 0.5 % to the 99.5 % quantile, -1 = unknown; all -1 if that range is empty.
     known = depth[~np.isnan(depth)]
     low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 0.0)
     if not high > low:
@@ -74,7 +76,7 @@ def _depth_levels(depth: NDArray[np.float32]) -> NDArray[np.int16]:
 
 @jit
 def _bound(size, log_pixels, complexity, levels):  # type: ignore[no-untyped-def]
-    """b^2 of a region of ``size`` pixels whose values span ``levels``."""
+    # b^2 of the paper for a region of ``size`` pixels whose values span ``levels``.
     spread = min(size, _LEVELS) * np.log(1.0 + size) + np.log(6.0) + 2 * log_pixels
     return np.float32(levels * levels * spread / (2 * complexity * size))
 
@@ -94,7 +96,7 @@ def _look_up(table, size, log_pixels, complexity, levels):  # type: ignore[no-un
 
 @jit
 def _sorted_pairs(image, depth):  # type: ignore[no-untyped-def]
-    """4-neighbor pairs by difference: 2 p for (p, right of p), 2 p + 1 for (p, below p)."""
+    # 4-neighbor pairs by difference: 2 p for (p, right of p), 2 p + 1 for (p, below p).
     height, width, _ = image.shape
     guided = depth.size > 0
     keys = np.empty(2 * height * width, np.uint8)
@@ -109,8 +111,8 @@ def _sorted_pairs(image, depth):  # type: ignore[no-untyped-def]
                 for c in range(3):
                     key = max(key, abs(np.int64(image[y, x, c]) - np.int64(image[y2, x2, c])))
                 if guided and depth[y, x] >= 0 and depth[y2, x2] >= 0:
-                    apart = abs(np.int64(depth[y, x]) - np.int64(depth[y2, x2]))
-                    key = max(key, 255 * apart // _DEPTH_LEVELS)
+                    difference = abs(np.int64(depth[y, x]) - np.int64(depth[y2, x2]))
+                    key = max(key, 255 * difference // _DEPTH_LEVELS)
                 keys[2 * (y * width + x) + step] = key
                 starts[key + 1] += 1
     for key in range(_LEVELS):
@@ -134,7 +136,7 @@ def _merge(image, depth, complexities, guidance, min_size, labels):  # type: ign
     guided = depth.size > 0
     log_pixels = np.log(float(pixels))
     pairs = _sorted_pairs(image, depth)
-    left = pairs.size  # pairs that no layer has joined yet
+    n_left = pairs.size  # pairs that no layer has joined yet
     parent = np.arange(pixels).astype(np.int32)
     sums = np.zeros((pixels, 8), np.int32)  # a region's sums share a cache line
     bound = np.empty((pixels, 2), np.float32)
@@ -155,7 +157,7 @@ def _merge(image, depth, complexities, guidance, min_size, labels):  # type: ign
                 bound[p, 0] = _look_up(table, sums[p, _SIZE], log_pixels, complexity, _LEVELS)
                 if guided and layer == 0:
                     bound[p, 1] = depth_table[1]
-        count, left = left, 0
+        count, n_left = n_left, 0
         for k in range(count):
             pair = pairs[k]
             i = pair >> 1
@@ -167,14 +169,16 @@ def _merge(image, depth, complexities, guidance, min_size, labels):  # type: ign
             scale_a, scale_b = 1 / np.float64(sums[i, _SIZE]), 1 / np.float64(sums[j, _SIZE])
             same = True
             for c in range(_COLOR, _COLOR + 3):
-                apart = sums[i, c] * scale_a - sums[j, c] * scale_b
-                same &= apart * apart <= limit
+                difference = sums[i, c] * scale_a - sums[j, c] * scale_b
+                same &= difference * difference <= limit
             if guided and sums[i, _KNOWN] > 0 and sums[j, _KNOWN] > 0:
-                apart = sums[i, _DEPTH] / np.float64(sums[i, _KNOWN]) - sums[j, _DEPTH] / np.float64(sums[j, _KNOWN])
-                same &= apart * apart <= bound[i, 1] + bound[j, 1]
+                difference = sums[i, _DEPTH] / np.float64(sums[i, _KNOWN]) - sums[j, _DEPTH] / np.float64(
+                    sums[j, _KNOWN]
+                )
+                same &= difference * difference <= bound[i, 1] + bound[j, 1]
             if not same:
-                pairs[left] = pair
-                left += 1
+                pairs[n_left] = pair
+                n_left += 1
                 continue
             if j < i:  # the smaller index becomes the root, so that labels do not depend on the order
                 i, j = j, i
@@ -184,14 +188,14 @@ def _merge(image, depth, complexities, guidance, min_size, labels):  # type: ign
             bound[i, 0] = _look_up(table, sums[i, _SIZE], log_pixels, complexity, _LEVELS)
             if guided and sums[i, _KNOWN] > 0:
                 bound[i, 1] = _look_up(depth_table, sums[i, _KNOWN], log_pixels, guidance, _DEPTH_LEVELS)
-        labels[layer] = _without_small(parent, sums[:, _SIZE].copy(), pairs[:left], width, min_size).reshape(
+        labels[layer] = _without_small(parent, sums[:, _SIZE].copy(), pairs[:n_left], width, min_size).reshape(
             height, width
         )
 
 
 @jit
 def _without_small(parent, size, pairs, width, min_size):  # type: ignore[no-untyped-def]
-    """Labels after small regions have joined along the least different of the ``pairs`` that were not joined."""
+    # Labels after small regions have joined along the most similar of the ``pairs`` that were not joined.
     parent = parent.copy()
     for pair in pairs:
         i = pair >> 1
