@@ -23,6 +23,7 @@ def fuzz() -> ModuleType:
     return module
 
 
+@pytest.mark.system
 def test_readers_and_commands(fuzz, capsys):
     assert fuzz.main(["--cases", "1000", "--seed", "7"]) == 0, capsys.readouterr().out
     assert "1000 cases, 0 faults" in capsys.readouterr().out
@@ -49,6 +50,7 @@ def test_faults_are_noticed(fuzz, capsys, monkeypatch, fault):
         file.close()
 
 
+@pytest.mark.slow
 def test_a_hang_is_noticed(fuzz, monkeypatch):
     def endless() -> None:
         with fuzz.watched():

@@ -71,6 +71,7 @@ def test_names_are_found_in_any_case_and_bases_are_resolved():
     assert "matching_cost" in differing[0][1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("command", "name"), PRESETS)
 def test_shown_with_every_field_it_is_the_same_config(command: str, name: str, capsys: pytest.CaptureFixture[str]):
     batch = load_command(command)
@@ -85,6 +86,7 @@ def test_shown_with_every_field_it_is_the_same_config(command: str, name: str, c
     assert 20 < len(about) <= 140
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("command", "name"), PRESETS)
 def test_it_runs_on_a_toy_scene(made: Callable[[str], Path], tmp_path: Path, command: str, name: str):
     arguments = [command, name, "-i", str(made(command)), "-o", str(tmp_path / "r"), "-q", *QUICK.get(command, [])]
@@ -100,6 +102,7 @@ def test_it_runs_on_a_toy_scene(made: Callable[[str], Path], tmp_path: Path, com
         assert values[known].max() <= 13
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("command", "name"), PRESETS)
 def test_same_bytes_at_any_number_of_threads(made, tmp_path: Path, monkeypatch, command: str, name: str):
     found = []

@@ -46,6 +46,7 @@ def test_own_share_is_the_diagonal_of_the_filter(dimensions, spread):
     np.testing.assert_allclose(own, np.diag(matrix), atol=0.03 * density.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dimensions", [2, 3, 5, 6])
 @pytest.mark.parametrize(("labels", "truncation"), [(1, 1), (2, 1), (5, 9), (12, 4), (17, 1)])
 def test_marginals_are_those_of_all_pairs(dimensions, labels, truncation):
@@ -62,6 +63,7 @@ def test_marginals_are_those_of_all_pairs(dimensions, labels, truncation):
     np.testing.assert_allclose(mean_field(unary, kernels, mu), ours, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_marginals_are_those_of_the_twin_with_the_lattices_own_kernel():
     features, unary = _features(4, 200, 3, 2), _unary(5, 200, 7)
     expected = naive.mean_field(unary, [naive.lattice_matrix(features.astype(float))], [2.0], _linear(7, 3), 4)

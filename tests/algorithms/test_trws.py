@@ -43,6 +43,7 @@ def random_problem(rng, active, labels=3):
     return values, unary, rng.exponential(0.5, (n, 4)).astype(np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(25))
 def test_between_the_bound_and_the_optimum_on_tiny_grids(seed):
     rng = np.random.default_rng(seed)

@@ -83,6 +83,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     return json.loads((folder / "report.json").read_text())["scenes"]
 
 
+@pytest.mark.system
 def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     scenes, whole, output = tmp_path / "scenes", tmp_path / "whole", tmp_path / "run"
     size = ("-n", str(SCENES), "--width", "96", "--height", "72", "--max-disparity", "12")

@@ -160,6 +160,7 @@ def test_another_config_needs_overwrite(folder: Folder):
     assert not (folder.output / "c").exists()  # belonged to the run that was replaced
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_failures_are_rows(folder: Folder, jobs: int):
     folder.texts |= {"a": "damaged", "b": "bug", "c": "huge"}
@@ -185,6 +186,7 @@ def test_a_result_does_not_outlive_its_input(folder: Folder):
     assert not (folder.output / "a").exists()
 
 
+@pytest.mark.slow
 def test_a_dying_worker_takes_nothing_along(folder: Folder):
     folder.texts["b"] = "killed"
     rows = folder.run(jobs=2)
@@ -216,6 +218,7 @@ def test_what_is_finished_when_the_signal_comes_is_reported(folder: Folder, monk
     assert folder.computed() == ["b", "c", "d"]
 
 
+@pytest.mark.slow
 def test_workers_give_the_same_bytes(folder: Folder, tmp_path_factory: pytest.TempPathFactory):
     folder.run(jobs=2)
     other = Folder(tmp_path_factory.mktemp("other"))
@@ -342,6 +345,7 @@ def test_leftover_folders_are_no_obstacle(folder: Folder):
     assert folder.bytes() == before
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_once_is_replaced(folder: Folder):
     folder.texts["b"] = f"killed once {folder.root / 'mark'}"
     rows = folder.run(jobs=2)

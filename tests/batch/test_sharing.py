@@ -111,6 +111,7 @@ def test_shards_are_apart_complete_and_balanced(tmp_path: Path):
     assert [len(Shard(index, 50).of(scenes)) for index in range(1, 51)].count(0) == 2
 
 
+@pytest.mark.slow
 def test_processes_side_by_side_make_what_one_makes(made_scenes: Path, whole: Path, tmp_path: Path):
     out = tmp_path / "run"
     common = ("stereo", FAST, "-i", made_scenes, "-o", out, "-v")
@@ -126,6 +127,7 @@ def test_processes_side_by_side_make_what_one_makes(made_scenes: Path, whole: Pa
     assert contents(out) == contents(whole)
 
 
+@pytest.mark.slow
 def test_the_same_part_twice_is_done_once(made_scenes: Path, whole: Path, tmp_path: Path):
     common = ("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "-v", "--shard", "1/1")
     running = [start(*common), start(*common, "--jobs", "2")]
@@ -137,6 +139,7 @@ def test_the_same_part_twice_is_done_once(made_scenes: Path, whole: Path, tmp_pa
     assert report(tmp_path / "run") == report(whole)
 
 
+@pytest.mark.system
 def test_a_killed_process_leaves_its_part_to_be_done_again(tmp_path: Path):
     size = ("--width", "240", "--height", "180", "--max-disparity", "32")
     assert run("sample", "-o", tmp_path / "in", "-n", "8", *size, "-q") == 0
@@ -273,6 +276,7 @@ def test_what_would_be_done(made_scenes: Path, tmp_path: Path, capsys):
     assert json.loads(capsys.readouterr().out)["scenes"][0]["status"] == "to do"
 
 
+@pytest.mark.slow
 def test_stopping_at_the_first_failure(made_scenes: Path, tmp_path: Path, capsys):
     scenes = tmp_path / "in"
     for scene in ("planes_0", "planes_1", "planes_2"):
@@ -318,6 +322,7 @@ def test_shards_and_evaluation_exclude_each_other(made_scenes: Path, tmp_path: P
     assert run("merge", made_scenes.parent) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash, which runs the job script")
 def test_the_job_array_of_slurm(made_scenes: Path, whole: Path, tmp_path: Path):
     """The script that sbatch takes, its tasks one after the other as a job array would start them."""

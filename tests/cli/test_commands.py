@@ -202,6 +202,7 @@ def test_ctrl_c_is_exit_130(monkeypatch, capsys, tmp_path: Path):
     assert "interrupted" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_as_a_process(made_scenes: Path, tmp_path: Path):
     assert process("--version").stdout.startswith("depthcli ")
     done = process("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "r", "--jobs", "2", "--scenes", "planes_*")
@@ -232,6 +233,7 @@ def test_threads_do_not_change_the_bytes(made_scenes: Path, tmp_path: Path):
             assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes(), file
 
 
+@pytest.mark.system
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGINT")
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_ctrl_c_leaves_a_run_to_go_on_with(made_scenes: Path, tmp_path: Path, jobs: str):

@@ -11,7 +11,7 @@ import pytest
 SCRIPT = Path(__file__).parents[2] / "scripts" / "container_test"
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits as Linux has them")
 def test_it_runs_as_in_a_container():
     command = [sys.executable, str(SCRIPT), "--presets", "stereo/opencv-bm", "--width", "160"]

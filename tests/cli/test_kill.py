@@ -9,7 +9,7 @@ import pytest
 SCRIPT = Path(__file__).parents[2] / "scripts" / "kill_test"
 
 
-@pytest.mark.slow
+@pytest.mark.system
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
 def test_killed_runs_end_with_the_same_bytes():
     small = ("--preset", "opencv-sgbm", "--width", "160", "--scenes", "5")

@@ -200,6 +200,7 @@ def check_depth(scenes: Path, taken: Rig, tmp_path: Path, alpha: float = 0.0) ->
     assert np.mean(np.abs(error) < 0.04) > 0.93
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["opencv", "ros", "kalibr", "kitti"])
 def test_a_rectified_pair_has_rows_that_correspond_and_the_right_depth(kind: str, pinhole: Shot, tmp_path: Path):
     taken = pinhole.rig
@@ -227,6 +228,7 @@ def test_a_rectified_pair_has_rows_that_correspond_and_the_right_depth(kind: str
         check_depth(tmp_path / "scenes", taken, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_config_rectifies_on_the_fly(pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = opencv(tmp_path / "c.yml", pinhole.rig)
     images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room")
@@ -279,6 +281,7 @@ def test_a_calibration_that_is_none_is_told_in_a_line(
     assert not (tmp_path / "run/room").exists()
 
 
+@pytest.mark.slow
 def test_a_turned_camera_is_no_second_one(pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     left = read_image(pinhole.left)
     matrix = np.array([[200.0, 0, 119.5], [0, 200, 89.5], [0, 0, 1]])
@@ -292,6 +295,7 @@ def test_a_turned_camera_is_no_second_one(pinhole: Shot, tmp_path: Path, capsys:
     assert "no depth" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_fisheye_lenses(fish: Shot, tmp_path: Path):
     calibration = opencv(tmp_path / "c.yml", fish.rig)
     images = ("--left", fish.left, "--right", fish.right, "--name", "room", "--calibration", calibration)
@@ -301,6 +305,7 @@ def test_fisheye_lenses(fish: Shot, tmp_path: Path):
     check_depth(tmp_path / "scenes", fish.rig, tmp_path)
 
 
+@pytest.mark.slow
 def test_without_calibration(pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     straight = rig()
     straight = Rig(*(Camera(lens.matrix, size=SIZE) for lens in (straight.left, straight.right)),
@@ -337,6 +342,7 @@ def test_points_that_no_two_cameras_explain_are_refused():
         rectify_uncalibrated(left, right, (200, 200))
 
 
+@pytest.mark.slow
 def test_wrong_calibrations(pinhole: Shot, tmp_path: Path, capsys):
     images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room", "-o", tmp_path / "out", "-q")
     taken = pinhole.rig

@@ -38,6 +38,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in found}
 
 
+@pytest.mark.slow
 def test_a_frame_gives_depth_status_and_sigma(kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     output = tmp_path / "r"
     assert run("refine-kinect", "nearest", "-i", kinect, "--scenes", "planes", "-o", output, "--evaluate") == 0

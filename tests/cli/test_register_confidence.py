@@ -36,6 +36,7 @@ def run(pairs, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_outputs_lie_on_the_fixed_grid(pairs, run):
     fixed = read_volume(pairs / "pair_0" / "fixed.nii.gz")
     assert {path.name for path in (run / "pair_0").iterdir()} == FILES
@@ -48,6 +49,7 @@ def test_outputs_lie_on_the_fixed_grid(pairs, run):
     assert np.abs(confidence.values - np.exp(-error.values / 3)).mean() < 0.02
 
 
+@pytest.mark.slow
 def test_same_bytes_with_other_threads_and_resumed(pairs, run, tmp_path):
     again = tmp_path / "again"
     command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(again), *SMALL, "--threads", "1"]
@@ -60,6 +62,7 @@ def test_same_bytes_with_other_threads_and_resumed(pairs, run, tmp_path):
     assert (again / "pair_0" / "record.json").stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_evaluated_against_the_dense_truth(pairs, run, tmp_path, capsys):
     assert main(["evaluate", str(run), "--truth", str(pairs), "-o", str(tmp_path / "e"), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -83,6 +86,7 @@ def moved_files(pairs, folder):
     return folder
 
 
+@pytest.mark.slow
 def test_a_moving_volume_with_its_field_and_landmarks(pairs, tmp_path):
     folder = moved_files(pairs, tmp_path / "pair")
     assert main(["register-confidence", "mind", "-i", str(folder), "-o", str(tmp_path / "run"), *SMALL]) == 0
@@ -143,6 +147,7 @@ def spoil(folder, what):
     return "cut off"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "what",
     ["grid", "size", "mask", "empty mask", "nan", "flat", "landmark", "4-D", "field", "spacing", "truncated"],
@@ -157,6 +162,7 @@ def test_bad_input_is_one_line_and_spoils_no_other(pairs, tmp_path, capsys, what
     assert (tmp_path / "run" / "pair_0" / "confidence.nii.gz").is_file()
 
 
+@pytest.mark.slow
 def test_a_mask_leaves_nan_out(pairs, tmp_path):
     shutil.copytree(pairs, tmp_path / "pairs")
     fixed = read_volume(tmp_path / "pairs" / "pair_0" / "fixed.nii.gz")
@@ -179,6 +185,7 @@ def test_options_that_do_not_fit(tmp_path, capsys, options, said):
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_same_bytes_at_any_number_of_jobs(pairs, tmp_path):
     for jobs, threads in ((1, 1), (2, 2)):
         command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(tmp_path / str(jobs)), *SMALL]
@@ -190,6 +197,7 @@ def test_same_bytes_at_any_number_of_jobs(pairs, tmp_path):
         assert (tmp_path / "1" / file).read_bytes() == (tmp_path / "2" / file).read_bytes(), file
 
 
+@pytest.mark.slow
 def test_large_volumes_are_read_as_means_of_blocks(pairs, tmp_path):
     command = ["register-confidence", "mind", "-i", str(pairs), "--scenes", "pair_0", *SMALL]
     for name, more in (("whole", []), ("blocks", ["--set", "max_voxels=9000"])):

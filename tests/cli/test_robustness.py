@@ -176,6 +176,7 @@ def check_run(output: Path, damaged: list[str], reference: dict[str, bytes], cod
         assert got == reference
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_damaged_images(made_scenes, tmp_path, reference, capfd, seed: int):
     damaged = broken_folder(made_scenes, tmp_path / "in", IMAGES, seed, 24)
@@ -197,6 +198,7 @@ def test_damaged_truth(made_scenes, tmp_path, reference, capfd, seed: int):
     assert "a_good" in out or "a_good" in (tmp_path / "e" / "scores.csv").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_damaged_maps(made_scenes, tmp_path, capfd, seed: int):
     """Runs of other programs, broken in the same ways."""
@@ -223,6 +225,7 @@ fill: true
 """
 
 
+@pytest.mark.slow
 def test_damaged_configs(made_scenes, tmp_path, capfd):
     rng = random.Random(0)
     file = tmp_path / "c.yaml"
@@ -255,6 +258,7 @@ def test_damaged_configs(made_scenes, tmp_path, capfd):
     assert 20 < codes.count(2) < 60  # some damage is harmless, most is not
 
 
+@pytest.mark.slow
 def test_through_real_processes(made_scenes, tmp_path, reference):
     damaged = broken_folder(made_scenes, tmp_path / "in", IMAGES, 99, 8)
     command = [sys.executable, "-m", "depthcli", "stereo", PRESET, "-i", str(tmp_path / "in"), "--jobs", "2"]

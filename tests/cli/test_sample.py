@@ -61,6 +61,7 @@ def test_streets_are_made_where_they_are_asked_for(tmp_path: Path):
     assert sorted(scenes(tmp_path)) == ["planes_0", "street_0"]
 
 
+@pytest.mark.slow
 def test_same_options_same_bytes_and_a_second_run_keeps_them(tmp_path: Path):
     options = ("--cross-modal", "--speckles", "0.02", "--noise", "3")
     for name, jobs in (("a", "1"), ("b", "2")):
@@ -72,6 +73,7 @@ def test_same_options_same_bytes_and_a_second_run_keeps_them(tmp_path: Path):
     assert read_image(tmp_path / "a" / "planes_0" / "left.png").ndim == 2
 
 
+@pytest.mark.slow
 def test_more_scenes_are_added_and_lost_files_made_again(tmp_path: Path):
     assert sample(tmp_path / "whole") == 0
     assert sample(tmp_path / "cut", "-n", "2") == 0
@@ -112,6 +114,7 @@ def test_cross_modal_keeps_the_truth(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert sample(tmp_path / "x", "--cross-modal", "--from", tmp_path / "missing") == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["meta.json", "record.json"])
 @pytest.mark.parametrize("text", ["{}", "[" * 100_000 + "]" * 100_000, '{"width": {}}', "\0"])
 def test_damaged_notes_beside_a_scene_are_made_again(tmp_path: Path, capsys, name: str, text: str):
@@ -123,6 +126,7 @@ def test_damaged_notes_beside_a_scene_are_made_again(tmp_path: Path, capsys, nam
     assert "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_two_at_once_do_not_mix(tmp_path: Path):
     command = [sys.executable, "-m", "depthcli", "sample", "-o", str(tmp_path / "a"), "-q", *SMALL, "-n", "4"]
     started = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(3)]

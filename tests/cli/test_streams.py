@@ -12,7 +12,10 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full, signals and file names of bytes")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full, signals and file names of bytes"),
+]
 
 COMMAND = [sys.executable, "-m", "depthcli", "stereo", "opencv-bm"]
 
@@ -73,7 +76,7 @@ def test_names_that_no_terminal_shows(made_scenes: Path, tmp_path: Path, locale:
 
 
 def test_sigterm_ends_like_ctrl_c(made_scenes: Path, tmp_path: Path):
-    for number in range(30):
+    for number in range(120):  # enough that the signal comes before the end
         shutil.copytree(made_scenes / "planes_0", tmp_path / "in" / str(number))
     command = [*COMMAND, "-i", str(tmp_path / "in"), "-o", str(tmp_path / "r")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

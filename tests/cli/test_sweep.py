@@ -23,6 +23,7 @@ def sweep(scenes: Path, output: Path, *more: str) -> int:
     return main(["sweep", "fast", "-i", str(scenes), "-o", str(output), *more])
 
 
+@pytest.mark.slow
 def test_a_sweep_is_resumed_and_says_what_matters(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     over = ("--over", "optimization.p2=2,8", "--over", "cost.window=[5,5],[9,7]")
     assert sweep(scenes, tmp_path, *over, "--html") == 0

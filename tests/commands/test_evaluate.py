@@ -181,6 +181,7 @@ def test_scale_of_the_maps_can_be_said(tmp_path: Path, truth: Path):
     assert [bad(r) for r in report.results] == [0, 0]
 
 
+@pytest.mark.slow
 def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     good = exact(truth)
     bad = good.copy()
@@ -289,6 +290,7 @@ def test_kitti_pairs_end_to_end(tmp_path: Path):
     assert read_disparity(run / "pair_01.png").shape == (375, 1242)
 
 
+@pytest.mark.slow
 def test_absurd_values_and_damaged_maps_never_break_the_job(tmp_path: Path, truth: Path):
     rng = np.random.default_rng(0)
     run = tmp_path / "run"

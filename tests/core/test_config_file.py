@@ -75,6 +75,7 @@ def test_a_renamed_key_is_refused_with_its_name_of_today():
     assert problems("toy: box\n", "heft=2") == ["--set heft: no such key (got 2); did you mean 'weight'?"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -181,6 +182,7 @@ def test_what_run_files_add_is_ignored():
     )
 
 
+@pytest.mark.slow
 @given(st.text(max_size=60) | st.text(alphabet="ab:-[]{}&*!|>'\"#%@,? \n\t01.~", max_size=40))
 def test_any_text_is_a_config_or_a_config_error(text: str):
     try:

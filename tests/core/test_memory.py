@@ -27,6 +27,7 @@ def address(array):
     return array.__array_interface__["data"][0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64, bool, "f4"])
 @pytest.mark.parametrize("shape", [(), (0,), (3, 5), (0, 7, 9), (1 << 20,), (301, 203, 37), (4 << 20, 1)])
 def test_shape_type_and_layout_are_those_of_numpy(shape, dtype):

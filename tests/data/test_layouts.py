@@ -252,6 +252,7 @@ def test_sizes_must_agree(tmp_path: Path):
         scene.truth()
 
 
+@pytest.mark.slow
 @needs_data
 def test_every_stereo_scene_of_the_shared_data_loads():
     scenes = find(DATA)

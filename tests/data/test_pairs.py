@@ -112,6 +112,7 @@ def video(path: Path, shift: int, count: int = 5) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     left, right = video(tmp_path / "l.avi", 0), video(tmp_path / "r.avi", 6)
     scenes = video_scenes(left, right)
@@ -182,6 +183,7 @@ def test_what_a_run_or_a_scene_holds_are_no_pairs(tmp_path: Path):
         find(tmp_path / "b")
 
 
+@pytest.mark.slow
 def test_the_command_line(tmp_path: Path, made_scenes: Path, capsys):
     for scene in ("planes_0", "planes_1"):
         for view in ("left", "right"):

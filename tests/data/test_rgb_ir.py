@@ -113,6 +113,7 @@ def test_damaged_calibrations(tmp_path, text):
         only(tmp_path).load_pair()
 
 
+@pytest.mark.slow
 def test_the_command_runs_and_failures_are_rows(tmp_path, capsys):
     made, run = tmp_path / "made", tmp_path / "run"
     assert main(["sample", "--transparent", "--width", "128", "--height", "96", "-o", str(made), "-q"]) == 0

@@ -159,6 +159,7 @@ def test_registration_moves_by_the_baseline_and_keeps_the_nearest():
 
 @needs_data
 class TestRealFrames:
+    @pytest.mark.slow
     def test_every_folder_runs_as_it_lies_there(self):
         folders = ("rgbd_nyu", "rgbd_primesense", "rgbd_sun", "rgbd_tum", "kinect_v1_raw")
         for folder in folders:

@@ -24,6 +24,7 @@ from tests.device import nvrtc
 _LIMIT = 400  # seconds
 
 
+@pytest.mark.system
 def test_device_implementations_in_a_process_of_their_own():
     pytest.importorskip("pyopencl", reason="pyopencl is not installed")
     if shutil.which("ld") is None:

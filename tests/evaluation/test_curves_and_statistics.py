@@ -24,6 +24,7 @@ def test_ties_are_averaged(pixels):
     np.testing.assert_allclose(sparsification(confidence, wrong).errors, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 8)), min_size=1, max_size=5))
 @settings(max_examples=20, deadline=None)
 def test_areas_are_integrals(pixels):

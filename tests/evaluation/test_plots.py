@@ -40,6 +40,7 @@ def test_a_curve_plot_names_the_areas():
     assert f"optimal {curves['lrc'].optimal:.4f}" in svg
 
 
+@pytest.mark.slow
 def test_matplotlib_is_not_imported_where_nothing_is_drawn(tmp_path: Path, scenes: Path, runs: list[Path]):
     code = (
         "import sys\nfrom depthcli.cli import main\n"

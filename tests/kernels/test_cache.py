@@ -61,6 +61,7 @@ def compiled(tmp_path: Path) -> list[Path]:
     return sorted((tmp_path / "mine").rglob("*.nb[ci]"))
 
 
+@pytest.mark.slow
 def test_compiled_once_and_kept_in_the_users_cache(tmp_path: Path):
     kernels, said, timed, folder, messages = use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
     assert (kernels, said, timed, messages) == (2, 1, True, "")
@@ -70,17 +71,20 @@ def test_compiled_once_and_kept_in_the_users_cache(tmp_path: Path):
     assert use(tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache")) == (0, 0, False, folder, "")
 
 
+@pytest.mark.slow
 def test_the_users_choice_is_respected(tmp_path: Path):
     assert use(tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "mine"))[3] == str(tmp_path / "mine")
     assert len(compiled(tmp_path)) == 4
 
 
+@pytest.mark.slow
 def test_the_folder_holds_where_numba_was_imported_before(tmp_path: Path):
     assert use(tmp_path, "import numba\n", XDG_CACHE_HOME=str(tmp_path))[4] == ""
     assert list((tmp_path / "depthcli" / "kernels").rglob("*.nbi"))
     assert not list((tmp_path / "source").rglob("*.nbi"))
 
 
+@pytest.mark.slow
 def test_without_a_home_that_can_be_written_a_temporary_folder_serves(tmp_path: Path):
     home = "/proc/no-such-home"  # nobody can make a folder there, not even root
     if not Path("/proc").is_dir():
@@ -90,6 +94,7 @@ def test_without_a_home_that_can_be_written_a_temporary_folder_serves(tmp_path: 
     assert use(tmp_path, HOME=home, XDG_CACHE_HOME=home) == (0, 0, False, first[3], "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variable", ["NUMBA_CACHE_DIR", "TMPDIR"])
 def test_where_no_folder_can_be_written_kernels_are_compiled_in_memory_and_that_is_said_once(tmp_path, variable):
     nowhere = "/proc/no-such-folder"
@@ -106,6 +111,7 @@ def flip(data: bytes) -> bytes:
     return data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 4]) + data[len(data) // 2 + 1 :]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "damage"), [("nbc", lambda data: b""), ("nbc", flip), ("nbi", lambda data: data[:-9])]
 )
@@ -121,6 +127,7 @@ def test_damaged_files_are_compiled_again_and_that_is_said_once(tmp_path: Path, 
     assert use(tmp_path, NUMBA_CACHE_DIR=mine)[0] == 0
 
 
+@pytest.mark.slow
 def test_a_full_disk_only_means_that_nothing_is_kept(tmp_path: Path):
     full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
     kernels, _, _, folder, messages = use(tmp_path, full, NUMBA_CACHE_DIR=str(tmp_path / "mine"))
@@ -216,6 +223,7 @@ def ask(folder: Path, package: dict[str, str]) -> int:
         ("operations", "100", "500", 400),
     ],
 )
+@pytest.mark.slow
 def test_what_changed_in_another_file_is_compiled_anew(edited: Path, module: str, old: str, new: str, difference: int):
     assert old in PACKAGE[module]
     assert ask(edited, PACKAGE | {module: PACKAGE[module].replace(old, new)}) == FIRST + difference
@@ -232,6 +240,7 @@ print(watch.kernels)
 """
 
 
+@pytest.mark.slow
 def test_a_moved_package_with_other_comments_finds_its_kernels(tmp_path: Path):
     folders = [tmp_path / "one", tmp_path / "two"]
     env = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
@@ -247,6 +256,7 @@ def test_a_moved_package_with_other_comments_finds_its_kernels(tmp_path: Path):
     assert counts[1] == 0
 
 
+@pytest.mark.slow
 def test_kernels_that_nothing_used_for_a_month_are_removed(tmp_path: Path):
     old, fresh = (tmp_path / "depthcli.toys" / f"{name}-0123456789abcdef.py311.nbi" for name in ("old", "fresh"))
     old.parent.mkdir()
@@ -263,6 +273,7 @@ def test_kernels_that_nothing_used_for_a_month_are_removed(tmp_path: Path):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_process_that_compiles_gives_the_same_bytes_as_those_that_find_the_kernel(tmp_path: Path):
     """Sums of floats in a loop of ``prange``: numba by itself runs other code than it keeps."""
     env = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -14,6 +14,8 @@ import pytest
 from depthcli.kernels import jit, shipped  # noqa: F401  # jit first: it prepares numba
 from tests.kernels.test_cache import FIRST, PACKAGE, ROOT
 
+pytestmark = pytest.mark.slow
+
 USE = """
 import sys
 from pathlib import Path

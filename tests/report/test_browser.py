@@ -18,6 +18,8 @@ from depthcli.report.packing import unpack
 from depthcli.report.page import Page
 from tests.report.conftest import ODD, SHAPE, truth_of
 
+pytestmark = pytest.mark.system
+
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 

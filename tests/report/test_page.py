@@ -152,6 +152,7 @@ def test_maps_come_back_as_they_were(made: Path, runs: list[Path]):
     assert not np.any(region[:, 8:] & 2)
 
 
+@pytest.mark.slow
 def test_beyond_the_budget_pictures_shrink_and_full_ones_lie_beside(tmp_path: Path, scenes: Path, runs: list[Path]):
     output = tmp_path / "out"
     evaluate(runs, scenes, output, page=Page(output, budget=2000))
@@ -171,6 +172,7 @@ def test_beyond_the_budget_pictures_shrink_and_full_ones_lie_beside(tmp_path: Pa
     assert not (output / "assets").exists()
 
 
+@pytest.mark.slow
 def test_a_missing_map_and_a_single_run(tmp_path: Path, scenes: Path, runs: list[Path]):
     output, less = tmp_path / "out", tmp_path / "less"
     shutil.copytree(runs[1], less)
@@ -183,6 +185,7 @@ def test_a_missing_map_and_a_single_run(tmp_path: Path, scenes: Path, runs: list
     assert "is best" not in read(output).text
 
 
+@pytest.mark.slow
 def test_the_same_input_gives_the_same_page(tmp_path: Path, scenes: Path, runs: list[Path]):
     texts = []
     for name in ("one", "two"):
@@ -191,6 +194,7 @@ def test_the_same_input_gives_the_same_page(tmp_path: Path, scenes: Path, runs: 
     assert texts[0] == texts[1]
 
 
+@pytest.mark.slow
 def test_depth_has_its_unit(tmp_path: Path):
     folder, run = tmp_path / "kinect", tmp_path / "run"
     small = ("--frames", "0", "--width", "96", "--height", "64")

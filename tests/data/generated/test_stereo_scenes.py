@@ -33,6 +33,7 @@ def _warped(image: np.ndarray, disparity: np.ndarray) -> np.ndarray:
     return cv2.remap(image.astype(np.float32), position, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_truth_maps_right_view_onto_left(scenes, case):
     scene = scenes[case]
@@ -91,6 +92,7 @@ def test_occlusion_is_what_a_left_right_check_finds(scenes, case):
     assert 0.02 < np.mean(~scene.nonocc) < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("width", "height", "top"), [(96, 72, 12), (16, 16, 8), (120, 40, 60), (40, 90, 4)])
 def test_every_pixel_has_a_disparity_in_range(kind, width, height, top):
@@ -105,6 +107,7 @@ def test_every_pixel_has_a_disparity_in_range(kind, width, height, top):
         assert not (scene.disc & ~scene.nonocc).any()
 
 
+@pytest.mark.slow
 def test_cars_mirror_the_same_surroundings_in_both_views(monkeypatch):
     glossy = make_scene("street", 4, 240, 80, 30)
     mirror_nothing(monkeypatch)

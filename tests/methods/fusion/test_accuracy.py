@@ -26,6 +26,7 @@ def bad(name, **fields):
     return rates(values, truth)["nonocc"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "equal", "weighed", "fused"),
     [("Teddy", 10.8, 9.6, 8.5), ("Cones", 5.6, 4.8, 4.4), ("Venus", 2.4, 1.75, 1.4)],

@@ -73,6 +73,7 @@ def test_energy_is_that_of_the_twin():
     assert smoothness.energy(surface) == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_moves_are_the_best_mix(seed):
     """Among all 2^9 mixes; with pairs that a cut cannot represent a move still never costs anything."""
@@ -143,6 +144,7 @@ SMALL = {
 }
 
 
+@pytest.mark.slow
 def test_the_mix_is_better_than_its_parts_and_says_where_maps_agree():
     fusion = Fusion.model_validate(SMALL)
     parts = [

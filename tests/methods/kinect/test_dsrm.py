@@ -39,6 +39,7 @@ def raw(kinect: KinectSample, name: str) -> float:
     return float(np.abs(kinect.disparity - kinect.truth)[getattr(kinect, name)].mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["foreground", "planes"])
 def test_gaps_are_filled_edges_moved_and_noise_is_less(kind):
     kinect = sample(kind)

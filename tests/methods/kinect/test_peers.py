@@ -175,6 +175,7 @@ def test_shadow_rims_hold_the_value_on_the_left():
     np.testing.assert_array_equal(rims[sample.occluded], 10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved", "camouflage"])
 def test_the_fast_one_beats_the_smoother_it_is_made_of(kind):
     sample = simulate_kinect(*make_kinect_scene(kind, 1, 320, 240, 40), 1, discs=4)

@@ -121,6 +121,7 @@ def test_votes_of_nobody():
     assert np.isnan(values).all() and (shares == 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fattening", [2, 4, 6])
 def test_the_frame_tells_how_much_too_wide_things_are(fattening):
     sample = sample_of(size=(400, 300), fattening=fattening)
@@ -131,6 +132,7 @@ def test_the_frame_tells_how_much_too_wide_things_are(fattening):
         assert abs(FIRST + law.argmax() - fattening) <= 1
 
 
+@pytest.mark.slow
 def test_probabilities_are_honest():
     sample = sample_of(size=(400, 300))
     right = truth_probability(lab_of(sample.color), sample.disparity, 1.5)
@@ -195,6 +197,7 @@ def test_an_opening_closed_by_the_sensor_is_doubted_for_its_color():
     assert np.median(43.5 / refined.depth.values[opening]) == pytest.approx(22, abs=0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved", "camouflage"])
 def test_better_than_its_peers_everywhere(kind):
     sample = sample_of(kind, 1, (320, 240))

@@ -47,6 +47,7 @@ def both_ways(kind: str, seed: int):
     return samples, along, [pipeline(sample.frame()) for sample in samples]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["static", "moving"])
 def test_as_good_as_frame_by_frame(kind):
     errors = np.zeros(2)
@@ -76,6 +77,7 @@ def test_filled_values_are_carried_where_nothing_moves():
     assert not (results[-1].depth.status[~unknown] & DepthStatus.CARRIED).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [1, 4])
 def test_a_state_saved_and_read_goes_on_with_the_same_bytes(cut):
     samples = frames("moving")

@@ -43,6 +43,7 @@ def figures(pair, transform):
     return true.mean(), *orders, np.abs(found - true).mean()
 
 
+@pytest.mark.slow
 def test_registered_by_splines_stopped_early(liver):
     """SPEC 7.4: Spearman of eshift .78 to .86 on this set, .70 at least, and above cost0's."""
     from scripts.register_pairs import EARLY, THREADS, register
@@ -59,6 +60,7 @@ def test_registered_by_splines_stopped_early(liver):
     assert off <= 0.75
 
 
+@pytest.mark.slow
 def test_not_registered_at_all(liver):
     """Errors of 6 mm, up to 10 mm, just what the search reaches; a cost without a search knows little of them."""
     true, spearman, cost0, off = figures(liver, sitk.Transform(3, sitk.sitkIdentity))

@@ -57,6 +57,7 @@ def test_confidence_falls_and_error_follows_a_uniform_shift():
     assert all(a > b for a, b in itertools.pairwise(means))
 
 
+@pytest.mark.slow
 def test_orders_a_smooth_error(deformed):
     pair, true = deformed
     result = config(levels=2, stride=2)(pair)
@@ -67,6 +68,7 @@ def test_orders_a_smooth_error(deformed):
     assert np.abs(found - known).mean() < 0.6 * known.mean()
 
 
+@pytest.mark.slow
 def test_an_error_is_averaged_with_its_surroundings_by_how_sure_they_are(deformed):
     """Gaussian mean of eshift, weights 1 / (variance + iso^2 / 2), over features and places."""
     pair, _ = deformed
@@ -84,6 +86,7 @@ def test_an_error_is_averaged_with_its_surroundings_by_how_sure_they_are(deforme
     np.testing.assert_allclose(result.expected_error, total / weights, rtol=2e-3, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_stride_only_leaves_places_out(deformed):
     pair, _ = deformed
     every, some = (config(stride=stride, smoothing=0)(pair) for stride in (1, 3))
@@ -91,6 +94,7 @@ def test_stride_only_leaves_places_out(deformed):
     assert np.array_equal(some.shift, every.shift[:, ::3, ::3, ::3])
 
 
+@pytest.mark.slow
 def test_a_coarser_level_sees_beyond_the_radius():
     wide = texture((28, 40, 52), sigma=2.5)
     pair = RegisteredPair(wide[:, :, 6:46].copy(), wide[:, :, :40].copy(), (1.0, 1.0, 1.0))
@@ -120,6 +124,7 @@ def test_anisotropic_voxels_become_cubes():
     assert np.prod(config(max_voxels=1000).grid((100, 100, 100), (1.0, 1.0, 1.0))[0]) <= 1000
 
 
+@pytest.mark.slow
 def test_inputs_are_left_alone_and_the_result_is_the_same(deformed):
     pair, _ = deformed
     before = pair.fixed.copy(), pair.warped.copy()

@@ -18,6 +18,7 @@ def channels(seed, shape, count=2, top=FEW):
     return np.random.default_rng(seed).integers(0, top + 1, (count, *shape), dtype=np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("span", "power"), [("cube", 10), ("planes", 5), ("axes", 2), ("cube", 1)])
 @pytest.mark.parametrize(
     ("shape", "count", "half", "top"), [((4, 5, 6), 2, 1, 85), ((1, 6, 5), 4, 2, 255), ((3, 3, 3), 1, 0, 255)]

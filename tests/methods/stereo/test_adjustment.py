@@ -231,6 +231,7 @@ def test_threads_do_not_matter(scene):
     np.testing.assert_array_equal(*(one.light_trust for one in found))
 
 
+@pytest.mark.slow
 def test_large_pairs_are_reduced_further():
     made = make_scene("planes", seed=1, height=700, width=900, max_disparity=60)
     assert ReducedPair.of(StereoPair(made.left, made.right), 60).factor == 4

@@ -103,6 +103,7 @@ def test_rank(height, width, disparities, dtype):
         np.testing.assert_array_equal(Rank(window=window)(pair, disparities).costs, expected)
 
 
+@pytest.mark.slow
 @sizes
 @pytest.mark.parametrize(("window", "noise"), [((9, 9), 2.0), ((1, 3), 0.5), ((5, 1), 20.0)])
 def test_zncc(height, width, disparities, window, noise):
@@ -112,6 +113,7 @@ def test_zncc(height, width, disparities, window, noise):
     np.testing.assert_allclose(volume.costs / volume.scale, expected, atol=0.51 / volume.scale + 1e-4)
 
 
+@pytest.mark.slow
 def test_zncc_of_more_rows_than_a_task_takes():
     pair = random_pair(37, 30, False)
     expected = naive.zncc(pair.left, pair.right, 6, (5, 7), 2.0, 0.8)
@@ -175,6 +177,7 @@ def test_cross_arms(height, width, disparities, color):
         np.testing.assert_array_equal(cross_arms(image, *rule), naive.cross_arms(image, *rule))
 
 
+@pytest.mark.slow
 @sizes
 @pytest.mark.parametrize("support", ["reference", "intersection"])
 def test_cross(height, width, disparities, support):
@@ -190,6 +193,7 @@ def test_cross(height, width, disparities, support):
     np.testing.assert_allclose(result.costs / result.scale, expected, atol=0.6)
 
 
+@pytest.mark.slow
 @sizes
 @pytest.mark.parametrize(("norm", "gamma_color"), [("l2", 20.0), ("squared", 900.0)])
 def test_adaptive_weight(height, width, disparities, norm, gamma_color):
@@ -203,6 +207,7 @@ def test_adaptive_weight(height, width, disparities, norm, gamma_color):
     np.testing.assert_allclose(exact.costs, expected, rtol=2e-5, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_adaptive_weight_in_lab_and_a_window_beyond_the_image():
     pair, volume = blocky_pair(9, 14), random_volume(9, 14, 21)
     left, right = (cv2.cvtColor(view.astype(np.float32) / 255, cv2.COLOR_RGB2Lab).astype(float) for view in pair.color8)
@@ -220,6 +225,7 @@ def test_adaptive_weight_of_far_colors_is_the_cost_itself():
     np.testing.assert_allclose(result.costs / 16, volume.costs, atol=0.2)
 
 
+@pytest.mark.slow
 @sizes
 @pytest.mark.parametrize("paths", [4, 8])
 def test_scanline(height, width, disparities, paths):
@@ -354,6 +360,7 @@ def test_surface_fill_continues_the_farther_plane_into_the_gap():
     assert np.abs(held.values - truth)[gap].max() > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("paths", [4, 8])
 @pytest.mark.parametrize("disparities", [1, 2, 15, 16, 17, 31, 33, 60])
@@ -411,6 +418,7 @@ def test_weighted_median_of_fractions_at_every_width(width, filled_weight):
     assert np.all((result[valid] >= low[valid]) & (result[valid] <= high[valid]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("height", "width", "disparities"), [*SMALL, (24, 60, 30)])
 def test_surface_fill(height, width, disparities):
     disparity, evidence = fractional_holes(height, width, disparities)

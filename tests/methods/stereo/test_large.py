@@ -162,6 +162,7 @@ STEPS = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "pipeline", LOCAL, ids=lambda p: f"{p.cost.method_name()}-{p.aggregation and p.aggregation.method_name()}"
 )
@@ -282,6 +283,7 @@ def test_the_command_says_what_it_did(tmp_path: Path, capsys):
     assert "even in tiles" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="peak sizes of processes are measured on Linux")
 @pytest.mark.skipif("NUMBA_BOUNDSCHECK" in os.environ, reason="checked kernels are compiled anew, which takes memory")
 def test_the_process_stays_within_the_memory_allowed(tmp_path: Path):

@@ -27,6 +27,7 @@ def bumpy(height, width, seed=0, empty=0.15):
     return np.maximum(values, 0).astype(np.float32), blocky_pair(height, width, seed=seed).color8[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("height", "width"), SIZES)
 @pytest.mark.parametrize("radius", [4, 9])
 def test_slopes_are_those_of_the_twin(height, width, radius):

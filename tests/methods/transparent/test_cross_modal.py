@@ -116,6 +116,7 @@ def test_weights_of_the_channels_are_learned_from_the_sensor():
     assert learned_weights(color, infrared, np.full_like(disparity, np.nan)) == GREY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", ["early", "late", "r", "g", "b", "grey"])
 def test_every_way_to_mix_the_channels_matches(channels):
     scene = make_transparent_scene(3, 128, 96, 16)
@@ -124,6 +125,7 @@ def test_every_way_to_mix_the_channels_matches(channels):
     assert sum(found.weights) == pytest.approx(1)
 
 
+@pytest.mark.slow
 def test_kept_matches_are_right_and_widened_edges_are_not_among_them():
     scene = make_transparent_scene(4, 240, 180, 30)
     rule = Selection(margin=0, blind_margin=0, widening=0, consensus=0, texture=0, speckle=0)
@@ -174,6 +176,7 @@ class TestRealScenes:
             found[item.name] = (glass_of_pair(pair.left, pair.right, truth.disparity), truth.masks["nonocc"], item)
         return found
 
+    @pytest.mark.slow
     def test_structure_beats_absolute_differences_by_far(self, scenes):
         for scene, nonocc, item in scenes.values():
             rates = []
@@ -185,6 +188,7 @@ class TestRealScenes:
                 rates.append(np.mean(np.abs(found - scene.disparity)[nonocc] > 1))
             assert rates[0] < 0.4 * rates[1]
 
+    @pytest.mark.slow
     def test_the_whole_chain_replaces_the_object_and_little_else(self, scenes):
         from depthcli.batch.presets import find_config
         from depthcli.core.config_file import load_config

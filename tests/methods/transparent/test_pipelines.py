@@ -162,6 +162,7 @@ class TestRealScenes:
             found[scene.name] = (color, np.ascontiguousarray(frame.depth[::2, ::2]), truth.depth[::2, ::2], mask)
         return found
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("share", "outliers", "most"), [(0.02, 0.1, 0.0055), (0.1, 0.1, 0.0036), (0.1, 0.3, 0.0040)]
     )
