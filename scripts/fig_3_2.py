@@ -25,7 +25,7 @@ from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import device_implementation_of
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.device import Device, open_device
 from depthcli.evaluation.render import Table
 from depthcli.methods.stereo.aggregation import Aggregator

@@ -25,7 +25,7 @@ import numpy as np
 from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.data.generated.cross_modal import cross_modal_pair
+from depthcli.data.generated.arrays.infrared import cross_modal_pair
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.curves import sparsification

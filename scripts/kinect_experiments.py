@@ -33,7 +33,12 @@ from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, color8
 from depthcli.data.formats.images import read_image
-from depthcli.data.generated.kinect_scenes import SEQUENCE_KINDS, KinectSample, make_kinect_sequence, simulate_kinect
+from depthcli.data.generated.arrays.kinect_scenes import (
+    SEQUENCE_KINDS,
+    KinectSample,
+    make_kinect_sequence,
+    simulate_kinect,
+)
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
@@ -177,7 +182,7 @@ def _psnr(left: NDArray[np.uint8], right: NDArray[np.uint8], disparity: NDArray[
 
 def speed(methods: dict[str, Refine | None]) -> None:
     """Print a row a method: median seconds, and the ratio to Telea's inpainting run in turn with it."""
-    from depthcli.data.generated.kinect_scenes import make_kinect_scene
+    from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene
 
     frame = simulate_kinect(*make_kinect_scene("foreground", 0, 640, 480), 0).frame()
     hole = np.isnan(frame.depth).astype(np.uint8)

@@ -30,7 +30,7 @@ from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.volumes import RegisteredPair
 from depthcli.data.formats.volumes import linear, simple_itk
-from depthcli.data.generated.deformed_volumes import smooth_noise
+from depthcli.data.generated.arrays.deformed_volumes import smooth_noise
 from depthcli.data.scenes.volume_pair import VolumePairScene
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.render import Number, Table

@@ -20,7 +20,7 @@ import numpy as np
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
 from depthcli.evaluation.render import Number, Table

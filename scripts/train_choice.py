@@ -38,7 +38,7 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.networks import TrainedNetwork
 from depthcli.data.formats.networks import write_network
-from depthcli.data.generated.stereo_scenes import KINDS, Radiometry, make_scene
+from depthcli.data.generated.arrays.stereo_scenes import KINDS, Radiometry, make_scene
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks

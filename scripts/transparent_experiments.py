@@ -35,8 +35,7 @@ from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbIrFrame, SparseFrame, StereoPair
 from depthcli.core.result import Clock
-from depthcli.data.generated.sparse_depth import sparse_samples
-from depthcli.data.generated.transparent_scenes import glass_of_pair
+from depthcli.data.generated.arrays.transparent_scenes import glass_of_pair, sparse_samples
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes

@@ -11,7 +11,7 @@ from depthcli.commands._batch import BatchCommand
 from depthcli.commands._options import DRY_RUN, OUTPUT, RUN
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.data.generated.kinds import SampleScene, samples
+from depthcli.data.generated.samples import SampleScene, samples
 
 if TYPE_CHECKING:
     from depthcli.batch.console import Column, Reporter

@@ -12,7 +12,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.data.formats.images import read_image
-from depthcli.data.generated.stereo_scenes import Radiometry, make_scene
+from depthcli.data.generated.arrays.stereo_scenes import Radiometry, make_scene
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
 

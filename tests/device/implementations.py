@@ -12,7 +12,7 @@ from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Family, device_implementation_of
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.device import Kernels, open_device
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from depthcli.data.generated.kinect_scenes import (
+from depthcli.data.generated.arrays.kinect_scenes import (
     SCENE_KINDS,
     SEQUENCE_KINDS,
     make_kinect_scene,

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.data.generated import textures
-from depthcli.data.generated.camera import render, trace
-from depthcli.data.generated.stage import Stage
-from depthcli.data.generated.stereo_scenes import KINDS, Radiometry, SyntheticScene, make_scene
-from depthcli.data.generated.surfaces import Surface, rotation
+from depthcli.data.generated.arrays import textures
+from depthcli.data.generated.arrays.rendering import render, trace
+from depthcli.data.generated.arrays.room import Room
+from depthcli.data.generated.arrays.stereo_scenes import KINDS, Radiometry, SyntheticScene, make_scene
+from depthcli.data.generated.arrays.surfaces import Surface, rotation
 
 CASES = [(kind, seed) for kind in KINDS for seed in (0, 3)]
 
@@ -260,14 +260,14 @@ def test_a_board_is_hit_inside_its_outline_only():
 
 
 def test_a_board_lies_where_pinhole_cameras_see_it():
-    stage = Stage(np.random.default_rng(0), 64, 48, 16, 1.0)
+    room = Room(np.random.default_rng(0), 64, 48, 16, 1.0)
     white, black = np.ones((2, 2, 3), np.float32), np.zeros((2, 2, 3), np.float32)
-    stage.surfaces = [
-        Surface("plane", stage.at(32, 24, 2), rotation(), np.ones(3), black, unbounded=True),
-        Surface("plane", stage.at(25.5, 20, 8), rotation(), np.array([10.25, 8, 8]) / 8, white),
+    room.surfaces = [
+        Surface("plane", room.at(32, 24, 2), rotation(), np.ones(3), black, unbounded=True),
+        Surface("plane", room.at(25.5, 20, 8), rotation(), np.array([10.25, 8, 8]) / 8, white),
     ]
     for right, shift in ((False, 0), (True, 8)):
-        picture = render(stage, [None, None], right, 4)[:, :, 0]
+        picture = render(room, [None, None], right, 4)[:, :, 0]
         seen = picture / picture[20, 20]
         # Edges at 15.25 and 35.75, rows 12 and 28: a pixel's value is the share of it that the board covers.
         np.testing.assert_allclose(seen[20, np.array([14, 15, 16, 35, 36, 37]) - shift] > 0, [0, 1, 1, 1, 1, 0])
@@ -276,6 +276,6 @@ def test_a_board_lies_where_pinhole_cameras_see_it():
         assert seen[12, 20] == pytest.approx(0.5, abs=0.03)
         assert seen[28, 20] == pytest.approx(0.5, abs=0.03)
         columns, rows = np.arange(64.0)[None], np.arange(48.0)[:, None]
-        depth, owner = trace(stage, columns, rows, right)
+        depth, owner = trace(room, columns, rows, right)
         np.testing.assert_array_equal(np.flatnonzero(owner[20] == 1), np.arange(16, 36) - shift)
-        np.testing.assert_allclose(stage.focal / depth[20], np.where(owner[20] == 1, 8, 2))
+        np.testing.assert_allclose(room.focal / depth[20], np.where(owner[20] == 1, 8, 2))

@@ -17,7 +17,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.networks import TrainedNetwork
 from depthcli.data.formats.networks import network_path, read_network, write_network
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.evaluation.curves import sparsification
 from depthcli.methods.fusion.choice import Proposals
 from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE, SHARED, Inputs, input_names

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.fusion.maps import _most_agreed
 from depthcli.methods.fusion.surfaces import (

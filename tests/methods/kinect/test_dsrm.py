@@ -12,7 +12,7 @@ import yaml
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.method import Family
-from depthcli.data.generated.kinect_scenes import KinectSample, make_kinect_scene, simulate_kinect
+from depthcli.data.generated.arrays.kinect_scenes import KinectSample, make_kinect_scene, simulate_kinect
 from depthcli.kernels.jit import set_threads
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 

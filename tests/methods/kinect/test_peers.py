@@ -8,7 +8,7 @@ import pytest
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.data.generated.kinect_scenes import make_kinect_scene, make_kinect_sequence, simulate_kinect
+from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence, simulate_kinect
 from depthcli.methods.kinect.fill import nearest_fill
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother, weighted_smoothing
 from depthcli.methods.kinect.pipeline.guided import Guided

@@ -10,7 +10,7 @@ import pytest
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.data.generated.kinect_scenes import make_kinect_scene, simulate_kinect
+from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, simulate_kinect
 from depthcli.methods.kinect.holes import hidden_openings
 from depthcli.methods.kinect.outlines import FIRST, outline_offsets, truth_probability
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother

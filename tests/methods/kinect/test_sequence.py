@@ -11,7 +11,7 @@ import pytest
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.data.generated.kinect_scenes import KinectSample, make_kinect_sequence
+from depthcli.data.generated.arrays.kinect_scenes import KinectSample, make_kinect_sequence
 from depthcli.methods.kinect.layer import Evidence, Layer
 from depthcli.methods.kinect.sequence import SequenceState, carried_labels, still_pixels
 from tests.algorithms.test_statistical_region_merging import blocks

@@ -11,7 +11,7 @@ import pytest
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow

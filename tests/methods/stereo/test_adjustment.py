@@ -14,7 +14,7 @@ from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.adjustment import ReducedPair, adjusted, light
 from depthcli.methods.stereo.adjustment import rows as row_alignment

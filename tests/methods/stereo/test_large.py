@@ -17,7 +17,7 @@ from depthcli.core.config_file import load_config
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo import coarse_to_fine, tiling

@@ -16,7 +16,7 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.data.formats.disparity import read_disparity, read_pfm, write_pfm
 from depthcli.data.formats.images import write_png
 from depthcli.data.formats.pictures import read_status
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.search_range import SearchRange, range_of_key_points
 from depthcli.methods.stereo.volume import StereoResult

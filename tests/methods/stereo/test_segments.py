@@ -13,7 +13,7 @@ from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.keypoint_matching import Matches, consistent
 from depthcli.methods.stereo.pipeline.segments import Segments

@@ -8,7 +8,7 @@ import pytest
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.stereo.config import StereoConfig
 from tests.scenes import rates, real_scenes
 

@@ -13,7 +13,7 @@ from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of
 from depthcli.core.errors import InputError
 from depthcli.core.frames import RgbIrFrame
 from depthcli.core.result import Clock
-from depthcli.data.generated.transparent_scenes import glass_of_pair, make_transparent_scene
+from depthcli.data.generated.arrays.transparent_scenes import glass_of_pair, make_transparent_scene
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference

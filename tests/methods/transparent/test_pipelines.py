@@ -13,7 +13,7 @@ from depthcli.batch.presets import find_config, list_presets
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.data.generated.sparse_depth import sparse_samples
+from depthcli.data.generated.arrays.transparent_scenes import sparse_samples
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.walk import discover_scenes
 from depthcli.methods.transparent.config import TransparentConfig

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import Image, color8
-from depthcli.data.generated.camera import light_maps, render, trace
-from depthcli.data.generated.cross_modal import infrared_like
-from depthcli.data.generated.stage import Stage
-from depthcli.data.generated.surfaces import rotation
+from depthcli.data.generated.arrays.infrared import infrared_like
+from depthcli.data.generated.arrays.rendering import light_maps, render, trace
+from depthcli.data.generated.arrays.room import Room
+from depthcli.data.generated.arrays.surfaces import rotation
 
 _OWN = 0.55  # share of an object's own picture in what is seen of it
 _LENS = 0.35  # how far the picture behind is drawn towards an object's center
@@ -56,26 +56,26 @@ def make_transparent_scene(
     speckles : share of the infrared image's pixels with a projected dot, in [0, 1]
     """
     rng = np.random.default_rng([seed, 0x61A5])
-    stage = Stage(rng, width, height, max_disparity, 1.0)
-    stage.room()
-    places = stage.spread(2)
+    room = Room(rng, width, height, max_disparity, 1.0)
+    room.add_walls()
+    places = room.spread(2)
     for x, d in places:
         size = (width * rng.uniform(0.2, 0.3), height * rng.uniform(0.25, 0.4))
         turn = rotation(rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2), rng.uniform(-0.3, 0.3))
-        stage.board(x, height * rng.uniform(0.25, 0.5), 0.5 * (d + stage.far), size, turn)
-    views = [render(stage, light_maps(stage), right, 2) for right in (False, True)]
+        room.board(x, height * rng.uniform(0.25, 0.5), 0.5 * (d + room.far), size, turn)
+    views = [render(room, light_maps(room), right, 2) for right in (False, True)]
     columns, rows = np.arange(width, dtype=np.float64)[None], np.arange(height, dtype=np.float64)[:, None]
-    behind = stage.focal / trace(stage, columns, rows, False)[0]
-    opaque = len(stage.surfaces)
-    stage.ball(width * rng.uniform(0.3, 0.45), 0.6 * max_disparity, 0.16 * height)
-    stage.tub(width * rng.uniform(0.6, 0.75), 0.7 * max_disparity, (0.06 * width, 0.3 * height))
-    lights = light_maps(stage)
+    behind = room.focal / trace(room, columns, rows, False)[0]
+    opaque = len(room.surfaces)
+    room.ball(width * rng.uniform(0.3, 0.45), 0.6 * max_disparity, 0.16 * height)
+    room.tub(width * rng.uniform(0.6, 0.75), 0.7 * max_disparity, (0.06 * width, 0.3 * height))
+    lights = light_maps(room)
     mixed = []
     for right, view in zip((False, True), views, strict=True):
-        owner = trace(stage, columns, rows, right)[1]
-        mixed.append(_see_through(view, render(stage, lights, right, 2), owner, opaque))
-    depth, owner = trace(stage, columns, rows, False)
-    truth, mask = (stage.focal / depth).astype(np.float32), owner >= opaque
+        owner = trace(room, columns, rows, right)[1]
+        mixed.append(_see_through(view, render(room, lights, right, 2), owner, opaque))
+    depth, owner = trace(room, columns, rows, False)
+    truth, mask = (room.focal / depth).astype(np.float32), owner >= opaque
     left, right_view = (np.clip(np.rint(255 * image), 0, 255).astype(np.uint8) for image in mixed)
     sensor = sensor_through(truth, behind.astype(np.float32), mask, seed)
     return TransparentScene(left, infrared_like(right_view, seed, speckles), truth, sensor, mask)
@@ -213,3 +213,51 @@ def _see_through(
         shifted = cv2.remap(behind, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         image[rows, columns] = _OWN * front[rows, columns] + (1 - _OWN) * shifted[:, 0]
     return np.asarray(image, np.float32)
+
+
+def sparse_samples(
+    depth: NDArray[np.float32],
+    color: NDArray[np.uint8],
+    share: float,
+    noise: float = 0.008,
+    outliers: float = 0.1,
+    clustered: bool = False,
+    seed: int = 0,
+) -> NDArray[np.float32]:
+    """Some pixels of ``depth``, with Gaussian noise and wrong values.
+
+    Parameters
+    ----------
+    depth : (H, W) float32, meters, NaN = unknown (never chosen)
+    color : (H, W, 3) uint8
+    share : of all pixels that get a sample, in [0, 1]
+    noise : standard deviation, meters
+    outliers : share of the samples that are uniform between the 1st and the 99th percentile of ``depth`` instead
+    clustered : samples lie along edges of color, where stereo finds texture: a pixel's chance grows with the 1.5th
+        power of the image's gradient; else all pixels are as likely
+    seed : of everything random
+
+    Returns
+    -------
+    (H, W) float32, meters, NaN = no sample
+    """
+    if not (0 <= share <= 1 and 0 <= outliers <= 1 and noise >= 0):
+        raise ValueError(f"want shares in [0, 1] and noise >= 0, got {share}, {outliers}, {noise}")
+    rng = np.random.default_rng([seed, 0x5A])
+    known = np.flatnonzero(np.isfinite(depth))
+    count = min(round(share * depth.size), known.size)
+    chance = None
+    if clustered:
+        grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        gradient = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)).ravel()[known]
+        chance = (gradient.astype(np.float64) + 1e-3) ** 1.5
+        chance /= chance.sum()
+    chosen = rng.choice(known, count, replace=False, p=chance)
+    values = depth.ravel()[chosen] + noise * rng.standard_normal(count)
+    wrong = rng.random(count) < outliers
+    if wrong.any():
+        low, high = np.nanquantile(depth, [0.01, 0.99])
+        values[wrong] = rng.uniform(low, high, int(wrong.sum()))
+    sparse = np.full(depth.size, np.nan, np.float32)
+    sparse[chosen] = np.where(values > 0, values, np.nan)
+    return sparse.reshape(depth.shape)

@@ -10,16 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
-from depthcli.data.generated import textures
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays import textures
+from depthcli.data.generated.arrays.boards import Canvas, Disparity, moved
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 
-Disparity = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 SceneKind = Literal["planes", "foreground", "curved", "camouflage"]
@@ -188,7 +187,7 @@ def make_kinect_scene(
 
     Parameters
     ----------
-    kind : ``planes``, ``foreground``, ``curved`` as in :func:`depthcli.data.generated.stereo_scenes.make_scene`;
+    kind : ``planes``, ``foreground``, ``curved`` as in :func:`depthcli.data.generated.arrays.stereo_scenes.make_scene`;
         ``camouflage``: boards before a wall, every other one painted like it, so that only the depth shows the edge
     seed : chooses the scene
     width, height : pixels, at least 16
@@ -208,7 +207,7 @@ def make_kinect_scene(
         raise ValueError(f"want at least 16 x 16 pixels and 4 <= max_disparity <= width / 2, got {width} x {height}")
     rng = np.random.Generator(np.random.PCG64([seed, 0xCA3]))
     paint = textures.color(rng)
-    canvas = _Canvas(rng, width, height, paint, far=0.3 * max_disparity)
+    canvas = Canvas(rng, width, height, paint, far=0.3 * max_disparity)
     for index, nearness in enumerate(np.linspace(0.45, 0.85, 4)):
         own = paint if index % 2 == 0 else textures.color(rng)
         center = ((index + rng.uniform(0.35, 0.65)) * width / 4, rng.uniform(0.3, 0.7) * height)
@@ -251,7 +250,7 @@ def make_kinect_sequence(
         raise ValueError(f"want at least one frame, got {frames}")
     color, truth = make_kinect_scene("foreground", seed, width, height, max_disparity)
     rng = np.random.Generator(np.random.PCG64([seed, 0x5E0]))
-    canvas = _Canvas(rng, width, height, textures.color(rng), far=1.0)
+    canvas = Canvas(rng, width, height, textures.color(rng), far=1.0)
     canvas.color, canvas.truth = color.astype(np.float32) / np.float32(255), truth
     size = (0.09 * width, 0.2 * height)
     mover = canvas.board((0.2 * width, 0.55 * height), size, 0.85 * max_disparity, textures.color(rng), flat=True)
@@ -259,7 +258,7 @@ def make_kinect_sequence(
     samples = []
     for index in range(frames):
         if kind == "moving":
-            color, truth = canvas.photograph(_moved(mover, index * speed))
+            color, truth = canvas.photograph(moved(mover, index * speed))
         grain = _COLOR_NOISE * rng.standard_normal(color.shape, np.float32)
         noisy = np.clip(np.rint(color + grain), 0, 255).astype(np.uint8)
         sample = simulate_kinect(noisy, truth, int(rng.integers(2**31)), fattening=fattening, noise=noise, discs=0)
@@ -277,76 +276,3 @@ def _with_spots(sample: KinectSample, spots: Mask) -> KinectSample:
         mismatch=sample.mismatch & ~spots,
         measured=sample.measured & ~spots,
     )
-
-
-@dataclass(frozen=True)
-class _Board:
-    """A cut-out: share of each pixel that it covers, its color in [0, 1], its disparity plane (H, W)."""
-
-    cover: NDArray[np.float32]
-    color: NDArray[np.float32]
-    disparity: Disparity
-
-
-def _moved(board: _Board, columns: int) -> _Board:
-    """Shifted to the right, out of the picture where it ends."""
-    cover = np.roll(board.cover, columns, axis=1)
-    cover[:, : min(columns, cover.shape[1])] = 0
-    color, disparity = np.roll(board.color, columns, axis=1), np.roll(board.disparity, columns, axis=1)
-    return _Board(cover, color, disparity)
-
-
-class _Canvas:
-    """A picture and its disparity, onto which boards are put from far to near."""
-
-    def __init__(self, rng: np.random.Generator, width: int, height: int, paint: NDArray[np.float32], far: float):
-        self._rng = rng
-        self._rows, self._columns = np.mgrid[:height, :width].astype(np.float32)
-        self.color = self._plaster(paint)
-        self.truth = self._plane((width / 2, height / 2), far, 0.06 * far)
-
-    def _plaster(self, paint: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A painted surface: fine grain and large stains, the same for all who wear the paint."""
-        height, width = self._rows.shape
-        relief = textures.noise(self._rng, height, width, 6.0, 3) + textures.noise(self._rng, height, width, 60.0, 2)
-        painted: NDArray[np.float32] = np.clip(paint * (1 + 0.03 * relief[:, :, None]), 0, 1).astype(np.float32)
-        return painted
-
-    def _plane(self, center: tuple[float, float], disparity: float, most: float) -> Disparity:
-        """A plane, tilted by at most ``most`` pixels of disparity over a quarter of the picture."""
-        height, width = self._rows.shape
-        tilt_x, tilt_y = self._rng.uniform(-most, most, 2) * (4 / width, 4 / height)
-        plane = disparity + tilt_x * (self._columns - center[0]) + tilt_y * (self._rows - center[1])
-        positive: Disparity = np.maximum(plane, 0.5).astype(np.float32)
-        return positive
-
-    def board(
-        self,
-        center: tuple[float, float],
-        size: tuple[float, float],
-        disparity: float,
-        paint: NDArray[np.float32],
-        flat: bool = False,
-    ) -> _Board:
-        """A wavy disc, ``size`` = half its width and height in pixels."""
-        x, y = (self._columns - center[0]) / size[0], (self._rows - center[1]) / size[1]
-        angle = np.arctan2(y, x)
-        waves = sum(self._rng.uniform(0.02, 0.12) * np.cos(k * angle + self._rng.uniform(0, 6.3)) for k in (2, 3, 5))
-        inside = (0.9 * (1 + waves) - np.hypot(x, y)) * min(size)
-        cover = np.clip(inside + 0.5, 0, 1).astype(np.float32)
-        return _Board(cover, self._plaster(paint), self._plane(center, disparity, 0.0 if flat else 0.1 * disparity))
-
-    def put(self, board: _Board) -> None:
-        """Lay a board over what is there, for good."""
-        self.color, self.truth = self._over(board)
-
-    def _over(self, board: _Board) -> tuple[NDArray[np.float32], Disparity]:
-        share = board.cover[:, :, None]
-        color = share * board.color + (1 - share) * self.color
-        return color, np.where(board.cover >= 0.5, np.maximum(board.disparity, self.truth), self.truth)
-
-    def photograph(self, board: _Board | None = None) -> tuple[NDArray[np.uint8], Disparity]:
-        """Color, blurred as by a lens, and disparity; with one more board on top for this picture alone."""
-        color, truth = (self.color, self.truth) if board is None else self._over(board)
-        shown = cv2.GaussianBlur(color, (0, 0), 0.6) * 255
-        return np.clip(np.rint(shown), 0, 255).astype(np.uint8), truth

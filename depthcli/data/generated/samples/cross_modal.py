@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.option import Option
-from depthcli.data.generated.kinds import SampleScene
-from depthcli.data.generated.kinds.stereo import StereoSample, write_scene
+from depthcli.data.generated.samples import SampleScene
+from depthcli.data.generated.samples.stereo import StereoSample, write_scene
 
 if TYPE_CHECKING:
     from depthcli.data.formats.images import Image
@@ -73,7 +73,7 @@ class CrossModalSample(StereoSample):
 
     def views(self, values: Mapping[str, Any], left: Image, right: Image, seed: int) -> tuple[Image, Image]:
         """Grey, and infrared with a projector's dots."""
-        from depthcli.data.generated.cross_modal import cross_modal_pair
+        from depthcli.data.generated.arrays.infrared import cross_modal_pair
 
         return cross_modal_pair(left, right, seed, values["speckles"])
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from depthcli.data.generated.cross_modal import cross_modal_pair, infrared_like
-from depthcli.data.generated.stereo_scenes import make_scene
+from depthcli.data.generated.arrays.infrared import cross_modal_pair, infrared_like
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 
 
 @pytest.mark.parametrize("paint", [(200, 40, 90), (30, 120, 60)])

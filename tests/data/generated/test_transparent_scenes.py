@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.data.generated.sparse_depth import sparse_samples
-from depthcli.data.generated.transparent_scenes import make_transparent_scene, sensor_through
+from depthcli.data.generated.arrays.transparent_scenes import make_transparent_scene, sensor_through, sparse_samples
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.walk import discover_scenes
 

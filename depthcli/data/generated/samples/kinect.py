@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.option import Option
-from depthcli.data.generated.kinds import Sample, SampleScene
-from depthcli.data.generated.kinds.cross_modal import FROM
-from depthcli.data.generated.kinds.stereo import HEIGHT, SEED, WIDTH
+from depthcli.data.generated.samples import Sample, SampleScene
+from depthcli.data.generated.samples.cross_modal import FROM
+from depthcli.data.generated.samples.stereo import HEIGHT, SEED, WIDTH
 
 if TYPE_CHECKING:
-    from depthcli.data.generated.kinect_scenes import KinectSample
+    from depthcli.data.generated.arrays.kinect_scenes import KinectSample
 
 _KINDS = ("camouflage", "planes", "foreground", "curved")
 _SEQUENCES = ("static", "moving")
@@ -58,7 +58,11 @@ class KinectSampleKind(Sample):
 
     def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
         """Color, measured and true depth, masks and meta.json."""
-        from depthcli.data.generated.kinect_scenes import make_kinect_scene, make_kinect_sequence, simulate_kinect
+        from depthcli.data.generated.arrays.kinect_scenes import (
+            make_kinect_scene,
+            make_kinect_sequence,
+            simulate_kinect,
+        )
 
         scene.check()
         seed, fattening = scene.settings["seed"], values["fattening"]

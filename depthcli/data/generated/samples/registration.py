@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.option import Option
-from depthcli.data.generated.kinds import Sample, SampleScene
-from depthcli.data.generated.kinds.stereo import COUNT, SEED
+from depthcli.data.generated.samples import Sample, SampleScene
+from depthcli.data.generated.samples.stereo import COUNT, SEED
 
 if TYPE_CHECKING:
-    from depthcli.data.generated.deformed_volumes import DeformedPair
+    from depthcli.data.generated.arrays.deformed_volumes import DeformedPair
 
 _SPACING = (1.5, 1.5, 2.0)  # x, y, z, mm
 _SHAPE = (40, 56, 56)
@@ -47,7 +47,7 @@ class RegistrationSample(Sample):
         from depthcli.data.formats.atomic import write_text
         from depthcli.data.formats.volume_files import write_array
         from depthcli.data.formats.volumes import Grid
-        from depthcli.data.generated.deformed_volumes import make_deformed_pair
+        from depthcli.data.generated.arrays.deformed_volumes import make_deformed_pair
 
         largest, seed = scene.settings["largest"], scene.settings["seed"]
         pair: DeformedPair = make_deformed_pair(seed, _SHAPE, largest, values["noise"])

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.option import Option
-from depthcli.data.generated.kinds import Sample, SampleScene
-from depthcli.data.generated.kinds.cross_modal import FROM, SPECKLES
-from depthcli.data.generated.kinds.stereo import HEIGHT, SEED, WIDTH
+from depthcli.data.generated.samples import Sample, SampleScene
+from depthcli.data.generated.samples.cross_modal import FROM, SPECKLES
+from depthcli.data.generated.samples.stereo import HEIGHT, SEED, WIDTH
 
 if TYPE_CHECKING:
     import numpy as np
@@ -66,7 +66,7 @@ class TransparentSample(Sample):
     def make(self, values: Mapping[str, Any], item: SampleScene, folder: Path) -> dict[str, Any]:
         """Color, infrared, depth of the sensor, sparse and true depth, mask, calib.json and meta.json."""
         from depthcli.core.cameras.triangulation import depth_of_disparity
-        from depthcli.data.generated.transparent_scenes import glass_of_pair, make_transparent_scene
+        from depthcli.data.generated.arrays.transparent_scenes import glass_of_pair, make_transparent_scene
         from depthcli.data.scenes.rgbd import RgbdScene
         from depthcli.data.scenes.stereo import StereoScene
 
@@ -105,7 +105,7 @@ class TransparentSample(Sample):
         from depthcli.data.formats.atomic import write_text
         from depthcli.data.formats.disparity import write_pfm
         from depthcli.data.formats.images import write_png
-        from depthcli.data.generated.sparse_depth import sparse_samples
+        from depthcli.data.generated.arrays.transparent_scenes import sparse_samples
 
         sparse = sparse_samples(
             truth, color, values["share"], outliers=values["outliers"], clustered=values["at_edges"], seed=seed

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.data.generated.kinds import Sample, SampleScene
+from depthcli.data.generated.samples import Sample, SampleScene
 
 if TYPE_CHECKING:
     import numpy as np
@@ -69,7 +69,7 @@ class StereoSample(Sample):
         """A pair, both true disparities, masks and meta.json."""
         import numpy as np
 
-        from depthcli.data.generated.stereo_scenes import Radiometry, make_scene
+        from depthcli.data.generated.arrays.stereo_scenes import Radiometry, make_scene
 
         kind, seed = item.settings["kind"], item.settings["seed"]
         scene = make_scene(

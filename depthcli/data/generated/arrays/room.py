@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.data.generated import textures
-from depthcli.data.generated.surfaces import Outline, Surface, rotation
-from depthcli.data.generated.textures import Texture, TextureMaker
+from depthcli.data.generated.arrays import textures
+from depthcli.data.generated.arrays.surfaces import Outline, Surface, rotation
+from depthcli.data.generated.arrays.textures import Texture, TextureMaker
 
 
 @dataclass
-class Stage:
+class Room:
     """Surfaces, cameras and light; positions are given in left-image pixels and disparities."""
 
     rng: np.random.Generator
@@ -60,7 +60,7 @@ class Stage:
             surface = replace(surface, center=surface.center + np.array([0.0, 0.0, short]))
         self.surfaces.append(surface)
 
-    def room(self, wall: TextureMaker | None = None) -> None:
+    def add_walls(self, wall: TextureMaker | None = None) -> None:
         """Floor and back wall, and sometimes a side wall."""
         yaw = self.rng.uniform(-0.25, 0.25)
         deep = self.focal / self.far

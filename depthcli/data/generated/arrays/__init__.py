@@ -1,0 +1,1 @@
+"""Generated scenes as numpy arrays; nothing here reads or writes files."""
