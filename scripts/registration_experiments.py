@@ -26,10 +26,11 @@ import _env  # noqa: F401  (first: continues in the checkout's environment)
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.resampling import trilinear
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.volumes import RegisteredPair
-from depthcli.data.formats.volumes import linear, simple_itk
+from depthcli.data.formats.volumes import simple_itk
 from depthcli.data.generated.arrays.deformed_volumes import smooth_noise
 from depthcli.data.scenes.volume_pair import VolumePairScene
 from depthcli.data.walk import discover_scenes
@@ -65,7 +66,7 @@ def row(pair: str, what: str, score: Values, true: Values, in_mm: bool = True) -
 
 def at_points(result: RegistrationResult, values: NDArray[np.float32], places: NDArray[np.float64]) -> Values:
     """Values of a map at places (z, y, x) in voxels of the fixed volume."""
-    return linear(values, (places - np.array(result.start)) / np.array(result.step))
+    return trilinear(values, (places - np.array(result.start)) / np.array(result.step))
 
 
 def measures(result: RegistrationResult, places: NDArray[np.float64]) -> Iterable[tuple[str, Values]]:
@@ -110,7 +111,7 @@ def spline_error(pair: RegisteredPair, largest: float, seed: int) -> NDArray[np.
 def moved(volume: NDArray[np.float32], field: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return trilinear samples at x + field(x), (3, Z, Y, X) voxels; borders are repeated."""
     places = np.indices(volume.shape) + field
-    return linear(volume, places.reshape(3, -1).T.astype(np.float64)).reshape(volume.shape)
+    return trilinear(volume, places.reshape(3, -1).T.astype(np.float64)).reshape(volume.shape)
 
 
 def misregistered(pair: RegisteredPair, largest: float, seed: int) -> tuple[RegisteredPair, NDArray[np.float32]]:
@@ -146,7 +147,7 @@ def synthetic(scenes: list[VolumePairScene]) -> list[Table]:
         places = np.argwhere(inside)[:: max(1, int(inside.sum()) // 20_000)].astype(np.float64)
         for k, largest in enumerate((3.0, 6.0, 10.0)):
             made, error = misregistered(pair, largest, k)
-            true = linear(error, places)
+            true = trilinear(error, places)
             for name, make in methods:
                 result = make()(made)
                 found = at_points(result, result.expected_error, places)
@@ -193,14 +194,15 @@ def baselines(scenes: list[VolumePairScene], data: Path | None) -> list[Table]:
         fixed = loaded.pair.fixed
         mean = gaussian(fixed, 3.0)
         variance = gaussian(fixed * fixed, 3.0) - mean * mean
-        rows.append(row(scene.name, "minus local variance", -linear(variance, places), truth.error, False))
+        rows.append(row(scene.name, "minus local variance", -trilinear(variance, places), truth.error, False))
         if scene.displacement is not None:
             field = read_field(scene.displacement, loaded.grid)
             vectors = in_millimeters(field, field.named)
             slopes = np.stack([np.stack(np.gradient(vectors[..., c], *loaded.pair.spacing), -1)[..., ::-1]
                                for c in range(3)], -2)  # fmt: skip
             determinant = np.linalg.det(slopes + np.eye(3)).astype(np.float32)
-            rows.append(row(scene.name, "|1 - Jacobian|", linear(np.abs(1 - determinant), places), truth.error, False))
+            change = trilinear(np.abs(1 - determinant), places)
+            rows.append(row(scene.name, "|1 - Jacobian|", change, truth.error, False))
     if data is not None:
         rows += registered_again(scenes, data)
     return [Table("Baselines without a search", HEAD, tuple(rows))]

@@ -14,7 +14,7 @@ from depthcli.batch.json_csv import Row, to_json_line, write_csv
 from depthcli.batch.run_folder import PARTS_FOLDER, REPORT_FILES, SceneRecord, is_inside, read_record, read_report
 from depthcli.batch.sharing import FolderLock, Shard
 from depthcli.core.errors import OutputError
-from depthcli.data.formats.atomic import atomic_path
+from depthcli.data.formats.files import atomic_path
 from depthcli.data.scenes import Scene
 
 _MIN_PAUSE = 1.0  # seconds between two writes of the report

@@ -28,8 +28,7 @@ from depthcli import __version__
 from depthcli.batch.json_csv import Row, to_json
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError, OutputError
-from depthcli.data.formats.atomic import write_text
-from depthcli.data.formats.files import MOST_BYTES, open_regular
+from depthcli.data.formats.files import MAX_BYTES, open_regular, write_text
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 
 RUN_FILE = "run.yaml"
@@ -97,7 +96,7 @@ def digest(data: bytes) -> str:
 
 def file_digest(path: Path) -> str:
     """Return the SHA-256 digest of a file, or the reason why it cannot be read, which never equals a digest."""
-    limit = MOST_BYTES if path.suffix.lower() in IMAGE_SUFFIXES else _MAX_HASHED_BYTES
+    limit = MAX_BYTES if path.suffix.lower() in IMAGE_SUFFIXES else _MAX_HASHED_BYTES
     sha, left = hashlib.sha256(), limit
     try:
         with open_regular(path) as file:

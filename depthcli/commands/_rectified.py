@@ -43,7 +43,7 @@ def rectified_pair(
     InputError
         The images or the calibration cannot be used.
     """
-    from depthcli.data.formats.images import pair_of
+    from depthcli.data.formats.stereo_images import pair_of
 
     left, right = scene.load_views()
     found = rectified_rig(calibration, left, right)

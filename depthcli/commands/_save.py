@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from depthcli.batch.json_csv import to_csv
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.result import Result
-from depthcli.data.formats.atomic import write_text
 from depthcli.data.formats.depth import write_depth_png, write_ply
 from depthcli.data.formats.disparity import write_disparity_png, write_pfm
+from depthcli.data.formats.files import write_text
 from depthcli.data.formats.images import write_png
 from depthcli.data.formats.pictures import (
     DEPTH_STATUS_PALETTE,

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.resampling import trilinear
 from depthcli.batch.json_csv import Row, to_csv
-from depthcli.data.formats.atomic import write_text
+from depthcli.data.formats.files import write_text
 from depthcli.data.formats.images import write_png
-from depthcli.data.formats.volume_files import write_volume
-from depthcli.data.formats.volumes import linear
+from depthcli.data.formats.volumes import write_volume
 from depthcli.data.scenes.volume_pair import LoadedPair
 from depthcli.methods.registration._volume import resample
 from depthcli.methods.registration.pipeline import RegistrationResult
@@ -65,8 +65,8 @@ def _rows(
 ) -> list[Row]:
     starts, steps = loaded.on_grid(result.start, result.step)
     places = (loaded.grid.to_index(points) - np.array(starts)) / np.array(steps)
-    expected, certainty = linear(result.expected_error, places), linear(result.certainty, places)
-    shift = np.stack([linear(result.shift[axis], places) for axis in (2, 1, 0)], axis=-1) @ loaded.grid.axes.T
+    expected, certainty = trilinear(result.expected_error, places), trilinear(result.certainty, places)
+    shift = np.stack([trilinear(result.shift[axis], places) for axis in (2, 1, 0)], axis=-1) @ loaded.grid.axes.T
     rows = []
     for k, point in enumerate(points):
         row: Row = {axis: round(float(v), 4) for axis, v in zip("xyz", point, strict=True)}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from depthcli.batch.run_folder import read_report
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.data.formats.atomic import write_text
+from depthcli.data.formats.files import write_text
 from depthcli.data.formats.images import write_png
 from depthcli.data.scenes import Scene
 from depthcli.evaluation.plots import curve_plot

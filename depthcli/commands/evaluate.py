@@ -124,7 +124,7 @@ def evaluate(
         The results cannot be written.
     """
     from depthcli.commands._scoring import Scoring
-    from depthcli.data.formats.atomic import remove_leftovers
+    from depthcli.data.formats.files import remove_leftovers
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.protocols import Settings, load
 
@@ -213,7 +213,7 @@ def _find_truth(
 def _write(report: EvaluationReport, scoring: Scoring) -> None:
     from depthcli.batch.json_csv import to_csv, to_json
     from depthcli.batch.run_folder import saved_config
-    from depthcli.data.formats.atomic import write_text
+    from depthcli.data.formats.files import write_text
     from depthcli.evaluation.tables import report_markdown
 
     scores = to_json(report.to_dict())

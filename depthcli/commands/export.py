@@ -159,7 +159,7 @@ def _write(target: Path, entries: Iterator[tuple[Entry, dict[str, bytes]]]) -> l
     """An archive of which every byte follows from the files in it: no times, no owners."""
     import zipfile
 
-    from depthcli.data.formats.atomic import atomic_path
+    from depthcli.data.formats.files import atomic_path
 
     names: list[str] = []
     with atomic_path(target) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -38,7 +38,7 @@ class FuseCommand(PairCommand["FuseConfig"]):
 
     def matcher(self, config: FuseConfig, scene: StereoScene) -> Matcher:
         """Return fusion; volumes made elsewhere are read when the pair is matched."""
-        from depthcli.data.formats.cost_volume import read_cost_volume
+        from depthcli.data.formats.npy import map_npy
         from depthcli.methods.fusion.config import FusionWithVolumes
 
         files = self._volumes(config, scene)
@@ -46,7 +46,7 @@ class FuseCommand(PairCommand["FuseConfig"]):
             raise InputError(f"{scene.folder}: volumes made elsewhere begin at disparity 0; leave --min-disparity out")
         if not files:
             return config
-        return FusionWithVolumes(config, lambda: {name: read_cost_volume(file) for name, file in files.items()})
+        return FusionWithVolumes(config, lambda: {name: map_npy(file, 3) for name, file in files.items()})
 
     def _volumes(self, config: FuseConfig, scene: StereoScene) -> dict[str, Path]:
         names = {measure.volume for measure in config.measures if measure.volume is not None}

@@ -125,7 +125,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         from depthcli.core.cameras.rig import RectifiedRig
         from depthcli.core.frames import StereoPair
         from depthcli.core.result import Clock
-        from depthcli.data.formats.atomic import write_text
+        from depthcli.data.formats.files import write_text
         from depthcli.methods.stereo.search_range import suggested_range
 
         clock = Clock()

@@ -13,7 +13,7 @@ from depthcli.data.scenes.volume_pair import VolumePairScene
 if TYPE_CHECKING:
     from depthcli.batch.console import Column
     from depthcli.batch.task import Outcome
-    from depthcli.data.formats.volumes import Grid
+    from depthcli.core.volumes import Grid
     from depthcli.methods.registration.config import RegisterConfidenceConfig
 
 _BORDER = 0.2  # share of best matches on the border of the search above which errors are larger than it
@@ -57,7 +57,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         from depthcli.commands._save_registration import save_registration
         from depthcli.core.memory import show_bytes
         from depthcli.core.result import Clock
-        from depthcli.data.formats.volume_files import written_suffix
+        from depthcli.data.formats.volumes import written_suffix
 
         clock = Clock()
         loaded = scene.load(config.field, config.max_voxels)

@@ -157,7 +157,7 @@ def _say_result(
     """The runs by their figure, and what every key does to it; also as ``sweep.csv`` and ``sweep.json``."""
     from depthcli.batch.json_csv import to_csv, to_json
     from depthcli.batch.sweep import document_of, effects
-    from depthcli.data.formats.atomic import write_text
+    from depthcli.data.formats.files import write_text
     from depthcli.evaluation.statistics import mean_of_known
 
     rows: list[Row] = []

@@ -1,4 +1,4 @@
-"""Inputs of registration confidence: two volumes on one grid."""
+"""Volumes, where their voxels are, and two of them on one grid: the input of registration confidence."""
 
 from __future__ import annotations
 
@@ -6,6 +6,61 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where the voxels of a volume are, in mm and in the LPS frame of ITK.
+
+    Attributes
+    ----------
+    size : voxels along x, y, z
+    spacing : mm along the volume's own axes
+    origin : position of the first voxel
+    direction : (3, 3), columns are the axes
+    """
+
+    size: tuple[int, int, int]
+    spacing: tuple[float, float, float]
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    direction: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(Z, Y, X)."""
+        return self.size[2], self.size[1], self.size[0]
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """(3, 3) columns are the axes."""
+        return np.array(self.direction).reshape(3, 3)
+
+    def to_index(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (N, 3) positions x, y, z in mm as places z, y, x in voxels."""
+        own = (points - np.array(self.origin)) @ np.linalg.inv(self.axes).T
+        places: NDArray[np.float64] = (own / np.array(self.spacing))[:, ::-1]
+        return places
+
+    def to_point(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (N, 3) places z, y, x in voxels as positions x, y, z in mm."""
+        points: NDArray[np.float64] = (places[:, ::-1] * np.array(self.spacing)) @ self.axes.T + np.array(self.origin)
+        return points
+
+    def same_as(self, other: Grid) -> bool:
+        """Return whether the voxels lie at the same places, up to a hundredth of a voxel."""
+        if self.size != other.size:
+            return False
+        tolerance = 0.01 * min(self.spacing)
+        corners = np.array([[0, 0, 0], [self.size[2] - 1, self.size[1] - 1, self.size[0] - 1]], float)
+        return bool(np.allclose(self.to_point(corners), other.to_point(corners), atol=tolerance, rtol=0))
+
+
+@dataclass(frozen=True)
+class Volume:
+    """(Z, Y, X) float32 values, or (Z, Y, X, 3) of a vector field, and where they are."""
+
+    values: NDArray[np.float32]
+    grid: Grid
 
 
 @dataclass(frozen=True)

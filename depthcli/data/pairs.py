@@ -14,7 +14,6 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.data.formats.files import naming, read_bytes
 
 TABLE_SUFFIXES = (".csv", ".tsv")
-VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 
 _WILD = re.compile(r"[*?\[]")
 _MOST_BYTES = 1 << 28

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.core.errors import ConfigError, OutputError
-from depthcli.data.formats.atomic import write_text
+from depthcli.data.formats.files import write_text
 from depthcli.data.scenes import Scene
 from depthcli.evaluation import tables
 from depthcli.evaluation.comparison import EvaluationReport, Section

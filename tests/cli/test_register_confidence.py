@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
-from depthcli.data.formats.volume_files import write_array
-from depthcli.data.formats.volumes import Grid, read_volume
+from depthcli.core.volumes import Grid
+from depthcli.data.formats.volumes import read_volume, write_array
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.fields import in_millimeters, place, read_field, read_moving_transform
-from depthcli.data.formats.volume_files import write_array
-from depthcli.data.formats.volumes import Grid, Volume
+from depthcli.core.volumes import Grid, Volume
+from depthcli.data.formats.fields import in_millimeters, read_field, read_moving_transform
+from depthcli.data.formats.volumes import place, write_array
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -9,13 +9,19 @@ from pathlib import Path
 import pytest
 
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.data.formats.cost_volume import read_cost_volume
 from depthcli.data.formats.disparity import read_disparity, read_pfm
 from depthcli.data.formats.files import read_bytes, shown
 from depthcli.data.formats.headers import image_size
 from depthcli.data.formats.images import read_image
+from depthcli.data.formats.npy import map_npy
 
-READERS = [read_bytes, read_image, read_disparity, read_pfm, read_cost_volume, image_size]
+
+def map_costs(path):
+    """Costs of a volume made elsewhere."""
+    return map_npy(path, 3)
+
+
+READERS = [read_bytes, read_image, read_disparity, read_pfm, map_costs, image_size]
 
 
 def refused(read, path) -> str:
@@ -86,7 +92,7 @@ def test_size_is_limited_before_reading(tmp_path: Path):
     assert "want at most" in refused(read_bytes, path)
     (tmp_path / "small").write_bytes(bytes(11))
     with pytest.raises(InputError, match="11 bytes, want at most 10"):
-        read_bytes(tmp_path / "small", most=10)
-    assert len(read_bytes(tmp_path / "small", most=11)) == 11
+        read_bytes(tmp_path / "small", max_bytes=10)
+    assert len(read_bytes(tmp_path / "small", max_bytes=11)) == 11
     if Path("/proc/self/pagemap").exists():  # a regular file of size 0 that never ends
         assert "grew" in refused(read_bytes, "/proc/self/pagemap")

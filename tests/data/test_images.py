@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from depthcli.core.errors import InputError, OutputError
-from depthcli.data.formats.atomic import PARTIAL_SUFFIX, atomic_path, remove_leftovers, write_text
 from depthcli.data.formats.disparity import write_pfm
+from depthcli.data.formats.files import PARTIAL_SUFFIX, atomic_path, remove_leftovers, write_text
 from depthcli.data.formats.headers import image_size
-from depthcli.data.formats.images import read_grey, read_image, read_pair, sample_bits, write_png
+from depthcli.data.formats.images import read_grey, read_image, write_png
+from depthcli.data.formats.stereo_images import read_pair, sample_bits
 
 
 def png(width: int, height: int, depth: int, color: int, rows: bytes, *extra: tuple[bytes, bytes]) -> bytes:

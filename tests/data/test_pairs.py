@@ -14,7 +14,6 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.data.formats.images import write_png
 from depthcli.data.pairs import match_patterns, read_table
 from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.scenes.video import VideoScene, video_scenes
 from depthcli.data.walk import discover_scenes
 
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
@@ -115,13 +114,13 @@ def video(path: Path, shift: int, count: int = 5) -> Path:
 @pytest.mark.slow
 def test_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     left, right = video(tmp_path / "l.avi", 0), video(tmp_path / "r.avi", 6)
-    scenes = video_scenes(left, right)
+    scenes = StereoScene.named({"left": left, "right": right})
     assert [scene.name for scene in scenes] == [f"{k:06}" for k in range(5)]
     reader = cv2.VideoCapture(str(left))
     frames = [reader.read()[1][..., ::-1] for _ in range(5)]
     for number in (0, 1, 3, 2, 4):  # in any order
         scene = scenes[number]
-        assert isinstance(scene, VideoScene)
+        assert scene.frame_number == number
         np.testing.assert_array_equal(scene.load_views()[0], frames[number])
     pair = ("--left", left, "--right", right, "--max-disparity", "12")
     assert run("stereo", "opencv-bm", *pair, "-o", tmp_path / "run", "-q") == 0

@@ -9,10 +9,10 @@ import warnings
 import numpy as np
 import pytest
 
+from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.errors import InputError
-from depthcli.core.volumes import RegisteredPair
-from depthcli.data.formats.volume_files import write_array, written_suffix
-from depthcli.data.formats.volumes import Grid, block_means, linear, read_volume
+from depthcli.core.volumes import Grid, RegisteredPair
+from depthcli.data.formats.volumes import read_volume, write_array, written_suffix
 from depthcli.data.scenes.volume_pair import LoadedPair
 
 with warnings.catch_warnings():
@@ -71,7 +71,7 @@ def test_linear_at_voxels_between_and_outside():
     values = volume()
     places = np.array([[1, 2, 3], [1.5, 2, 3], [-4, 2, 3], [9, 9, 9]], float)
     expected = [values[1, 2, 3], (values[1, 2, 3] + values[2, 2, 3]) / 2, values[0, 2, 3], values[3, 4, 5]]
-    np.testing.assert_allclose(linear(values, places), expected, rtol=1e-6)
+    np.testing.assert_allclose(trilinear(values, places), expected, rtol=1e-6)
 
 
 def test_block_means():

@@ -17,8 +17,9 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.commands.evaluate import evaluate
+from depthcli.core.volumes import Grid
 from depthcli.data.formats.disparity import read_disparity
-from depthcli.data.formats.volumes import Grid, read_volume
+from depthcli.data.formats.volumes import read_volume
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import RegistrationTruth
 from depthcli.data.walk import BrokenScene

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import InputError
-from depthcli.data.formats.atomic import write_bytes
 from depthcli.data.formats.disparity import read_plane
-from depthcli.data.formats.files import shown
+from depthcli.data.formats.files import shown, write_bytes
 from depthcli.data.formats.images import write_png
 
 MILLIMETERS = 1000.0

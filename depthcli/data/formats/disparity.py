@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError, OutputError
-from depthcli.data.formats.atomic import write_bytes
-from depthcli.data.formats.files import naming, read_bytes, shown
+from depthcli.data.formats.files import naming, read_bytes, shown, write_bytes
 from depthcli.data.formats.headers import image_kind, pfm_header
 from depthcli.data.formats.images import IMAGE_SUFFIXES, decode_floats, decode_grey
 from depthcli.data.formats.npy import decode_npy

@@ -11,9 +11,7 @@ Learn2Reg, VoxelMorph   ``.npz`` or 4-D NIfTI (X, Y, Z, 3): displacement, voxels
 
 from __future__ import annotations
 
-import re
 import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,20 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.resampling import nearest
 from depthcli.core.errors import InputError
-from depthcli.data.formats.files import naming, open_regular, read_bytes
-from depthcli.data.formats.volumes import (
-    Grid,
-    Volume,
-    nifti_header,
-    quiet,
-    read_image,
-    read_volume,
-    simple_itk,
-    suffix_of,
-)
+from depthcli.core.volumes import Grid, Volume
+from depthcli.data.formats.files import naming, open_regular
+from depthcli.data.formats.nifti import read_header
+from depthcli.data.formats.transforms import read_transform
+from depthcli.data.formats.volumes import place, read_image, read_volume, simple_itk, suffix_of
 
-TRANSFORM_SUFFIXES = (".tfm", ".txt", ".h5", ".hdf5", ".mat", ".xfm")
 FIELD_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")
 
 READINGS = {
@@ -81,7 +73,7 @@ def read_field(path: Path, fixed: Grid) -> Field:
         if kind == ".npz":
             return _bare(_npz(path), fixed)
         if kind in (".nii", ".nii.gz"):
-            header = nifti_header(path)
+            header = read_header(path)
             if len(header["dim"]) == 4 and header["dim"][3] == 3:
                 image = read_image(path)
                 return _bare(simple_itk().GetArrayFromImage(image).transpose(1, 2, 3, 0), fixed)
@@ -154,11 +146,11 @@ def read_moving_transform(
     """
     sitk = simple_itk()
     chain = []
-    after = None if transform is None else _read_transform(transform)
+    after = None if transform is None else read_transform(transform)
     if after is not None:
         chain.append(after)
     if displacement is not None and suffix_of(displacement) in (".h5", ".tfm", ".txt"):
-        chain.append(_read_transform(displacement))
+        chain.append(read_transform(displacement))
     elif displacement is not None:
         field = read_field(displacement, fixed.grid)
         reading = _chosen(field, convention)
@@ -186,13 +178,6 @@ def _as_transform(displacement: NDArray[np.float64], grid: Grid) -> Any:
     return sitk.DisplacementFieldTransform(image)
 
 
-def place(image: Any, grid: Grid) -> None:
-    """Give a SimpleITK image the grid's geometry."""
-    image.SetSpacing(grid.spacing)
-    image.SetOrigin(grid.origin)
-    image.SetDirection(grid.direction)
-
-
 def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, after: Any) -> None:
     """Refuse a field that warps the moving volume clearly better under another reading than the named one."""
     count = int(np.prod(field.grid.shape))
@@ -202,13 +187,13 @@ def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, afte
     points = field.grid.to_point(places)
     at = fixed.grid.to_index(points)
     inside = np.all((at >= 0) & (at <= np.array(fixed.grid.shape) - 1), axis=1)
-    target = sample(fixed.values, at[inside])
+    target = nearest(fixed.values, at[inside])
     scores = {}
     for reading in READINGS:
         moved = points[inside] + in_millimeters(field, reading).reshape(-1, 3)[chosen[inside]]
         if after is not None:
             moved = np.array([after.TransformPoint(point) for point in moved.tolist()])
-        scores[reading] = _information(target, sample(moving.values, moving.grid.to_index(moved)))
+        scores[reading] = _information(target, nearest(moving.values, moving.grid.to_index(moved)))
     best = max(scores, key=lambda reading: scores[reading])
     if best != named and scores[best] > max(_CLEARLY * scores[named], scores[named] + _AT_LEAST):
         option = "niftyreg" if best == "positions" else best
@@ -217,15 +202,6 @@ def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, afte
             f"(mutual information {scores[best]:.2f} against {scores[named]:.2f}); see --field {option}, or --field "
             f"{'itk' if named == 'itk' else 'niftyreg' if named == 'positions' else named} to keep to the header"
         )
-
-
-def sample(values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Values at the nearest voxels of (N, 3) places z, y, x; NaN outside."""
-    nearest = np.rint(places).astype(np.int64)
-    inside = np.all((nearest >= 0) & (nearest < np.array(values.shape)), axis=1)
-    found = np.full(len(places), np.nan, np.float32)
-    found[inside] = values[tuple(nearest[inside].T)]
-    return found
 
 
 def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
@@ -240,109 +216,3 @@ def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
     a, b = p.sum(axis=1, keepdims=True), p.sum(axis=0, keepdims=True)
     known = p > 0
     return float(np.sum(p[known] * np.log(p[known] / (a * b)[known])))
-
-
-# Transform files
-
-
-def _read_transform(path: Path) -> Any:
-    """ITK's own formats, or a chain of elastix parameter files."""
-    sitk = simple_itk()
-    with naming(path):
-        if suffix_of(path) == ".txt":
-            text = read_bytes(path, 1 << 30).decode("latin-1")
-            if "(Transform " in text:
-                return sitk.CompositeTransform(_elastix_chain(path, text, ()))
-        with open_regular(path):
-            pass
-        try:
-            with quiet():
-                return sitk.ReadTransform(str(path))
-        except RuntimeError:
-            raise InputError("not a transform that ITK can read") from None
-
-
-def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]:
-    """This file's transform, then those it starts from: SimpleITK applies the last one first."""
-    fields = _elastix_fields(text)
-    if path.resolve() in before:
-        raise InputError("its chain of initial transforms comes back to it")
-    if fields.get("HowToCombineTransforms", ["Compose"])[0] != "Compose":
-        raise InputError("transforms that are added, not composed, are not read")
-    own = _elastix_transform(fields)
-    initial = (
-        fields.get("InitialTransformParameterFileName") or fields.get("InitialTransformParametersFileName") or [""]
-    )[0]
-    if initial in ("", "NoInitialTransform"):
-        return [own]
-    file = path.parent / Path(initial).name
-    if not file.is_file() and Path(initial).is_file():
-        file = Path(initial)
-    with naming(file):
-        below = read_bytes(file, 1 << 30).decode("latin-1")
-    return [own, *_elastix_chain(file, below, (*before, path.resolve()))]
-
-
-def _elastix_fields(text: str) -> dict[str, list[str]]:
-    found = {}
-    for line in text.splitlines():
-        match = re.match(r"\s*\((\w+)\s+(.*?)\)\s*(//.*)?$", line)
-        if match:
-            found[match[1]] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', match[2])]
-    return found
-
-
-def _elastix_transform(fields: dict[str, list[str]]) -> Any:
-    sitk = simple_itk()
-    name = fields["Transform"][0]
-
-    def numbers(key: str, default: list[float] | None = None) -> list[float]:
-        if key not in fields and default is not None:
-            return default
-        try:
-            return [float(value) for value in fields[key]]
-        except (KeyError, ValueError):
-            raise InputError(f"no usable {key}") from None
-
-    if numbers("FixedImageDimension", [3.0]) != [3.0]:
-        raise InputError("not a transform of three dimensions")
-    parameters = numbers("TransformParameters")
-    makers: dict[str, tuple[int, Callable[[], Any]]] = {
-        "TranslationTransform": (3, lambda: sitk.TranslationTransform(3, parameters)),
-        "EulerTransform": (6, lambda: _euler(parameters, numbers("CenterOfRotationPoint"), fields)),
-        "AffineTransform": (
-            12,
-            lambda: sitk.AffineTransform(parameters[:9], parameters[9:], numbers("CenterOfRotationPoint")),
-        ),
-    }
-    if name in makers:
-        wanted, make = makers[name]
-        if len(parameters) != wanted:
-            raise InputError(f"{name} with {len(parameters)} parameters, want {wanted}")
-        return make()
-    if name not in ("BSplineTransform", "RecursiveBSplineTransform"):
-        raise InputError(f"a {name} is not read; write the field with transformix -def all")
-    size = [int(n) for n in numbers("GridSize")]
-    order = int(numbers("BSplineTransformSplineOrder", [3.0])[0])
-    if len(size) != 3 or min(size) < 1 or len(parameters) != 3 * size[0] * size[1] * size[2]:
-        raise InputError(f"{len(parameters)} B-spline parameters do not fit a grid of {size}")
-    # elastix writes the direction column by column.
-    axes = np.array(numbers("GridDirection", [1, 0, 0, 0, 1, 0, 0, 0, 1])).reshape(3, 3).T
-    spacing, index = np.array(numbers("GridSpacing")), np.array(numbers("GridIndex", [0, 0, 0]))
-    origin = np.array(numbers("GridOrigin")) + axes @ (spacing * index)
-    grid = Grid((size[0], size[1], size[2]), tuple(spacing), tuple(origin), tuple(axes.ravel()))
-    images = []
-    for component in np.array(parameters).reshape(3, *grid.shape):
-        image = sitk.GetImageFromArray(component)
-        place(image, grid)
-        images.append(image)
-    return sitk.BSplineTransform(images, order)
-
-
-def _euler(parameters: list[float], center: list[float], fields: dict[str, list[str]]) -> Any:
-    sitk = simple_itk()
-    transform = sitk.Euler3DTransform()
-    transform.SetComputeZYX(fields.get("ComputeZYX", ["false"])[0] == "true")
-    transform.SetCenter(center)
-    transform.SetParameters(parameters)
-    return transform

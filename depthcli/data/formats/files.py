@@ -1,20 +1,24 @@
-"""Opening files that somebody else named: only regular ones, never more than asked for, never a hang."""
+"""Files of any kind: read only where they are regular files of bounded size, written wholly or not at all."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import stat
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from depthcli.core.errors import InputError, printable
+from depthcli.core.errors import InputError, OutputError, printable
 
-MOST_BYTES = 1 << 31
+MAX_BYTES = 1 << 31
 """Size of the largest file that is read as a whole."""
 
-_SHOWN = 400  # characters of a path in a message; the longest path has 4096
+PARTIAL_SUFFIX = ".partial~"
+"""Ending of temporary names; a file left with it belongs to a killed run and may be deleted."""
+
+_MAX_SHOWN = 400  # characters of a path in a message; the longest path has 4096
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a named pipe"),
@@ -29,7 +33,7 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 def shown(path: Path | str) -> str:
     """``path`` on one line for a message, whatever bytes it holds; very long ones lose their middle."""
     text = printable(str(path)).replace("\n", "\\n")
-    return text if len(text) <= _SHOWN else f"{text[: _SHOWN // 2]}...{text[-_SHOWN // 2 :]}"
+    return text if len(text) <= _MAX_SHOWN else f"{text[: _MAX_SHOWN // 2]}...{text[-_MAX_SHOWN // 2 :]}"
 
 
 @contextlib.contextmanager
@@ -79,18 +83,18 @@ def _refuse_special(path: Path | str, status: os.stat_result) -> None:
         raise InputError(f"{shown(path)}: {kind}, want a regular file")
 
 
-def read_bytes(path: Path | str, most: int = MOST_BYTES) -> bytes:
-    """All bytes of a regular file of at most ``most`` bytes.
+def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
+    """All bytes of a regular file of at most ``max_bytes`` bytes.
 
     Raises
     ------
     InputError
-        As :func:`open_regular`; larger than ``most``; grew while it was read; no memory for it.
+        As :func:`open_regular`; larger than ``max_bytes``; grew while it was read; no memory for it.
     """
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
-        if size > most:
-            raise InputError(f"{shown(path)}: {size} bytes, want at most {most}")
+        if size > max_bytes:
+            raise InputError(f"{shown(path)}: {size} bytes, want at most {max_bytes}")
         try:
             data = file.read(size + 1)
         except MemoryError:
@@ -98,3 +102,56 @@ def read_bytes(path: Path | str, most: int = MOST_BYTES) -> bytes:
     if len(data) > size:
         raise InputError(f"{shown(path)}: grew while it was read")
     return data
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path | str) -> Iterator[Path]:
+    """Give a temporary name beside ``path`` to write to; rename it to ``path`` on success.
+
+    The folder is created where missing. When the block raises, the temporary file is removed and
+    ``path`` keeps what it held before.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be made, or the file cannot be written or renamed.
+    """
+    path = Path(path)
+    # The start of the name: all of it and the rest may be too long for a file system.
+    temporary = path.with_name(f".{path.name[:40]}.{os.getpid()}-{threading.get_ident()}{PARTIAL_SUFFIX}")
+    try:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            os.replace(temporary, path)
+        except (OSError, UnicodeError) as error:  # UnicodeError: no name in the file system's encoding
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise OutputError(f"{shown(path)}: cannot be written ({reason})") from error
+    except BaseException:
+        with contextlib.suppress(OSError, UnicodeError):
+            temporary.unlink(missing_ok=True)
+        raise
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Delete temporary files below ``folder`` whose process is gone: it was killed while it wrote them."""
+    for leftover in folder.rglob(f".*{PARTIAL_SUFFIX}"):
+        process = leftover.name.removesuffix(PARTIAL_SUFFIX).rpartition(".")[2].partition("-")[0]
+        try:
+            os.kill(int(process), 0)
+        except ProcessLookupError:
+            with contextlib.suppress(OSError):
+                leftover.unlink()
+        except (ValueError, OverflowError, OSError):  # no name of ours, or somebody else's process
+            continue
+
+
+def write_bytes(path: Path | str, data: bytes) -> None:
+    """Write ``data`` to ``path``, atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write ``text`` to ``path`` as UTF-8 with LF line ends, atomically; bytes of odd file names are escaped."""
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))

@@ -30,9 +30,6 @@ PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 # wanted and are a common cause of decoder warnings.
 _PNG_NEEDED = {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
-_JPEG_MARKER = re.compile(rb"\xff+([^\x00\xff])")  # a coded 0xff is followed by 0, and markers by fill bytes of 0xff
-_ARITHMETIC = (0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF)
-_SBIT = b"sBIT"
 _PNM_HEADER = re.compile(rb"P\d(?:\s|#[^\n]*\n)+" + rb"(\d{1,9})(?:\s|#[^\n]*\n)+" * 2 + rb"(\d{1,9})\s")
 # Comment lines, as some programs write them, may stand between the numbers.
 _PFM_GAP = rb"\s+(?:#[^\n]*\n\s*)*"
@@ -156,27 +153,12 @@ def check_size(size: ImageSize, stored: int, max_bytes: int | None) -> None:
         )
 
 
-def declared_bits(data: bytes) -> int | None:
-    """Bits of a sample that carry something, where a PNG (sBIT) or PNM (its maximum) says so; else None.
-
-    A maximum of all ones says nothing: most programs write it whatever the camera gave.
-    """
-    kind = image_kind(data)
-    if kind == "png":
-        bits = next((chunk[8:-4] for name, chunk in _png_chunks(data) if name == _SBIT), b"")
-        return max(bits, default=0) or None
-    if kind == "pnm":
-        top = pnm_header(data).top
-        return None if top in (255, 65535) else top.bit_length()
-    return None
-
-
 def check_png(data: bytes) -> bytes:
     """The file reduced to the chunks that carry pixels; InputError where it is truncated or a checksum differs."""
-    return PNG_MAGIC + b"".join(chunk for name, chunk in _png_chunks(data) if name in _PNG_NEEDED)
+    return PNG_MAGIC + b"".join(chunk for name, chunk in png_chunks(data) if name in _PNG_NEEDED)
 
 
-def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
     """Name and bytes (length and checksum included) of every chunk up to the end mark, verified."""
     at, name = len(PNG_MAGIC), b""
     while name != b"IEND":
@@ -190,33 +172,6 @@ def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
             raise InputError(f"damaged PNG (checksum of chunk {name.decode('latin-1')!r})")
         yield name, data[at:end]
         at = end
-
-
-def jpeg_scan_ends(data: bytes) -> list[int]:
-    """Where the Huffman codes of every scan and restart interval end; InputError where the image has no end.
-
-    Empty for arithmetic codes, which may end before their last pixel.
-    """
-    ends = []
-    at, coded, restarts = 2, False, 0
-    while (found := _JPEG_MARKER.search(data, at)) is not None:
-        marker, at = found[1][0], found.end()
-        if coded:
-            ends.append(found.start())
-        if marker == 0xD9:
-            return ends
-        if 0xD0 <= marker <= 0xD7:
-            if (marker - restarts) % 8:
-                raise InputError("damaged JPEG (a restart interval is missing)")
-            restarts += 1
-            continue
-        if marker == 0x01:
-            continue
-        if marker in _ARITHMETIC:
-            return []
-        at += int.from_bytes(data[at : at + 2], "big")
-        coded, restarts = marker == 0xDA, 0
-    raise InputError("truncated JPEG")
 
 
 def pnm_header(data: bytes) -> PnmHeader:
@@ -272,7 +227,7 @@ def decoding(kind: str) -> Iterator[None]:
 
 
 def _png_size(data: bytes) -> ImageSize:
-    name, chunk = next(_png_chunks(data))
+    name, chunk = next(png_chunks(data))
     if name != b"IHDR" or len(chunk) != 25:
         raise InputError("damaged PNG (no header)")
     width, height, bits, color = struct.unpack_from(">IIBB", chunk, 8)

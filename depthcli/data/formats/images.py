@@ -7,6 +7,7 @@ gives all of its pixels or an :class:`InputError`. Pillow decodes what it can ho
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,19 +17,15 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError, OutputError
 from depthcli.core.frames import Image as Image
-from depthcli.core.frames import StereoPair
-from depthcli.data.formats.atomic import write_bytes
-from depthcli.data.formats.files import naming, read_bytes, shown
+from depthcli.data.formats.files import naming, read_bytes, write_bytes
 from depthcli.data.formats.headers import (
     ImageSize,
     check_png,
     check_size,
-    declared_bits,
     decoding,
     holds_floats,
     image_kind,
     image_size,
-    jpeg_scan_ends,
     open_with_pillow,
     pnm_header,
 )
@@ -37,6 +34,8 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".pnm", ".tif", ".tif
 """File name endings that scene folders are searched for, best known first."""
 
 _MOST_PLAIN = 1 << 25  # every number takes 50 bytes while it is read
+_JPEG_MARKER = re.compile(rb"\xff+([^\x00\xff])")  # a coded 0xff is followed by 0, and markers by fill bytes of 0xff
+_ARITHMETIC = (0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF)
 _OTHER_BITS = bytes(range(7, 247, 5)) * 2
 
 
@@ -62,67 +61,6 @@ def read_image(path: Path | str, max_bytes: int | None = None) -> Image:
     data = read_bytes(path)
     with naming(path):
         return decode_image(data, max_bytes)
-
-
-def read_pair(left: Path | str, right: Path | str, max_bytes: int | None = None) -> StereoPair:
-    """Read a rectified pair; the range of 10- and 12-bit samples in 16-bit files is declared or found.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_image` (``max_bytes`` is for each image), or the images differ in size or type.
-    """
-    images, declared = [], []
-    for path in (left, right):
-        data = read_bytes(path)
-        with naming(path):
-            images.append(decode_image(data, max_bytes))
-            declared.append(declared_bits(data))
-    said = declared[0] if declared[0] == declared[1] else None
-    return pair_of(images[0], images[1], (Path(left), Path(right)), said)
-
-
-def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int | None = None) -> StereoPair:
-    """Two images as a pair; where one is grey and the other color, both become grey.
-
-    Parameters
-    ----------
-    paths : the files, for messages
-    declared : bits of the samples, where the files say them
-
-    Raises
-    ------
-    InputError
-        The images differ in size or type.
-    """
-    if left.shape[:2] != right.shape[:2] or left.dtype != right.dtype:
-        raise InputError(
-            f"{shown(paths[1])}: {_kind(right)}, but {shown(paths[0].name)} is {_kind(left)}; the pair must agree"
-        )
-    bits = sample_bits(left, right, declared=declared)
-    if left.ndim != right.ndim:
-        # Grey levels of one scale: luma of the color image, as it is stored.
-        left, right = (StereoPair(image, image).grey[0] for image in (left, right))
-    return StereoPair(left, right, bits)
-
-
-def sample_bits(*images: Image, declared: int | None = None) -> int:
-    """Bits of the samples of images that share one scale: 8, 16, or what 16-bit files hold.
-
-    Parameters
-    ----------
-    images : uint8 or uint16, of one type
-    declared : what the files say; believed where no sample is larger
-
-    Returns
-    -------
-    ``declared``; else 10 or 12 where no sample of any image is larger than 1023 or 4095; else the type's bits
-    """
-    bits = 8 * images[0].dtype.itemsize
-    top = max(int(image.max()) for image in images)
-    if declared is not None and declared <= bits and top < 1 << declared:
-        return declared if bits == 16 else bits
-    return next((few for few in (10, 12) if top < 1 << few), bits) if bits == 16 else bits
 
 
 def read_grey(path: Path | str, max_bytes: int | None = None) -> Image:
@@ -221,8 +159,34 @@ def _decode_with_pillow(data: bytes, kind: str) -> Image:
     return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype == np.uint8 else np.uint16))
 
 
+def _jpeg_scan_ends(data: bytes) -> list[int]:
+    """Where the Huffman codes of every scan and restart interval end; nowhere for arithmetic codes, which may end
+    before their last pixel. InputError where the image has no end.
+    """
+    ends = []
+    at, coded, restarts = 2, False, 0
+    while (found := _JPEG_MARKER.search(data, at)) is not None:
+        marker, at = found[1][0], found.end()
+        if coded:
+            ends.append(found.start())
+        if marker == 0xD9:
+            return ends
+        if 0xD0 <= marker <= 0xD7:
+            if (marker - restarts) % 8:
+                raise InputError("damaged JPEG (a restart interval is missing)")
+            restarts += 1
+            continue
+        if marker == 0x01:
+            continue
+        if marker in _ARITHMETIC:
+            return []
+        at += int.from_bytes(data[at : at + 2], "big")
+        coded, restarts = marker == 0xDA, 0
+    raise InputError("truncated JPEG")
+
+
 def _decode_jpeg(data: bytes) -> Image:
-    ends = jpeg_scan_ends(data)
+    ends = _jpeg_scan_ends(data)
     pixels = _decode_with_pillow(data, "jpeg")
     # A scan that ends early is filled up with grey, and nothing tells. With other bits after it, it is filled with
     # something else; bits after a complete scan are passed over.
@@ -273,8 +237,3 @@ def _decode_pnm(data: bytes) -> Image:
         raise InputError(f"damaged PGM/PPM (sample above the announced maximum {top})")
     shape = (height, width) if channels == 1 else (height, width, channels)
     return cast(Image, samples.astype(np.uint16 if top > 255 else np.uint8).reshape(shape))
-
-
-def _kind(image: Image) -> str:
-    color = "grey" if image.ndim == 2 else "colour"
-    return f"{image.shape[1]} x {image.shape[0]} {color} {image.dtype}"

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
+from depthcli.core.volumes import Grid
 from depthcli.data.formats.files import naming, read_bytes
-from depthcli.data.formats.volumes import Grid, suffix_of
+from depthcli.data.formats.volumes import suffix_of
 
 _COLUMNS = re.compile(r"(?:^|_)([xyz])(?:_|$)")
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.networks import TrainedNetwork
-from depthcli.data.formats.atomic import atomic_path
-from depthcli.data.formats.files import naming, read_bytes
+from depthcli.data.formats.files import atomic_path, naming, read_bytes
 
 _FORMAT = "depthcli choice 1"
 _MAX_BYTES = 1 << 24

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
-from depthcli.data.formats.atomic import write_text
-from depthcli.data.formats.files import naming, read_bytes
+from depthcli.data.formats.files import naming, read_bytes, write_text
 
 _MILLIMETERS = 1000.0
 _MAX_BYTES = 1 << 24  # a calibration has a few kilobytes

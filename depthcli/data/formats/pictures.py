@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.maps import DepthStatus, Status
-from depthcli.data.formats.atomic import write_bytes
-from depthcli.data.formats.files import naming, read_bytes
+from depthcli.data.formats.files import naming, read_bytes, write_bytes
 from depthcli.data.formats.headers import check_png, check_size, decoding, image_kind, image_size, open_with_pillow
 
 Palette = Mapping[int, tuple[str, tuple[int, int, int]]]

@@ -1,6 +1,7 @@
-"""Volumes: NIfTI, MetaImage, NRRD and DIR-Lab raw through SimpleITK; two-dimensional images as one slice.
+"""Volumes as files: NIfTI, MetaImage, NRRD, DIR-Lab raw; two-dimensional images as one slice.
 
-SimpleITK is an extra (``pip install depthcli[medical]``) and imported here and in ``io/fields.py`` only.
+They are read through SimpleITK, an extra (``pip install depthcli[medical]``) that is imported here only. They are
+written by hand, slab by slab, so that a volume larger than the memory can be written, and with the same bytes always.
 """
 
 from __future__ import annotations
@@ -8,107 +9,27 @@ from __future__ import annotations
 import contextlib
 import gzip
 import json
-import struct
+import os
 import warnings
-import zlib
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.data.formats.files import naming, open_regular, read_bytes, shown
+from depthcli.core.volumes import Grid, Volume
+from depthcli.data.formats.files import atomic_path, naming, read_bytes, shown
 from depthcli.data.formats.headers import image_size
 from depthcli.data.formats.images import IMAGE_SUFFIXES, read_grey
+from depthcli.data.formats.nifti import check_whole, encode_header
 
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img")
 """Endings of volume files; ``.img`` is DIR-Lab's raw format, with its size in ``meta.json``."""
 
-
-@dataclass(frozen=True)
-class Grid:
-    """Where the voxels of a volume are, in mm and in the LPS frame of ITK.
-
-    Attributes
-    ----------
-    size : voxels along x, y, z
-    spacing : mm along the volume's own axes
-    origin : position of the first voxel
-    direction : (3, 3), columns are the axes
-    """
-
-    size: tuple[int, int, int]
-    spacing: tuple[float, float, float]
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    direction: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """(Z, Y, X)."""
-        return self.size[2], self.size[1], self.size[0]
-
-    @property
-    def axes(self) -> NDArray[np.float64]:
-        """(3, 3) columns are the axes."""
-        return np.array(self.direction).reshape(3, 3)
-
-    def to_index(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(N, 3) positions x, y, z in mm as places z, y, x in voxels."""
-        own = (points - np.array(self.origin)) @ np.linalg.inv(self.axes).T
-        places: NDArray[np.float64] = (own / np.array(self.spacing))[:, ::-1]
-        return places
-
-    def to_point(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(N, 3) places z, y, x in voxels as positions x, y, z in mm."""
-        points: NDArray[np.float64] = (places[:, ::-1] * np.array(self.spacing)) @ self.axes.T + np.array(self.origin)
-        return points
-
-    def same_as(self, other: Grid) -> bool:
-        """Voxels lie at the same places, up to a hundredth of a voxel."""
-        if self.size != other.size:
-            return False
-        slack = 0.01 * min(self.spacing)
-        corners = np.array([[0, 0, 0], [self.size[2] - 1, self.size[1] - 1, self.size[0] - 1]], float)
-        return bool(np.allclose(self.to_point(corners), other.to_point(corners), atol=slack, rtol=0))
-
-
-@dataclass(frozen=True)
-class Volume:
-    """(Z, Y, X) float32 values, or (Z, Y, X, 3) of a vector field, and where they are."""
-
-    values: NDArray[np.float32]
-    grid: Grid
-
-
-def linear(values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Trilinear values at (N, 3) places z, y, x in voxels, borders repeated."""
-    top = np.array(values.shape) - 1
-    place = np.clip(places, 0, top)
-    low = np.minimum(place.astype(np.int64), np.maximum(top - 1, 0))
-    weight = place - low
-    total = np.zeros(len(places))
-    for corner in np.ndindex(2, 2, 2):
-        at = np.minimum(low + corner, top)
-        share = np.prod(np.where(np.array(corner) == 1, weight, 1 - weight), axis=1)
-        total += share * values[at[:, 0], at[:, 1], at[:, 2]]
-    return total.astype(np.float32)
-
-
-def block_means(values: NDArray[Any], blocks: tuple[int, int, int]) -> NDArray[np.float32]:
-    """(z, y, x) float32 means of blocks of voxels, smaller ones at the far borders; slice by slice."""
-    if max(blocks) == 1:
-        return values.astype(np.float32, copy=False)
-    starts = [np.arange(0, n, b) for n, b in zip(values.shape, blocks, strict=True)]
-    counts = [np.diff([*start, n]) for start, n in zip(starts, values.shape, strict=True)]
-    plane = counts[1][:, None] * counts[2][None, :]
-    out = np.empty([len(start) for start in starts], np.float32)
-    for k, first in enumerate(starts[0]):
-        total = values[first : first + blocks[0]].sum(axis=0, dtype=np.float64)
-        rows = np.add.reduceat(np.add.reduceat(total, starts[1], axis=0), starts[2], axis=1)
-        out[k] = rows / (plane * counts[0][k])
-    return out
+Slab = Callable[[int, int], NDArray[np.float32]]
+"""Slices ``first`` up to ``last`` of a volume, (n, Y, X), or (n, Y, X, 3) of a vector field."""
 
 
 def suffix_of(path: Path) -> str:
@@ -144,7 +65,7 @@ def read_volume(path: Path, vector: bool = False) -> Volume:
             return Volume(plane.astype(np.float32)[None], Grid((plane.shape[1], plane.shape[0], 1), (1.0, 1.0, 1.0)))
         if suffix_of(path) == ".img":
             return _dirlab(path)
-        bad = _check_whole(path)
+        bad = check_whole(path)
         volume = _volume(read_image(path), vector)
         if bad.size:
             # In the file a field's components lie one after another.
@@ -180,7 +101,7 @@ def read_image(path: Path) -> Any:
 
 
 @contextlib.contextmanager
-def _one_line() -> Any:
+def _one_line() -> Iterator[None]:
     """Errors of SimpleITK as an InputError with the reason in one line."""
     try:
         yield
@@ -219,10 +140,8 @@ def _volume(image: Any, vector: bool) -> Volume:
 
 
 @contextlib.contextmanager
-def quiet() -> Any:
+def quiet() -> Iterator[None]:
     """Without what the readers' C++ prints: the message comes with the exception."""
-    import os
-
     try:
         saved = os.dup(2)
         sink = os.open(os.devnull, os.O_WRONLY)
@@ -236,88 +155,6 @@ def quiet() -> Any:
         os.dup2(saved, 2)
         os.close(saved)
         os.close(sink)
-
-
-def _check_whole(path: Path) -> NDArray[np.int64]:
-    """Refuse what SimpleITK would fill up with zeros or mend in silence; places of the values it would make zero.
-
-    Those are the numbers of a NIfTI file that are not finite, counted in the order of the file.
-    """
-    bad: list[NDArray[np.int64]] = []
-    header, length = b"", 0
-    fields: dict[str, Any] = {}
-
-    def take(block: bytes) -> None:
-        kind = fields["float"]
-        if kind:
-            values = np.frombuffer(block, kind, len(block) // np.dtype(kind).itemsize)
-            found = np.flatnonzero(~np.isfinite(values))
-            if found.size:
-                bad.append(found + (length - fields["offset"]) // np.dtype(kind).itemsize)
-
-    with open_regular(path) as file:
-        if suffix_of(path) == ".nii.gz":
-            try:
-                with gzip.GzipFile(fileobj=file) as unpacked:
-                    header = unpacked.read(352)
-                    fields = nifti_fields(header)
-                    length = len(header) + len(unpacked.read(max(0, fields["offset"] - 352)))
-                    while block := unpacked.read(1 << 24):
-                        take(block)
-                        length += len(block)
-            except (OSError, EOFError, zlib.error):
-                raise InputError("cut off, or not a gzip file") from None
-        elif suffix_of(path) == ".nii":
-            header = file.read(352)
-            fields = nifti_fields(header)
-            length = file.seek(max(352, fields["offset"]))
-            while block := file.read(1 << 24):
-                take(block)
-                length += len(block)
-        else:
-            return np.zeros(0, np.int64)
-    if length < fields["offset"] + fields["bytes"]:
-        raise InputError(f"cut off: {length} bytes, its header promises {fields['offset'] + fields['bytes']}")
-    if any(not np.isfinite(s) or s == 0 for s in fields["spacing"]):
-        raise InputError("a spacing of 0")
-    return np.concatenate(bad) if bad else np.zeros(0, np.int64)
-
-
-def nifti_fields(header: bytes) -> dict[str, Any]:
-    """What is needed of a NIfTI-1 header; InputError where it is none."""
-    if len(header) < 348:
-        raise InputError("cut off within the header")
-    order = "<" if struct.unpack_from("<i", header)[0] == 348 else ">"
-    if struct.unpack_from(order + "i", header)[0] != 348:
-        raise InputError("no NIfTI-1 header")
-    dim = struct.unpack_from(order + "8h", header, 40)
-    count = min(max(dim[0], 1), 7)
-    pixdim = struct.unpack_from(order + "8f", header, 76)
-    voxels = 1
-    for n in dim[1 : 1 + count]:
-        voxels *= max(int(n), 1)
-    return {
-        "dim": dim[1 : 1 + count],
-        "spacing": pixdim[1 : 1 + min(count, 3)],
-        "offset": int(struct.unpack_from(order + "f", header, 108)[0]),
-        "bytes": voxels * struct.unpack_from(order + "h", header, 72)[0] // 8,
-        "float": {16: order + "f4", 64: order + "f8"}.get(struct.unpack_from(order + "h", header, 70)[0], ""),
-        "intent": struct.unpack_from(order + "h", header, 68)[0],
-        "intent_p1": struct.unpack_from(order + "f", header, 56)[0],
-        "intent_name": header[328:344].split(b"\0")[0].decode("latin-1").strip(),
-    }
-
-
-def nifti_header(path: Path) -> dict[str, Any]:
-    """Header fields of a NIfTI file."""
-    with open_regular(path) as file:
-        try:
-            if suffix_of(path) == ".nii.gz":
-                with gzip.GzipFile(fileobj=file) as unpacked:
-                    return nifti_fields(unpacked.read(352))
-            return nifti_fields(file.read(352))
-        except (OSError, EOFError, zlib.error):
-            raise InputError("cut off, or not a gzip file") from None
 
 
 def _dirlab_grid(path: Path) -> Grid:
@@ -342,3 +179,83 @@ def _dirlab(path: Path) -> Volume:
     if len(data) != wanted:
         raise InputError(f"{len(data)} bytes, want {wanted} for {' x '.join(map(str, grid.size))} int16")
     return Volume(np.frombuffer(data, "<i2").reshape(grid.shape).astype(np.float32), grid)
+
+
+def place(image: Any, grid: Grid) -> None:
+    """Give a SimpleITK image the grid's geometry."""
+    image.SetSpacing(grid.spacing)
+    image.SetOrigin(grid.origin)
+    image.SetDirection(grid.direction)
+
+
+def written_suffix(path: Path) -> str:
+    """Ending of what is written for an input: its own format where that holds real numbers."""
+    own = suffix_of(path)
+    return {".mhd": ".mha", ".nhdr": ".nrrd"}.get(own, own if own in (".nii", ".nii.gz", ".nrrd") else ".mha")
+
+
+def write_volume(path: Path, grid: Grid, slab: Slab, vector: bool = False) -> None:
+    """Write float32 slices as they come, in the format of the ending (``.nii``, ``.nii.gz``, ``.mha``, ``.nrrd``).
+
+    A field is written in mm along LPS, as ITK reads it; in NIfTI with the intent of a vector (1007).
+    """
+    kind = suffix_of(path)
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        if kind in (".nii", ".nii.gz"):
+            _write_nifti(file, grid, slab, vector, kind == ".nii.gz")
+        elif kind == ".nrrd":
+            file.write(_nrrd_header(grid, vector))
+            with gzip.GzipFile("", "wb", 1, file, mtime=0) as packed:
+                _write_slabs(packed, grid, slab, None)
+        else:
+            file.write(_meta_header(grid, vector))
+            _write_slabs(file, grid, slab, None)
+
+
+def write_array(path: Path, grid: Grid, values: NDArray[np.float32]) -> None:
+    """Write a (Z, Y, X) volume or a (Z, Y, X, 3) field that is in memory."""
+    write_volume(path, grid, lambda first, last: values[first:last], values.ndim == 4)
+
+
+def _write_slabs(file: Any, grid: Grid, slab: Slab, part: int | None) -> None:
+    depth = grid.shape[0]
+    step = max(1, (1 << 21) // (grid.size[0] * grid.size[1]))
+    for first in range(0, depth, step):
+        values = slab(first, min(first + step, depth))
+        file.write(np.ascontiguousarray(values if part is None else values[..., part], "<f4").data)
+
+
+def _write_nifti(file: BinaryIO, grid: Grid, slab: Slab, vector: bool, packed: bool) -> None:
+    target: Any = gzip.GzipFile("", "wb", 1, file, mtime=0) if packed else file
+    target.write(encode_header(grid, vector))
+    for part in range(3) if vector else (None,):
+        _write_slabs(target, grid, slab, part)
+    if packed:
+        target.close()
+
+
+def _meta_header(grid: Grid, vector: bool) -> bytes:
+    # MetaImage lists the axes one after another; ITK's matrix has them as columns.
+    axes = " ".join(f"{v:.17g}" for v in grid.axes.T.ravel())
+    parts = "ElementNumberOfChannels = 3\n" if vector else ""
+    return (
+        "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\n"
+        f"TransformMatrix = {axes}\nOffset = {' '.join(f'{v:.17g}' for v in grid.origin)}\n"
+        "CenterOfRotation = 0 0 0\nAnatomicalOrientation = RAI\n"
+        f"ElementSpacing = {' '.join(f'{v:.17g}' for v in grid.spacing)}\n"
+        f"DimSize = {' '.join(map(str, grid.size))}\n{parts}ElementType = MET_FLOAT\nElementDataFile = LOCAL\n"
+    ).encode("ascii")
+
+
+def _nrrd_header(grid: Grid, vector: bool) -> bytes:
+    columns = (grid.axes * np.array(grid.spacing)).T
+    directions = " ".join(f"({','.join(f'{v:.17g}' for v in column)})" for column in columns)
+    sizes = " ".join(map(str, grid.size))
+    kinds = "domain domain domain"
+    if vector:
+        sizes, kinds, directions = f"3 {sizes}", f"vector {kinds}", f"none {directions}"
+    return (
+        f"NRRD0004\ntype: float\ndimension: {4 if vector else 3}\nspace: left-posterior-superior\nsizes: {sizes}\n"
+        f"space directions: {directions}\nkinds: {kinds}\nendian: little\nencoding: gzip\n"
+        f"space origin: ({','.join(f'{v:.17g}' for v in grid.origin)})\n\n"
+    ).encode("ascii")

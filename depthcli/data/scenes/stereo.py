@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.data.scenes import Scene, name_of, together
 
@@ -51,7 +51,8 @@ class StereoScene(Scene):
 
     Attributes
     ----------
-    left, right : image files; ``right`` is None where there is only one view
+    left, right : image files, or videos; ``right`` is None where there is only one view
+    frame_number : of the videos' frames, from 0; None: ``left`` and ``right`` are images
     disparity_left, disparity_right, disparity_noc : ground truth files or None
     disparity_scale : codes per pixel of the ground truth; None = what the file's kind says
     scale_by_width : the scale follows from the map's width, as in the Middlebury 2005 and 2006 sets
@@ -77,6 +78,7 @@ class StereoScene(Scene):
 
     left: Path
     right: Path | None = None
+    frame_number: int | None = None
     disparity_left: Path | None = None
     disparity_right: Path | None = None
     disparity_noc: Path | None = None
@@ -102,7 +104,8 @@ class StereoScene(Scene):
     def named(cls, values: Mapping[str, Any]) -> list[Self]:
         """The pair of ``--left`` and ``--right``, those of two patterns or folders, the frames of two videos."""
         from depthcli.data.formats.images import IMAGE_SUFFIXES
-        from depthcli.data.pairs import VIDEO_SUFFIXES, is_many, match_patterns
+        from depthcli.data.formats.videos import VIDEO_SUFFIXES, count_frames
+        from depthcli.data.pairs import is_many, match_patterns
 
         one = cls.single(values)
         if one is None or one.right is None:
@@ -110,9 +113,12 @@ class StereoScene(Scene):
         if is_many(one.left) or is_many(one.right):
             return [cls._of_pair(pair) for pair in match_patterns(one.left, one.right, IMAGE_SUFFIXES)]
         if one.left.suffix.lower() in VIDEO_SUFFIXES:
-            from depthcli.data.scenes.video import video_scenes
-
-            return list(video_scenes(one.left, one.right))  # type: ignore[arg-type]  # they are StereoScenes
+            try:
+                counts = count_frames(one.left), count_frames(one.right)
+            except InputError as error:
+                raise ConfigError(str(error)) from None
+            digits = max(6, len(str(max(counts))))
+            return [replace(one, name=f"{number:0{digits}}", frame_number=number) for number in range(min(counts))]
         return [one]
 
     @classmethod
@@ -160,18 +166,25 @@ class StereoScene(Scene):
         return self.disparity_left is not None
 
     def load_views(self) -> tuple[Image, Image]:
-        """Both images as they are, which need not agree."""
-        from depthcli.data.formats.images import read_image
-
+        """Return both images as they are, which need not agree; InputError where one cannot be read."""
         self.check()
         if self.right is None:
             raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
+        if self.frame_number is not None:
+            from depthcli.data.formats.videos import read_frame
+
+            return read_frame(self.left, self.frame_number), read_frame(self.right, self.frame_number)
+        from depthcli.data.formats.images import read_image
+
         return read_image(self.left), read_image(self.right)
 
     def load(self) -> StereoPair:
-        """Left and right image of one size and dtype, both grey where one is; InputError otherwise."""
-        from depthcli.data.formats.images import read_pair
+        """Return left and right image of one size and dtype, both grey where one is; InputError otherwise."""
+        from depthcli.data.formats.stereo_images import pair_of, read_pair
 
+        if self.frame_number is not None:
+            left, right = self.load_views()
+            return pair_of(left, right, (self.left, self.right or self.left))
         self.check()
         if self.right is None:
             raise InputError(f"{self.left.parent}: scene {self.name} has no right image")

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.core.volumes import RegisteredPair
-    from depthcli.data.formats.volumes import Grid, Volume
+    from depthcli.core.volumes import Grid, RegisteredPair, Volume
 
 _USUAL_NAMES = ("fixed", "fixed.nii")
 
@@ -137,8 +136,9 @@ class VolumePairScene(Scene):
         InputError
             Files that cannot be used, grids that differ, values that are no numbers inside the mask.
         """
+        from depthcli.algorithms.resampling import block_means
         from depthcli.core.volumes import RegisteredPair
-        from depthcli.data.formats.volumes import block_means, read_volume
+        from depthcli.data.formats.volumes import read_volume
 
         self.check()
         fixed = read_volume(self.fixed)
@@ -237,8 +237,8 @@ class VolumePairScene(Scene):
         return points
 
     def _warp(self, fixed: Volume, convention: str) -> NDArray[np.float32]:
-        from depthcli.data.formats.fields import place, read_moving_transform
-        from depthcli.data.formats.volumes import read_volume, simple_itk
+        from depthcli.data.formats.fields import read_moving_transform
+        from depthcli.data.formats.volumes import place, read_volume, simple_itk
 
         sitk = simple_itk()
         assert self.moving is not None

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.resampling import trilinear
 from depthcli.core.errors import InputError
-from depthcli.data.formats.volumes import linear, read_volume
+from depthcli.data.formats.volumes import read_volume
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairScene
 from depthcli.evaluation.curves import sparsification
@@ -251,7 +252,7 @@ def _at_points(path: Path, truth: PreparedTruth) -> Errors:
     if truth.inside is not None:
         return volume.values[truth.inside]
     assert truth.landmarks is not None
-    return linear(volume.values, truth.landmarks)
+    return trilinear(volume.values, truth.landmarks)
 
 
 def _scores(region: str, expected: Errors, true: Errors) -> list[Score]:

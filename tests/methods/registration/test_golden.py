@@ -7,8 +7,8 @@ import warnings
 import numpy as np
 import pytest
 
-from depthcli.core.volumes import RegisteredPair
-from depthcli.data.formats.volumes import Grid, linear
+from depthcli.algorithms.resampling import trilinear
+from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.evaluation.statistics import correlation, ranks
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from tests.scenes import DATA
@@ -38,7 +38,7 @@ def figures(pair, transform):
     result = RegisterConfidenceConfig()(RegisteredPair(fixed, warped, grid.spacing[::-1]))
     places = (grid.to_index(pair.points) - np.array(result.start)) / np.array(result.step)
     true = errors(transform, pair)
-    found, cost = (linear(v, places).astype(float) for v in (result.expected_error, result.measures["cost0"]))
+    found, cost = (trilinear(v, places).astype(float) for v in (result.expected_error, result.measures["cost0"]))
     orders = [correlation(ranks(score), ranks(true)) for score in (found, cost)]
     return true.mean(), *orders, np.abs(found - true).mean()
 

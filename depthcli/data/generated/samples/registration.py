@@ -44,9 +44,9 @@ class RegistrationSample(Sample):
         """Both volumes, the body's mask, the dense true error and meta.json."""
         import numpy as np
 
-        from depthcli.data.formats.atomic import write_text
-        from depthcli.data.formats.volume_files import write_array
-        from depthcli.data.formats.volumes import Grid
+        from depthcli.core.volumes import Grid
+        from depthcli.data.formats.files import write_text
+        from depthcli.data.formats.volumes import write_array
         from depthcli.data.generated.arrays.deformed_volumes import make_deformed_pair
 
         largest, seed = scene.settings["largest"], scene.settings["seed"]

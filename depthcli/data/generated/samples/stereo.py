@@ -105,8 +105,8 @@ def write_scene(
     meta: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Write a scene in the layout ``scenes``; facts for the report."""
-    from depthcli.data.formats.atomic import write_text
     from depthcli.data.formats.disparity import write_pfm
+    from depthcli.data.formats.files import write_text
     from depthcli.data.formats.images import write_png
 
     write_png(folder / "left.png", left)

@@ -92,7 +92,7 @@ class TransparentSample(Sample):
         return self._write(values, seed, folder, scene.color, sensor, depth, {"transparent": scene.mask}, meta)
 
     def _write_infrared(self, folder: Path, infrared: NDArray[np.uint8]) -> None:
-        from depthcli.data.formats.atomic import write_text
+        from depthcli.data.formats.files import write_text
         from depthcli.data.formats.images import write_png
 
         write_png(folder / "ir.png", infrared)
@@ -102,8 +102,8 @@ class TransparentSample(Sample):
         self, values: Mapping[str, Any], seed: int, folder: Path, color: NDArray[np.uint8], sensor: NDArray[np.float32],
         truth: NDArray[np.float32], masks: Mapping[str, NDArray[np.bool_]], meta: dict[str, Any],
     ) -> dict[str, Any]:  # fmt: skip
-        from depthcli.data.formats.atomic import write_text
         from depthcli.data.formats.disparity import write_pfm
+        from depthcli.data.formats.files import write_text
         from depthcli.data.formats.images import write_png
         from depthcli.data.generated.arrays.transparent_scenes import sparse_samples
 
