@@ -26,7 +26,6 @@ def save_registration(
     result: RegistrationResult,
     loaded: LoadedPair,
     points: NDArray[np.float64] | None,
-    error: NDArray[np.float32] | None,
     folder: Path,
     suffix: str,
 ) -> None:
@@ -35,7 +34,6 @@ def save_registration(
     Parameters
     ----------
     points : (N, 3) landmarks x, y, z in mm, or None
-    error : (N,) their true errors, mm, or None
     suffix : ending of the volumes
     """
     grid = loaded.grid
@@ -57,12 +55,10 @@ def save_registration(
     write_volume(folder / f"shift{suffix}", grid, vectors, vector=True)
     write_png(folder / "preview.png", _preview(result, loaded))
     if points is not None:
-        write_text(folder / "points.csv", to_csv(_rows(result, loaded, points, error)))
+        write_text(folder / "points.csv", to_csv(_rows(result, loaded, points)))
 
 
-def _rows(
-    result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.float64], error: NDArray[np.float32] | None
-) -> list[Row]:
+def _rows(result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.float64]) -> list[Row]:
     starts, steps = loaded.on_grid(result.start, result.step)
     places = (loaded.grid.to_index(points) - np.array(starts)) / np.array(steps)
     expected, certainty = trilinear(result.expected_error, places), trilinear(result.certainty, places)
@@ -72,8 +68,6 @@ def _rows(
         row: Row = {axis: round(float(v), 4) for axis, v in zip("xyz", point, strict=True)}
         row |= {"confidence": round(float(certainty[k]), 5), "expected_error": round(float(expected[k]), 4)}
         row |= {f"shift_{axis}": round(float(v), 4) for axis, v in zip("xyz", shift[k], strict=True)}
-        if error is not None:
-            row["true_error"] = round(float(error[k]), 4)
         rows.append(row)
     return rows
 

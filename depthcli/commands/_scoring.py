@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from depthcli.batch.json_csv import to_csv
 from depthcli.batch.run_folder import read_report
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.data.formats.files import write_text
@@ -30,7 +31,7 @@ class Scoring:
     ----------
     runs : name -> folder or file of every run
     truth : folder or file of the ground truth
-    output : folder for error pictures and plots; None: nothing is drawn
+    output : folder for error pictures, plots and tables of points; None: nothing is written
     protocol : scores every scene; None: each scene names its own
     settings : options of the protocols
     page : is given every map; or None
@@ -106,6 +107,8 @@ class Scoring:
             pooled=protocol.keep(estimate, truth),
         )
         if self.output is not None:
+            if points := protocol.points(estimate, truth):
+                write_text(self.output / f"points/{result.run}/{result.scene}.csv", to_csv(points))
             picture = protocol.picture(estimate, truth)
             if picture is not None:
                 write_png(self.output / result.picture, picture)

@@ -100,7 +100,7 @@ def evaluate(
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
     Written to ``output``: ``scores.csv``, ``scores.json``, ``report.md``,
-    ``errors/<run>/<scene>.png``, ``curves/<run>/<scene>_<region>_<kind>.svg``.
+    ``errors/<run>/<scene>.png``, ``curves/<run>/<scene>_<region>_<kind>.svg``, ``points/<run>/<scene>.csv``.
 
     Parameters
     ----------

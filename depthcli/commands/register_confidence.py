@@ -72,9 +72,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         result = config(loaded.pair)
         clock.stop("other")
         clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
-        known = points is not None and scene.has_truth and scene.error_true is None
-        error = scene.truth(config.field).error if known else None
-        save_registration(result, loaded, points, error, folder, written_suffix(scene.fixed))
+        save_registration(result, loaded, points, folder, written_suffix(scene.fixed))
         clock.stop("save")
         width, height, slices = loaded.grid.size
         facts = {"width": width, "height": height, "slices": slices, **result.figures}

@@ -91,10 +91,17 @@ def test_a_moving_volume_with_its_field_and_landmarks(pairs, tmp_path):
     folder = moved_files(pairs, tmp_path / "pair")
     assert main(["register-confidence", "mind", "-i", str(folder), "-o", str(tmp_path / "run"), *SMALL]) == 0
     rows = (tmp_path / "run" / "pair" / "points.csv").read_text().splitlines()
-    assert rows[0] == "x,y,z,confidence,expected_error,shift_x,shift_y,shift_z,true_error"
+    assert rows[0] == "x,y,z,confidence,expected_error,shift_x,shift_y,shift_z"
+    values = [dict(zip(rows[0].split(","), map(float, row.split(",")), strict=True)) for row in rows[1:]]
+    assert all(v["confidence"] > 0.8 for v in values)
+    expected = [v["expected_error"] for v in values]
+    evaluated = tmp_path / "evaluated"
+    assert main(["evaluate", str(tmp_path / "run"), "--truth", str(folder), "-o", str(evaluated), "-q"]) == 0
+    rows = (evaluated / "points" / "run" / "pair.csv").read_text().splitlines()
+    assert rows[0] == "x,y,z,expected_error,true_error"
     values = [dict(zip(rows[0].split(","), map(float, row.split(",")), strict=True)) for row in rows[1:]]
     assert [v["true_error"] for v in values] == pytest.approx([0.5, 0.5], abs=1e-3)
-    assert all(v["confidence"] > 0.8 for v in values)
+    assert [v["expected_error"] for v in values] == pytest.approx(expected, abs=0.05)
     one = ["--fixed", str(folder / "fixed.mha"), "--moving", str(folder / "moving.mha"),
            "--displacement", str(folder / "displacement.mha"), "--name", "pair"]  # fmt: skip
     assert main(["register-confidence", "mind", *one, "-o", str(tmp_path / "one"), *SMALL]) == 0

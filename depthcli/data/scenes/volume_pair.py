@@ -111,9 +111,8 @@ class VolumePairScene(Scene):
 
     @property
     def input_files(self) -> dict[str, Path]:
-        """Volumes, transform and landmarks: the table of points has their true errors."""
-        roles = ("fixed", "moving_warped", "moving", "transform", "displacement", "mask", "landmarks_fixed",
-                 "landmarks_moving")  # fmt: skip
+        """Volumes, transform and the landmarks of the fixed volume."""
+        roles = ("fixed", "moving_warped", "moving", "transform", "displacement", "mask", "landmarks_fixed")
         return {role: file for role in roles if (file := getattr(self, role)) is not None}
 
     @property

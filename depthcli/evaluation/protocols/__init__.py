@@ -170,6 +170,10 @@ class Protocol(ABC, Generic[Estimate, Truth]):
             values, self.wrong(estimate, truth), evaluated, regions.get(self.presentation.visible_region)
         )
 
+    def points(self, estimate: Estimate, truth: Truth) -> list[dict[str, float]]:
+        """Return a row for each point whose truth is known, for a table; empty where the truth is a map."""
+        return []
+
     def size(self, truth: Truth) -> int:
         """Return the number of pixels or voxels that a run processes, by which its seconds are divided."""
         return next(region.size for region in self.regions(truth).values())

@@ -206,6 +206,12 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Return (N,) true errors, mm."""
         return truth.error
 
+    def points(self, estimate: Errors, truth: PreparedTruth) -> list[dict[str, float]]:
+        """Return place, expected and true error of every landmark, mm; empty where the true error is dense."""
+        rows = zip(*truth.truth.points.T, estimate, truth.error, strict=True) if truth.inside is None else ()
+        names = ("x", "y", "z", "expected_error", "true_error")
+        return [{name: round(float(v), 4) for name, v in zip(names, row, strict=True)} for row in rows]
+
     def size(self, truth: PreparedTruth) -> int:
         """Return the number of voxels of the fixed volume."""
         return math.prod(truth.truth.grid.shape)
