@@ -1,4 +1,4 @@
-"""The scenes that a command line means: a folder of them, a table of files, or the files of a single one."""
+"""The scenes that a command line names: a folder, a table of files, the files of a single scene, or maps of a run."""
 
 from __future__ import annotations
 
@@ -9,10 +9,15 @@ from typing import cast
 
 from depthcli.batch.command import SceneT, Values
 from depthcli.batch.console import Reporter
-from depthcli.core.errors import ConfigError
+from depthcli.batch.run_folder import is_inside, read_report
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.data.pairs import TABLE_SUFFIXES
 from depthcli.data.scenes import Scene
-from depthcli.data.walk import chosen_scenes, discover_scenes
+from depthcli.data.scenes.disparity_map import DisparityScene
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.walk import chosen_scenes, discover_scenes, matches_any, scenes_with_files
+
+_MAP = "disp_left.pfm"
 
 
 def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Reporter) -> list[SceneT]:
@@ -60,3 +65,64 @@ def scenes_at(
 
 def _chosen(scenes: Sequence[SceneT], patterns: Sequence[str], place: Path | str) -> list[SceneT]:
     return cast("list[SceneT]", chosen_scenes(cast("Sequence[Scene]", scenes), patterns, place))
+
+
+def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
+    """Return the disparity maps of a run, each with its left image and calibration, or a single map.
+
+    Raises
+    ------
+    InputError
+        There is no such run, or no map of a scene that matches ``--scenes``.
+    """
+    run: Path = values["run"]
+    if run.is_file():
+        return [
+            DisparityScene(
+                name=run.stem, folder=run.parent, disparity=run, left=values["left"], calibration=values["calibration"]
+            )
+        ]
+    rows = read_report(run)
+    names = _names_of_maps(run, list(rows), values["scenes"] or ["*"])
+    sources = {name: Path(source) for name in names if (source := rows.get(name, {}).get("source"))}
+    inputs: dict[str, Scene]
+    if values["input"] is not None:
+        inputs = {scene.name: scene for scene in scenes_at(values["input"], (StereoScene,), None, ["*"], reporter)}
+    else:
+        known = scenes_with_files(sources.values())
+        inputs = {name: known[source] for name, source in sources.items() if source in known}
+    return [_map_of(run / name, name, inputs.get(name), sources.get(name), values) for name in names]
+
+
+def _names_of_maps(run: Path, reported: Sequence[str], patterns: Sequence[str]) -> list[str]:
+    if not run.is_dir():
+        raise InputError(f"{run}: no such run folder or map")
+    names = {name for name in reported if is_inside(name) and (run / name / _MAP).is_file()}
+    names |= {path.parent.relative_to(run).as_posix() for depth in ("*", "*/*") for path in run.glob(f"{depth}/{_MAP}")}
+    chosen = sorted(name for name in names if not name.startswith(".") and matches_any(name, patterns))
+    if not chosen:
+        raise InputError(f"{run}: no {'scene matches' if names else 'disparity maps there'} (SCENE/{_MAP})")
+    return chosen
+
+
+def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, values: Values) -> DisparityScene:
+    """Return the map in ``folder``; ``pair`` is the scene it was made from, and ``source`` its left image, if known."""
+    left = source if source is not None and source.is_file() else None
+    calibration, cameras = None, (2, 3)
+    if isinstance(pair, StereoScene):
+        left, calibration, cameras = pair.left, pair.calibration, pair.cameras
+    if (folder / "calib.txt").is_file() and (folder / "left.png").is_file():  # the pair was rectified for the map
+        left, calibration, cameras = folder / "left.png", folder / "calib.txt", (2, 3)
+    elif pair is None and left is not None and (beside := left.parent / "calib.txt").is_file():
+        calibration = beside
+    status = folder / "status.png"
+    return DisparityScene(
+        name=name,
+        folder=folder,
+        disparity=folder / _MAP,
+        status=status if status.is_file() else None,
+        confidence={path.stem.partition("_")[2]: path for path in sorted(folder.glob("confidence_*.pfm"))},
+        left=left,
+        calibration=values["calibration"] or (calibration if values["focal"] is None else None),
+        cameras=cameras,
+    )

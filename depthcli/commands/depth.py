@@ -6,7 +6,6 @@ The calibration lies beside the images that the run was made from (``calib.txt``
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -14,10 +13,10 @@ from depthcli.batch.command import Values
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import BatchCommand
 from depthcli.commands._options import DRY_RUN, OUTPUT, RUN, SCENES
-from depthcli.commands._scenes import scenes_at
+from depthcli.commands._scenes import find_maps
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes import Scene
+from depthcli.data.scenes.disparity_map import DisparityScene
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,45 +27,8 @@ if TYPE_CHECKING:
     from depthcli.core.cameras.triangulation import PairGeometry
     from depthcli.data.formats.pictures import Palette
 
-_MAP = "disp_left.pfm"
 _BY_HAND = ("focal", "baseline")
 _MANY_LOST = 0.01  # share of depths beyond the PNG's codes above which a map says so
-
-
-@dataclass(frozen=True, kw_only=True)
-class DisparityScene(Scene):
-    """A disparity map that a run made, and what belongs to it.
-
-    Attributes
-    ----------
-    disparity : the map
-    status : why its pixels have values, or None
-    confidence : name -> map
-    left : the image that it describes, or None where that has gone
-    calibration : file beside that image, or the one that was said; or None
-    cameras : numbers of the pair's cameras in a calibration of several
-    """
-
-    disparity: Path
-    status: Path | None = None
-    confidence: dict[str, Path] = field(default_factory=dict)
-    left: Path | None = None
-    calibration: Path | None = None
-    cameras: tuple[int, int] = (2, 3)
-
-    @property
-    def input_files(self) -> dict[str, Path]:
-        """Everything that a depth map may depend on."""
-        known = {"disparity": self.disparity, "status": self.status, "left": self.left, "calibration": self.calibration}
-        files = {role: file for role, file in known.items() if file is not None}
-        return files | {f"confidence_{name}": file for name, file in self.confidence.items()}
-
-    def load(self) -> NDArray[np.float32]:
-        """The disparities, pixels, NaN = unknown."""
-        from depthcli.data.formats.disparity import read_disparity
-
-        self.check()
-        return read_disparity(self.disparity)
 
 
 class DepthOptions(TypedDict):
@@ -120,48 +82,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
             focal=values["focal"], baseline=values["baseline"], doffs=values["doffs"],
             mask=values["mask"], ply=values["ply"], depth_scale=values["depth_scale"],
         )  # fmt: skip
-        return self.run_on(config, self._find(values, reporter), values, reporter)
-
-    def _find(self, values: Values, reporter: Reporter) -> list[DisparityScene]:
-        from depthcli.data.scenes.stereo import StereoScene
-        from depthcli.data.walk import scenes_with_files
-
-        place: Path = values["run"]
-        if place.is_file():
-            left, calibration = values["left"], values["calibration"]
-            return [DisparityScene(name=place.stem, folder=place.parent, disparity=place, left=left,
-                                  calibration=calibration)]  # fmt: skip
-        maps = _maps_of(place, values["scenes"] or ["*"])
-        sources: dict[str, Scene]
-        if values["input"] is not None:
-            sources = {scene.name: scene for scene in scenes_at(values["input"], (StereoScene,), None, ["*"], reporter)}
-        else:
-            known = scenes_with_files(source for _, source in maps.values() if source is not None)
-            sources = {name: known[source] for name, (_, source) in maps.items() if source in known}
-        found: list[DisparityScene] = []
-        for name, (folder, source) in maps.items():
-            origin, left = sources.get(name), source if source is not None and source.is_file() else None
-            calibration, cameras = None, (2, 3)
-            if isinstance(origin, StereoScene):
-                left, calibration, cameras = origin.left, origin.calibration, origin.cameras
-            if (folder / "calib.txt").is_file() and (folder / "left.png").is_file():  # rectified for the map
-                left, calibration, cameras = folder / "left.png", folder / "calib.txt", (2, 3)
-            elif origin is None and left is not None and (beside := left.parent / "calib.txt").is_file():
-                calibration = beside
-            status = folder / "status.png"
-            found.append(
-                DisparityScene(
-                    name=name,
-                    folder=folder,
-                    disparity=folder / _MAP,
-                    status=status if status.is_file() else None,
-                    confidence={p.stem.partition("_")[2]: p for p in sorted(folder.glob("confidence_*.pfm"))},
-                    left=left,
-                    calibration=values["calibration"] or (calibration if values["focal"] is None else None),
-                    cameras=cameras,
-                )
-            )
-        return found
+        return self.run_on(config, find_maps(values, reporter), values, reporter)
 
     def settings(self, config: DepthOptions, scene: DisparityScene) -> dict[str, str]:
         """The cameras of a file that holds several."""
@@ -245,23 +166,6 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
             warnings.append(f"{100 * lost:.0f} % of the depths are beyond the {far:.4g} m that depth.png can hold: 0 "
                             "there, depth.pfm has them; see --depth-scale")  # fmt: skip
         return Outcome(facts, clock.seconds, warnings)
-
-
-def _maps_of(run: Path, patterns: list[str]) -> dict[str, tuple[Path, Path | None]]:
-    """Scene -> its folder and where its left image was, of the scenes that have a map."""
-    from depthcli.batch.run_folder import is_inside, read_report
-    from depthcli.data.walk import matches_any
-
-    if not run.is_dir():
-        raise InputError(f"{run}: no such run folder or map")
-    rows = read_report(run)
-    names = {name for name in rows if is_inside(name) and (run / name / _MAP).is_file()}
-    names |= {path.parent.relative_to(run).as_posix() for depth in ("*", "*/*") for path in run.glob(f"{depth}/{_MAP}")}
-    chosen = sorted(name for name in names if not name.startswith(".") and matches_any(name, patterns))
-    if not chosen:
-        raise InputError(f"{run}: no {'scene matches' if names else 'disparity maps there'} (SCENE/{_MAP})")
-    sources = {name: Path(source) for name in chosen if (source := rows.get(name, {}).get("source"))}
-    return {name: (run / name, sources.get(name)) for name in chosen}
 
 
 def _geometry(config: DepthOptions, scene: DisparityScene) -> PairGeometry:

@@ -14,8 +14,8 @@ from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 
 if TYPE_CHECKING:
-    from depthcli.batch.benchmarks import Benchmark, Entry
     from depthcli.batch.console import Reporter
+    from depthcli.evaluation.benchmarks import Benchmark, Entry
 
 _MOST_NAMED = 12  # scenes in one message
 
@@ -49,8 +49,8 @@ class ExportCommand(Command):
         ConfigError
             Anything that the benchmark would not take, all of it, a line each.
         """
-        from depthcli.batch.benchmarks import Submission, benchmark
         from depthcli.batch.json_csv import to_json
+        from depthcli.evaluation.benchmarks import Submission, benchmark
 
         target, bench = values["output"], benchmark(values["for_"])
         if target.exists() and not values["overwrite"]:
@@ -132,8 +132,8 @@ def _entries(
 
 
 def _entry(scene: str, split: str, path: Path, row: Mapping[str, Any], seconds: float | None) -> Entry:
-    from depthcli.batch.benchmarks import Entry
     from depthcli.data.formats.headers import image_size
+    from depthcli.evaluation.benchmarks import Entry
 
     measured = sum(row.get("seconds", {}).values()) if seconds is None else seconds
     source = Path(row["source"]) if row.get("source") else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -13,6 +13,7 @@ from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
+from depthcli.data.scenes.rgbd_sequence import SequenceScene, sequences
 
 if TYPE_CHECKING:
     from depthcli.batch.console import Column, Reporter
@@ -24,27 +25,6 @@ if TYPE_CHECKING:
 
 _PLAUSIBLE = (0.2, 20.0)  # meters: the median depth of a room
 _USUAL_SCALES = (1000.0, 5000.0, 256.0, 10_000.0, 100.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SequenceScene(Scene):
-    """The frames of a sequence, in order: what a method that carries state goes through as one."""
-
-    frames: tuple[RgbdScene, ...]
-
-    @property
-    def input_files(self) -> dict[str, Path]:
-        """Every frame's files."""
-        return {f"{frame.name}: {role}": file for frame in self.frames for role, file in frame.input_files.items()}
-
-    @property
-    def has_truth(self) -> bool:
-        """A frame has."""
-        return any(frame.has_truth for frame in self.frames)
-
-    def load(self) -> None:
-        """Frames are loaded one by one."""
-        self.check()
 
 
 class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
@@ -74,7 +54,7 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         from depthcli.methods.kinect.pipeline import SequencePipeline
 
         if isinstance(config.pipeline, SequencePipeline):
-            scenes = _sequences(scenes)
+            scenes = sequences(scenes)
         return super().run_on(config, scenes, values, reporter)
 
     def settings(self, config: RefineKinectConfig, scene: Scene) -> dict[str, str]:
@@ -200,22 +180,6 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         clock.stop("save")
         seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
         return Outcome(facts, seconds, [] if scene.raw else _doubts(scene, frame))
-
-
-def _sequences(scenes: Sequence[Scene]) -> list[Scene]:
-    """Frames of one sequence as one scene; frames that belong to none are sequences of their own."""
-    groups: dict[tuple[Path, str], list[RgbdScene]] = {}
-    found: list[Scene] = []
-    for scene in scenes:
-        if isinstance(scene, RgbdScene) and not scene.problem:
-            groups.setdefault((scene.folder, scene.sequence or scene.name), []).append(scene)
-        else:
-            found.append(scene)
-    for (folder, sequence), frames in groups.items():
-        ordered = tuple(sorted(frames, key=lambda frame: frame.number))
-        name = ordered[0].name.rpartition("/")[0] if ordered[0].sequence else ordered[0].name
-        found.append(SequenceScene(name=name or sequence.rpartition("/")[2], folder=folder, frames=ordered))
-    return sorted(found, key=lambda scene: scene.name)
 
 
 def _check_memory(config: RefineKinectConfig, frame: RgbdFrame, memory: int) -> None:

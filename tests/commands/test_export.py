@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthcli.batch.benchmarks import BENCHMARKS, TEST, TRAINING, MiddleburyV3
 from depthcli.cli import main
 from depthcli.data.formats.disparity import read_disparity, write_pfm
+from depthcli.evaluation.benchmarks import BENCHMARKS, TEST, TRAINING, MiddleburyV3
 
 V3, ETH, K12, K15 = (BENCHMARKS[name]() for name in ("middlebury-v3", "eth3d", "kitti-2012", "kitti-2015"))
 
