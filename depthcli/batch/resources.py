@@ -1,4 +1,4 @@
-"""Cores and memory of the machine, as far as this process may use them."""
+"""Cores and memory of the machine that this process may use."""
 
 from __future__ import annotations
 
@@ -7,29 +7,44 @@ import os
 import re
 from pathlib import Path
 
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.memory import show_bytes
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
 def cores() -> int:
-    """Cores this process may run on."""
+    """Return the number of cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def parse_bytes(text: str, option: str = "--max-memory") -> int:
-    """``2GiB``, ``500M``, ``1e9`` as bytes; ConfigError for anything else."""
+    """Return ``2GiB``, ``500M`` or ``1e9`` in bytes; ConfigError for any other text."""
     match = re.fullmatch(r"\s*(\d{1,18}(?:\.\d{0,9})?(?:[eE]\d{1,2})?)\s*([kmgt]i?|)b?\s*", text, re.IGNORECASE)
     size = int(float(match[1]) * _UNITS[match[2].lower()]) if match else 0
     if size < 1:
-        raise ConfigError(f"{option}: want a size such as 2GiB or 500M (got {text[:40]!r})")
+        raise ConfigError(f"{option}: must be a size such as 2GiB or 500M (got {text[:40]!r})")
     return size
 
 
+def check_memory(need: int, limit: int, size: str, options: str = "--max-memory, --jobs") -> None:
+    """Raise InputError where a scene needs more bytes than ``limit``.
+
+    Parameters
+    ----------
+    size : size of the scene, for the message
+    options : options and config keys that help
+    """
+    if need > limit:
+        raise InputError(
+            f"needs about {show_bytes(need)} of memory ({size}), {show_bytes(limit)} may be used; see {options}"
+        )
+
+
 def available_memory() -> int:
-    """Bytes that can be had now: free memory within the limit of the control group."""
+    """Return the free memory, within the limit of the control group, in bytes."""
     found = [1 << 62]
     try:
         for line in Path("/proc/meminfo").read_text("ascii").splitlines():
@@ -51,13 +66,13 @@ def available_memory() -> int:
 
 
 def reset_peak() -> None:
-    """Start measuring the peak anew, where the system can (Linux)."""
+    """Start a new measurement of the peak, where the system can (Linux)."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", "ascii")
 
 
 def peak_memory() -> int | None:
-    """Largest resident size of this process since :func:`reset_peak` (or since its start), bytes."""
+    """Return the largest resident size since :func:`reset_peak`, or since the start of the process, in bytes."""
     try:
         for line in Path("/proc/self/status").read_text("ascii", "replace").splitlines():
             if line.startswith("VmHWM:"):

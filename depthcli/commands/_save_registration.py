@@ -18,8 +18,8 @@ from depthcli.data.scenes.volume_pair import LoadedPair
 from depthcli.methods.registration._volume import resample
 from depthcli.methods.registration.pipeline import RegistrationResult
 
-_TOP = 10.0  # mm shown in full red
-_SIDE = 240  # pixels that the longest side of a slice has, about
+_MAX_SHOWN_ERROR = 10.0  # mm, shown in dark red by the color map
+_SLICE_SIDE = 240  # pixels of the longest side of a slice, about
 
 
 def save_registration(
@@ -33,8 +33,8 @@ def save_registration(
 
     Parameters
     ----------
-    points : (N, 3) landmarks x, y, z in mm, or None
-    suffix : ending of the volumes
+    points : (N, 3) landmarks of the fixed volume, x, y, z in mm, or None
+    suffix : file suffix of the volumes
     """
     grid = loaded.grid
     starts, steps = loaded.on_grid(result.start, result.step)
@@ -75,7 +75,7 @@ def _rows(result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.flo
 def _preview(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.uint8]:
     """Three orthogonal slices through the middle, one a row: fixed, warped, expected error over fixed."""
     shape = result.expected_error.shape
-    finer = max(1, round(_SIDE / max(shape)))
+    finer = max(1, round(_SLICE_SIDE / max(shape)))
     low, high = (float(v) for v in np.percentile(loaded.pair.fixed[:: max(1, shape[0] // 16)], [1, 99]))
     rows = []
     for axis in range(3):
@@ -87,7 +87,7 @@ def _preview(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.uint8
             grey = [np.clip((c - low) / max(high - low, 1e-6) * 255, 0, 255).astype(np.uint8) for c in cuts]
             plain = [np.repeat(g[..., None], 3, axis=2) for g in grey]
             error = _enlarged(result.expected_error, axis, middle, (1, 1, 1), (0, 0, 0), shape, finer)
-            code = np.clip(error / _TOP * 255, 0, 255).astype(np.uint8)
+            code = np.clip(error / _MAX_SHOWN_ERROR * 255, 0, 255).astype(np.uint8)
             color = cv2.applyColorMap(code, cv2.COLORMAP_TURBO)[..., ::-1].reshape(plain[0].shape)
             over = (0.5 * plain[0] + 0.5 * color).astype(np.uint8)
             rows.append(np.concatenate([*plain, over], axis=1))

@@ -1,7 +1,7 @@
 """Turn the disparity maps of a run into metric depth maps and point clouds.
 
 The calibration lies beside the images that the run was made from (``calib.txt`` of Middlebury, ETH3D and of
-``rectify``, KITTI's files), or is said.
+``rectify``, KITTI's files), or is given by options.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from depthcli.core.cameras.triangulation import PairGeometry
     from depthcli.data.formats.pictures import Palette
 
-_BY_HAND = ("focal", "baseline")
-_MANY_LOST = 0.01  # share of depths beyond the PNG's codes above which a map says so
+# Share of depths too large for the codes of depth.png above which a warning is shown.
+_MAX_SHARE_BEYOND_PNG = 0.01
 
 
 class DepthOptions(TypedDict):
@@ -47,33 +47,35 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
 
     @property
     def arguments(self) -> tuple[Option, ...]:
-        """The run."""
+        """The run folder, or a single map."""
         return (Option("run", Path, "Run folder of stereo or fuse, or one disparity map.", "RUN", required=True),)
 
     @property
     def options(self) -> tuple[Option, ...]:
-        """Where the calibration is, which pixels, which files."""
+        """The calibration, which pixels get a depth, and which files are written."""
         return (
             OUTPUT,
             SCENES,
-            Option("input", Path, "The run's folder of scenes, where it has moved.", "DIR", short="-i"),
+            Option("input", Path, "Folder of the run's scenes, if it has moved.", "DIR", short="-i"),
             Option("left", Path, "Left image of a single map, for the point cloud.", "FILE"),
-            Option("calibration", Path, "Calibration of all scenes: calib.txt, KITTI's projections.", "FILE"),
-            Option("focal", float, "Focal length, instead of a file.", "PIXELS", least=1e-6),
-            Option("baseline", float, "Distance of the cameras, instead of a file.", "METERS", least=1e-9),
+            Option("calibration", Path, "Calibration for all scenes: a calib.txt, or projections of KITTI.", "FILE"),
+            Option("focal", float, "Focal length, instead of a calibration file.", "PIXELS", least=1e-6),
+            Option("baseline", float, "Distance of the cameras, instead of a calibration file.", "METERS", least=1e-9),
             Option("doffs", float, "x of the right principal point minus the left one's.", "PIXELS"),
-            Option("mask", str, "Pixels: measured, all, or confident:0.8, the surest 80 % of the measured ones "
-                   "(confident:0.8:NAME of several maps). Default: all in the maps, measured in the cloud.", "WHICH"),
-            Option("ply", bool, "Write a colored point cloud of every scene, too.", default=False),
-            Option("depth_scale", float, "Codes a meter of depth.png.", "CODES", default=1000.0, least=1e-3, most=1e6),
+            Option("mask", str, "Pixels that get a depth: measured, all, or confident:0.8, the 80 % of the measured "
+                   "ones with the highest confidence (confident:0.8:NAME if there are several maps). Default: all for "
+                   "maps, measured for point clouds.", "WHICH"),
+            Option("ply", bool, "Also write a colored point cloud of every scene.", default=False),
+            Option("depth_scale", float, "Codes per meter in depth.png.", "CODES", default=1000.0, least=1e-3,
+                   most=1e6),
             *RUN,
             DRY_RUN,
         )  # fmt: skip
 
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Turn every map of the run into depth."""
-        by_hand = [name for name in (*_BY_HAND, "doffs") if values[name] is not None]
-        if by_hand and not all(values[name] is not None for name in _BY_HAND):
+        """Turn every map of the run into depth; return the exit code."""
+        by_hand = [name for name in ("focal", "baseline", "doffs") if values[name] is not None]
+        if by_hand and (values["focal"] is None or values["baseline"] is None):
             raise ConfigError("--focal and --baseline belong together (and --doffs, where the cameras have one)")
         if by_hand and values["calibration"] is not None:
             raise ConfigError(f"--calibration and --{by_hand[0]} exclude each other")
@@ -85,16 +87,14 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         return self.run_on(config, find_maps(values, reporter), values, reporter)
 
     def settings(self, config: DepthOptions, scene: DisparityScene) -> dict[str, str]:
-        """The cameras of a file that holds several."""
         return {"cameras": f"{scene.cameras}"}
 
     def memory_of(self, config: DepthOptions, scene: DisparityScene) -> None:
-        """No estimate: little more than the map itself; InputError where there is no calibration."""
+        """Return None, since it is little more than the map itself; InputError where there is no calibration."""
         if config["focal"] is None:
             _geometry(config, scene)
 
     def columns(self) -> tuple[Column, ...]:
-        """Size, share of pixels with depth, how far they are, and what depth was computed with."""
         from depthcli.batch.console import SIZE, Column, percent
 
         def number(key: str, unit: str) -> Column:
@@ -104,13 +104,12 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
                 number("baseline", "m"))  # fmt: skip
 
     def palette(self) -> Palette:
-        """Of the disparity map's status, which is the depth map's."""
         from depthcli.data.formats.pictures import STATUS_PALETTE
 
         return STATUS_PALETTE
 
     def compute(self, config: DepthOptions, scene: DisparityScene, folder: Path, memory: int) -> Outcome:
-        """The depth of one map.
+        """Compute the depth of one map.
 
         Raises
         ------
@@ -135,7 +134,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         cloud = None
         if config["ply"]:
             if scene.left is None:
-                raise InputError(f"{scene.folder}: the left image has gone, no color for a point cloud; say --input")
+                raise InputError(f"{scene.folder}: the left image is missing, which colors a point cloud; give --input")
             cloud = color8(read_image(scene.left))
             _same_size(scene.left, cloud, disparity)
         clock.stop("load")
@@ -147,7 +146,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         save_metric_depth(depth, status, folder, config["depth_scale"], points)
         clock.stop("save")
         known = np.isfinite(depth)
-        lost = float(np.mean(depth[known] * config["depth_scale"] >= 65535.5)) if known.any() else 0.0
+        beyond = float(np.mean(depth[known] * config["depth_scale"] >= 65535.5)) if known.any() else 0.0
         facts: Row = {
             "width": width,
             "height": height,
@@ -156,14 +155,14 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
             "focal": geometry.left.fx,
             "baseline": geometry.baseline,
             "doffs": geometry.offset,
-            "beyond_png": round(lost, 6),
+            "beyond_png": round(beyond, 6),
         }
         if cloud is not None:
             facts["points"] = int(np.count_nonzero(known & in_cloud))
         warnings = []
-        if lost > _MANY_LOST:
+        if beyond > _MAX_SHARE_BEYOND_PNG:
             far = 65535 / config["depth_scale"]
-            warnings.append(f"{100 * lost:.0f} % of the depths are beyond the {far:.4g} m that depth.png can hold: 0 "
+            warnings.append(f"{100 * beyond:.0f} % of the depths are beyond the {far:.4g} m that depth.png can hold: 0 "
                             "there, depth.pfm has them; see --depth-scale")  # fmt: skip
         return Outcome(facts, clock.seconds, warnings)
 
@@ -178,12 +177,14 @@ def _geometry(config: DepthOptions, scene: DisparityScene) -> PairGeometry:
         camera = Intrinsics(config["focal"], config["focal"], (width - 1) / 2, (height - 1) / 2)
         return PairGeometry(camera, config["baseline"], config["doffs"] or 0.0)
     if scene.calibration is None:
-        raise InputError(f"{scene.folder}: no calibration beside the images; say --calibration, or --focal, --baseline")
+        raise InputError(
+            f"{scene.folder}: no calibration beside the images; give --calibration, or --focal, --baseline"
+        )
     return read_geometry(scene.calibration, scene.cameras)
 
 
 def _parse_mask(text: str | None) -> tuple[str, float, str]:
-    """Kind, share and name of ``measured``, ``all``, ``confident:0.8:NAME``."""
+    """Return kind, share and name of ``measured``, ``all`` or ``confident:0.8:NAME``."""
     kind, _, rest = (text or "all").partition(":")
     share, _, name = rest.partition(":")
     try:
@@ -192,13 +193,13 @@ def _parse_mask(text: str | None) -> tuple[str, float, str]:
         number = -1.0
     if (kind in ("measured", "all") and not rest) or (kind == "confident" and 0 < number <= 1):
         return kind, number, name
-    raise ConfigError(f"--mask: want measured, all, or confident:0.8 (got {text!r})")
+    raise ConfigError(f"--mask: must be measured, all, or confident:0.8 (got {text!r})")
 
 
 def _mask(
     text: str, scene: DisparityScene, disparity: NDArray[np.float32], status: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
-    """Which pixels; of the confident ones those above the quantile, ties included."""
+    """Return the pixels that ``--mask`` chooses; of the confident ones all at and above the quantile."""
     import numpy as np
 
     from depthcli.core.maps import Status
@@ -211,11 +212,11 @@ def _mask(
     measured: NDArray[np.bool_] = known & ((status & Status.FILLED) == 0)
     if kind == "measured":
         return measured
-    there = ", ".join(scene.confidence)
+    names = ", ".join(scene.confidence)
     if not name and len(scene.confidence) == 1:
-        name = there
+        name = names
     if name not in scene.confidence:
-        has = f"the run has: {there}" if there else "the run has none; see confidence: in the config"
+        has = f"the run has: {names}" if names else "the run has none; see confidence: in the config"
         raise InputError(f"{scene.folder}: --mask {text}: which confidence map? {has}")
     confidence = read_pfm(scene.confidence[name])
     _same_size(scene.confidence[name], confidence, disparity)

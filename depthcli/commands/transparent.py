@@ -21,57 +21,51 @@ if TYPE_CHECKING:
 
 
 class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
-    """Any pipeline of ``transparent/pipeline/``."""
+    """Completes the depth of transparent objects from sparse depth, given or matched between color and infrared."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (RgbdScene,)
 
     def config_model(self) -> type[TransparentConfig]:
-        """A pipeline and the scale of the depth files."""
         from depthcli.methods.transparent.config import TransparentConfig
 
         return TransparentConfig
 
     def files(self, config: TransparentConfig, scene: RgbdScene) -> dict[str, Path]:
-        """The frame's files and the sparse depth's."""
         if config.stereo is not None:
             return super().files(config, scene)
         sparse = {"sparse": scene.sparse, "sparse_confidence": scene.sparse_confidence}
         return super().files(config, scene) | {role: file for role, file in sparse.items() if file is not None}
 
     def settings(self, config: TransparentConfig, scene: RgbdScene) -> dict[str, str]:
-        """What the layout says about the files."""
-        said = {"depth_scale": str(config.depth_scale or scene.depth_scale)}
-        return said | {"max_disparity": str(getattr(scene, "max_disparity", None))}
+        scale, top = config.depth_scale or scene.depth_scale, getattr(scene, "max_disparity", None)
+        return {"depth_scale": str(scale), "max_disparity": str(top)}
 
     def memory_of(self, config: TransparentConfig, scene: RgbdScene) -> int:
-        """By the size of the color image; of what follows the search for sparse depth."""
+        """Return an estimate of the peak memory after the sparse depth is known, bytes."""
         from depthcli.data.formats.headers import image_size
 
-        need: int = config.pipeline.peak_bytes(image_size(scene.color)[:2])
-        return need
+        return config.pipeline.peak_bytes(image_size(scene.color)[:2])
 
     def columns(self) -> tuple[Column, ...]:
-        """Size, and the shares of pixels that were kept, filled, replaced, and have a sample that says the same."""
         from depthcli.batch.console import SIZE, Column, percent
 
         names = ("known", "sparse", "kept", "filled", "replaced", "from_stereo")
         return (SIZE, *(Column(name, percent(name)) for name in names))
 
     def palette(self) -> Palette:
-        """Colors of the bits of a depth map's status."""
         from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
 
         return DEPTH_STATUS_PALETTE
 
     def legend_values(self) -> tuple[int, ...]:
-        """The sensor's, filled and replaced, without and with a sample of the pixel that says the same, and empty."""
+        """Return kept, filled and replaced, the latter two also where the sparse depth has a value, and empty."""
         from depthcli.core.maps import DepthStatus
 
         filled, replaced, sampled = DepthStatus.GAP_FILLED, DepthStatus.CORRECTED, DepthStatus.SAMPLED
         return (0, filled, replaced, filled | sampled, replaced | sampled, DepthStatus.EMPTY)
 
     def compute(self, config: TransparentConfig, scene: RgbdScene, folder: Path, memory: int) -> Outcome:
-        """Dense depth of one frame.
+        """Compute the dense depth of one frame.
 
         Raises
         ------
@@ -88,16 +82,15 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         clock = Clock()
         if config.depth_scale is not None:
             scene = replace(scene, depth_scale=config.depth_scale)
-        frame, stereo = self._sparse(config, scene, memory)
+        frame, stereo = _load_frame(config, scene, memory)
         clock.stop("load")
+        clock.seconds["load"] = max(clock.seconds["load"] - sum(stereo.seconds.values()), 0.0)
+        clock.seconds |= stereo.seconds
         result = config.pipeline(frame)
-        result.seconds = stereo.seconds | result.seconds
+        clock.stop_stages(result.seconds)
         result.figures |= stereo.figures
         result.pictures |= stereo.pictures
         result.confidence |= stereo.confidence
-        clock.stop("other")
-        clock.seconds["load"] = max(clock.seconds["load"] - sum(stereo.seconds.values()), 0.0)
-        clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
         status = result.depth.status
 
         def share(bits: int) -> float:
@@ -117,46 +110,38 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         }
         save_depth(result, folder, scene.depth_scale, 3 if scene.rotated else 0)
         clock.stop("save")
-        seconds = {"load": clock.seconds["load"], **result.seconds} | clock.seconds
-        return Outcome(facts, seconds)
-
-    def _sparse(self, config: TransparentConfig, scene: RgbdScene, memory: int) -> tuple[SparseFrame, Result]:
-        """The frame with sparse depth, and what stereo has to say where it comes from there."""
-        import numpy as np
-
-        from depthcli.core.result import Clock, Result
-        from depthcli.data.scenes.rgb_ir import RgbIrScene
-
-        if config.stereo is None:
-            frame = scene.load_sparse()
-            _check_memory(config, frame.shape, memory)
-            return frame, Result()
-        if not isinstance(scene, RgbIrScene):
-            raise InputError(f"{scene.folder}: {scene.name} has no infrared image (ir.*), which this config wants")
-        pair = scene.load_pair()
-        stereo = config.stereo
-        if stereo.max_disparity is None and scene.max_disparity is not None:
-            stereo = stereo.model_copy(update={"max_disparity": scene.max_disparity})
-        height, width = pair.depth.shape
-        _check_memory(config, (height, width), memory, stereo.peak_bytes((height, width)))
-        clock = Clock()
-        frame, figures = stereo(pair, clock)
-        with np.errstate(invalid="ignore"):
-            codes = np.nan_to_num(np.rint(frame.sparse * scene.depth_scale), nan=0.0)
-        pictures = {"stereo": np.where(codes <= 65535, codes, 0).astype(np.uint16)}
-        confidence = {} if frame.sparse_confidence is None else {"stereo": frame.sparse_confidence}
-        return frame, Result(seconds=clock.seconds, confidence=confidence, pictures=pictures, figures=figures)
+        return Outcome(facts, clock.seconds)
 
 
-def _check_memory(config: TransparentConfig, shape: tuple[int, int], memory: int, least: int = 0) -> None:
-    from depthcli.core.memory import show_bytes
+def _load_frame(config: TransparentConfig, scene: RgbdScene, memory: int) -> tuple[SparseFrame, Result]:
+    """Return the frame with its sparse depth, and the by-products of the matching that this comes from, if any."""
+    import numpy as np
 
-    need = max(config.pipeline.peak_bytes(shape), least)
-    if need > memory:
-        raise InputError(
-            f"needs about {show_bytes(need)} of memory ({shape[1]} x {shape[0]} pixels), "
-            f"{show_bytes(memory)} may be used; see --max-memory, --jobs"
-        )
+    from depthcli.batch.resources import check_memory
+    from depthcli.core.result import Clock, Result
+    from depthcli.data.scenes.rgb_ir import RgbIrScene
+
+    if config.stereo is None:
+        frame = scene.load_sparse()
+        height, width = frame.shape
+        check_memory(config.pipeline.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
+        return frame, Result()
+    if not isinstance(scene, RgbIrScene):
+        raise InputError(f"{scene.folder}: {scene.name} has no infrared image (ir.*), which this config needs")
+    pair = scene.load_pair()
+    stereo = config.stereo
+    if stereo.max_disparity is None and scene.max_disparity is not None:
+        stereo = stereo.model_copy(update={"max_disparity": scene.max_disparity})
+    height, width = pair.depth.shape
+    need = max(config.pipeline.peak_bytes((height, width)), stereo.peak_bytes((height, width)))
+    check_memory(need, memory, f"{width} x {height} pixels")
+    clock = Clock()
+    frame, figures = stereo(pair, clock)
+    with np.errstate(invalid="ignore"):
+        codes = np.nan_to_num(np.rint(frame.sparse * scene.depth_scale), nan=0.0)
+    pictures = {"stereo": np.where(codes <= 65535, codes, 0).astype(np.uint16)}
+    confidence = {} if frame.sparse_confidence is None else {"stereo": frame.sparse_confidence}
+    return frame, Result(seconds=clock.seconds, confidence=confidence, pictures=pictures, figures=figures)
 
 
 COMMAND = TransparentCommand()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -49,6 +49,11 @@ class Clock:
         now = self._now()
         self.seconds[stage] = self.seconds.get(stage, 0.0) + max(now - self._last, 0.0)
         self._last = now
+
+    def stop_stages(self, stages: Mapping[str, float]) -> None:
+        """Book the time since the last call under ``stages``, which were timed within it, and the rest as ``other``."""
+        self.stop("other")
+        self.seconds |= {**stages, "other": max(self.seconds.pop("other") - sum(stages.values()), 0.0)}
 
     @staticmethod
     def _now() -> float:

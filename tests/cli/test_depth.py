@@ -160,7 +160,7 @@ def test_the_run_has_moved(matched: tuple[Path, Path], tmp_path: Path, capsys):
     for name in ("disp_left.pfm", "status.png"):
         (copy / "planes_0" / name).write_bytes((made / "planes_0" / name).read_bytes())
     assert run("depth", copy, "-o", tmp_path / "a", "-q") == 3
-    assert "no calibration beside the images; say --calibration" in capsys.readouterr().err
+    assert "no calibration beside the images; give --calibration" in capsys.readouterr().err
     assert run("depth", copy, "-o", tmp_path / "b", "-i", scenes, "--ply", "-q") == 0
     assert run("depth", tmp_path / "absent", "-o", tmp_path / "c") == 2
     assert run("depth", scenes, "-o", tmp_path / "c") == 2
