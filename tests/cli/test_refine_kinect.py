@@ -116,7 +116,7 @@ def test_single_frames_and_point_clouds(tmp_path: Path, capsys: pytest.CaptureFi
     assert run(*one, "-o", tmp_path / "r", "-q") == 0
     assert list(rows(tmp_path / "r")) == ["x"]
     assert run(*one, "-o", tmp_path / "p", "--ply") == 3
-    assert "a point cloud wants the camera's intrinsics" in capsys.readouterr().err
+    assert "a point cloud needs the camera's intrinsics" in capsys.readouterr().err
     (tmp_path / "x" / "meta.json").write_text('{"fx": 50, "fy": 50, "cx": 15, "cy": 10}')
     assert run("refine-kinect", "nearest", "-i", tmp_path / "x", "-o", tmp_path / "p", "--ply", "-q") == 0
     header = (tmp_path / "p" / "x" / "points.ply").read_bytes()[:80]
