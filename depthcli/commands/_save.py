@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from depthcli.batch.json_csv import to_csv
 from depthcli.core.cameras.camera import Intrinsics
-from depthcli.core.result import Result
+from depthcli.core.result import RefinedDepth, Result
 from depthcli.data.formats.depth import write_depth_png, write_ply
 from depthcli.data.formats.disparity import write_disparity_png, write_pfm
 from depthcli.data.formats.files import write_text
@@ -22,7 +22,6 @@ from depthcli.data.formats.pictures import (
     preview_depth,
     write_status,
 )
-from depthcli.methods.kinect.result import RefinedDepth
 from depthcli.methods.stereo.volume import StereoResult
 
 

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from depthcli.batch.console import Column, Reporter
     from depthcli.batch.task import Outcome
     from depthcli.core.frames import RgbdFrame
+    from depthcli.core.result import RefinedDepth
     from depthcli.data.formats.pictures import Palette
     from depthcli.methods.kinect.config import RefineKinectConfig
-    from depthcli.methods.kinect.result import RefinedDepth
 
 # Median depths, in meters, that are plausible for a room.
 _MIN_ROOM_DEPTH, _MAX_ROOM_DEPTH = 0.2, 20.0

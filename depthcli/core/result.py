@@ -10,6 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.maps import DepthMap
+
 
 @dataclass(kw_only=True)
 class Result:
@@ -29,6 +31,27 @@ class Result:
     tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     pictures: dict[str, NDArray[Any]] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class RefinedDepth(Result):
+    """A refined depth map and how far its values may be off.
+
+    Attributes
+    ----------
+    depth : the map, with what was done to every pixel
+    sigma : (H, W) float32, meters: standard deviation by the residuals of the model a value comes from, NaN = none
+    """
+
+    depth: DepthMap
+    sigma: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        if self.sigma.shape != self.depth.values.shape or self.sigma.dtype != np.float32:
+            raise ValueError(
+                f"want float32 sigma of the depth's size {self.depth.values.shape}, "
+                f"got {self.sigma.shape} {self.sigma.dtype}"
+            )
 
 
 class Clock:

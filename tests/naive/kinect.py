@@ -1,4 +1,4 @@
-"""Slow and obvious twins of the kernels of refine-kinect; numpy only."""
+"""Slow and obvious references of the kernels of refine-kinect; numpy only."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import math
 import numpy as np
 
 
-def jump_distance_of_line(line, jump, gap_tolerance):
-    """(distance to the nearest jump, length of the run) of every pixel of a line, capped at 255."""
+def edge_distance_of_line(line, jump, gap_tolerance):
+    """Distance of every pixel of a line from the nearest edge whose near side it lies on, capped at 255."""
     known = [i for i in range(len(line)) if not np.isnan(line[i])]
     # Every event (a, b): consecutive known pixels; does a near side end at a, does one begin at b?
     events = []
@@ -20,27 +20,24 @@ def jump_distance_of_line(line, jump, gap_tolerance):
         elif abs(step) > jump:
             events.append((a, b, step < 0, step > 0))
     nearest = np.full(len(line), 255)
-    length = np.full(len(line), 255)
     for i in known:
         left = [e for e in events if e[1] <= i][-1:]
         right = [e for e in events if e[0] >= i][:1]
         from_left = i - left[0][1] + 1 if left and left[0][3] else None
         from_right = right[0][0] - i + 1 if right and right[0][2] else None
         nearest[i] = min([255] + [v for v in (from_left, from_right) if v is not None])
-        if from_left is not None and from_right is not None and from_left < 255:
-            length[i] = min(255, from_left + from_right - 1)
-    return nearest, length
+    return nearest
 
 
-def jump_distance(disparity, jump, gap_tolerance):
-    """(row, column, length) as in depthcli.methods.kinect.suspects.jump_distance."""
+def edge_distance(disparity, jump, gap_tolerance):
+    """Distances along rows and along columns."""
     height, width = disparity.shape
-    rows = [jump_distance_of_line(disparity[y], jump, gap_tolerance) for y in range(height)]
-    columns = [jump_distance_of_line(disparity[:, x], jump, np.inf)[0] for x in range(width)]
-    return np.array([r[0] for r in rows]), np.array(columns).T, np.array([r[1] for r in rows])
+    rows = [edge_distance_of_line(disparity[y], jump, gap_tolerance) for y in range(height)]
+    columns = [edge_distance_of_line(disparity[:, x], jump, np.inf) for x in range(width)]
+    return np.array(rows), np.array(columns).T
 
 
-def farthest_fit(disparity, jump, tolerance):
+def nearest_allowed(disparity, jump, tolerance):
     limit = np.full(disparity.shape, np.inf)
     for y, row in enumerate(disparity):
         known = np.flatnonzero(~np.isnan(row))
@@ -174,14 +171,14 @@ def owners(labels, modelled, color, value_at, limit):
     return np.array([settled.get(s, -1) for s in range(count)])
 
 
-def carried_labels(labels, own, still, color, trusted, limit, value_at, scale, jump, noise):
+def carried_labels(labels, own, still, color, reliable, limit, value_at, scale, jump, noise):
     height, width = labels.shape
     cost = np.full(labels.shape, np.inf)
     for y, x in np.ndindex(height, width):
         s = labels[y, x]
         if s >= 0 and still[y, x]:
             value = value_at(s, y, x)
-            off = abs(trusted[y, x] - value)
+            off = abs(reliable[y, x] - value)
             fits = np.isnan(off) or off <= jump + 3 * scale[s]
             if fits and value <= limit[y, x] + jump:
                 cost[y, x] = 0
@@ -203,8 +200,8 @@ def carried_labels(labels, own, still, color, trusted, limit, value_at, scale, j
                     continue
                 value = value_at(labels[v, u], y, x)
                 total = cost[v, u] + np.abs(color[y, x].astype(int) - color[v, u]).sum()
-                if not np.isnan(trusted[y, x]):
-                    total += 5 / noise * abs(trusted[y, x] - value)
+                if not np.isnan(reliable[y, x]):
+                    total += 5 / noise * abs(reliable[y, x] - value)
                 if value > limit[y, x]:
                     total += 1000
                 if total < cost[y, x]:

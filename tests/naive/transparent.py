@@ -1,4 +1,4 @@
-"""Slow and obvious twins of the transparent package's kernels; numpy only."""
+"""Slow and obvious references of the kernels of transparent; numpy only."""
 
 from __future__ import annotations
 

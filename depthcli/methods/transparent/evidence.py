@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, DepthStatus
-from depthcli.core.result import Clock
-from depthcli.methods.kinect.result import RefinedDepth
+from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.fit import RobustFit
 from depthcli.methods.transparent.suspects import Suspicion, noise_of
 

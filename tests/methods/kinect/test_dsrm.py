@@ -49,13 +49,13 @@ def test_gaps_are_filled_edges_moved_and_noise_is_less(kind):
     assert found["measured"] < raw(kinect, "measured")
 
 
-def test_suspects_first_is_better_than_the_plain_reading():
+def test_leaving_out_unreliable_pixels_is_better_than_the_plain_method():
     kinect = sample()
     best, plain = (errors(preset(name)(kinect.frame()), kinect) for name in ("dsrm", "dsrm-plain"))
     assert best["gap"] < plain["gap"] and best["mismatch"] < plain["mismatch"]
 
 
-def test_depth_guidance_shows_where_near_and_far_wear_one_color():
+def test_depth_guidance_separates_near_and_far_of_one_color():
     kinect = sample("camouflage", 0)
     guided = errors(Dsrm()(kinect.frame()), kinect)
     blind = Dsrm.model_validate(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.methods.kinect.noise import noise_level
+from depthcli.methods.kinect.disparity import noise_level
 
 
 @pytest.mark.parametrize("sigma", [0.2, 0.5, 1.0])
@@ -25,6 +25,6 @@ def test_rounded_values():
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 5)])
-def test_too_little_to_tell_is_the_floor(shape):
+def test_without_differences_the_noise_is_the_floor(shape):
     assert noise_level(np.full(shape, np.nan, np.float32)) == 0.1
     assert noise_level(np.full(shape, 7, np.float32), floor=0.2) == 0.2

@@ -1,4 +1,4 @@
-"""The methods of others, and the fast one of ours."""
+"""Library filters for comparison, and the preset fast."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
+from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence, simulate_kinect
-from depthcli.methods.kinect.fill import nearest_fill
+from depthcli.methods.kinect.disparity import nearest_fill
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother, weighted_smoothing
 from depthcli.methods.kinect.pipeline.guided import Guided
 from depthcli.methods.kinect.pipeline.inpaint import Inpaint
-from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateral, joint_bilateral_fill
+from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateral
 from depthcli.methods.kinect.pipeline.nearest import Nearest
 from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
@@ -82,7 +83,7 @@ def test_joint_bilateral_is_its_formula():
         assert filled[y, x] == pytest.approx(total / weights, rel=1e-4)
 
 
-def test_nearest_is_the_nearest():
+def test_nearest_fill_takes_the_nearest_known_value():
     values = np.full((20, 20), np.nan, np.float32)
     values[3, 4], values[15, 12] = 1, 2
     filled = nearest_fill(values)
@@ -93,7 +94,7 @@ def test_nearest_is_the_nearest():
     assert np.isnan(nearest_fill(np.full((3, 3), np.nan, np.float32))).all()
 
 
-def test_inpaint_is_opencvs(sample):
+def test_inpaint_equals_opencv(sample):
     frame = sample.frame()
     gaps = np.isnan(frame.disparity)
     expected = cv2.inpaint(np.nan_to_num(frame.disparity), gaps.astype(np.uint8), 3, cv2.INPAINT_TELEA)
@@ -102,7 +103,7 @@ def test_inpaint_is_opencvs(sample):
 
 
 def spatial(line, alpha, delta):
-    """One pass over a line, there and back, with edges told by the values before filtering."""
+    """One pass over a line, there and back, with edges at steps of the unfiltered values."""
     for order in (range(len(line)), range(len(line) - 1, -1, -1)):
         source, state, before = line.copy(), np.nan, np.nan
         for i in order:
@@ -177,7 +178,7 @@ def test_shadow_rims_hold_the_value_on_the_left():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved", "camouflage"])
-def test_the_fast_one_beats_the_smoother_it_is_made_of(kind):
+def test_shadow_smoother_has_smaller_errors_than_the_smoother_it_uses(kind):
     sample = simulate_kinect(*make_kinect_scene(kind, 1, 320, 240, 40), 1, discs=4)
     frame = sample.frame()
     ours, peer = (

@@ -1,4 +1,4 @@
-"""The pipeline of local planes and votes, and the kernels behind it."""
+"""The pipeline plane_votes, and the kernels behind it."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, simulate_kinect
-from depthcli.methods.kinect.holes import hidden_openings
-from depthcli.methods.kinect.outlines import FIRST, outline_offsets, truth_probability
+from depthcli.methods.kinect.outlines import MIN_OFFSET, outline_offsets, truth_probability
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
 from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateral
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
-from depthcli.methods.kinect.shadows import left_rims, shadow_belief, shadow_limits
-from depthcli.methods.kinect.votes import LEVELS, Evidence, Voters, cast_votes
+from depthcli.methods.kinect.plane_voting import LEVELS, ShadowPrior, Voters, cast_votes, hidden_openings
+from depthcli.methods.kinect.shadows import left_rims, shadow_confidence, shadow_limits
 from tests.naive import kinect_votes as naive
 
 
@@ -39,7 +38,7 @@ def random_map(rng, shape, holes=0.15):
 
 
 @pytest.mark.parametrize("shape", [(23, 31), (1, 40), (40, 1), (5, 4), (1, 1)])
-def test_local_planes_are_those_of_the_twin(shape):
+def test_window_planes_agree_with_the_reference(shape):
     rng = np.random.default_rng(sum(shape))
     disparity = random_map(rng, shape)
     trust = np.where(rng.random(shape) < 0.8, rng.random(shape), 0).astype(np.float32)
@@ -53,7 +52,7 @@ def test_local_planes_are_those_of_the_twin(shape):
         np.testing.assert_allclose(mine, naive.local_plane(disparity, trust, 0.3, y, x), atol=6e-3)
 
 
-def test_planes_that_nothing_touches_are_taken_over():
+def test_planes_whose_windows_did_not_change_are_taken_over():
     rng = np.random.default_rng(8)
     disparity = random_map(rng, (40, 150))
     trust = np.ones((40, 150), np.float32)
@@ -67,7 +66,7 @@ def test_planes_that_nothing_touches_are_taken_over():
     np.testing.assert_array_equal(first.value, window_planes(disparity, trust, 0.3).value)
 
 
-def test_votes_are_those_of_the_twin():
+def test_votes_agree_with_the_reference():
     rng = np.random.default_rng(5)
     shape = (43, 90)
     lab = rng.integers(60, 160, (*shape, 3), dtype=np.uint8)
@@ -82,7 +81,7 @@ def test_votes_are_those_of_the_twin():
     voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
     sigma = np.full(shape, 2 * 1.1**24, np.float32)  # one of those that there are tables for
     pixels = np.argwhere(rng.random(shape) < 0.01).astype(np.int32)
-    values, shares = cast_votes(pixels, lab, voters, Evidence(limit, beyond, rim, bonus), 0.3, 4, 40.0, sigma)
+    values, shares = cast_votes(pixels, lab, voters, ShadowPrior(limit, beyond, rim, bonus), 0.3, 4, 40.0, sigma)
     voting = planes.value[(trust > 0) & ~np.isnan(planes.value)]
     unit = 0.3 * 5 / 3
     low = float(voting.min()) - 8 * unit
@@ -102,7 +101,7 @@ def test_votes_are_those_of_the_twin():
     assert agree >= 0.95 * len(pixels)  # a vote at the border of two bins may fall into either
 
 
-def test_votes_of_nobody():
+def test_without_voters_there_are_no_candidates():
     shape = (6, 7)
     nothing = np.zeros(shape, np.float32)
     planes = WindowPlanes(np.full(shape, np.nan, np.float32), nothing, nothing, nothing)
@@ -112,7 +111,7 @@ def test_votes_of_nobody():
         np.array([[0, 0]], np.int32),
         lab,
         voters,
-        Evidence(nothing, nothing, nothing, nothing),
+        ShadowPrior(nothing, nothing, nothing, nothing),
         0.3,
         3,
         9.0,
@@ -123,17 +122,17 @@ def test_votes_of_nobody():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fattening", [2, 4, 6])
-def test_the_frame_tells_how_much_too_wide_things_are(fattening):
+def test_outline_offsets_are_the_simulated_fattening(fattening):
     sample = sample_of(size=(400, 300), fattening=fattening)
-    laws = outline_offsets(lab_of(sample.color), sample.disparity, 1.5)
-    np.testing.assert_allclose(laws.sum(axis=1), 1)
-    for law in laws:
-        assert abs((law * np.arange(FIRST, FIRST + law.size)).sum() - fattening) < 1.2
-        assert abs(FIRST + law.argmax() - fattening) <= 1
+    distributions = outline_offsets(lab_of(sample.color), sample.disparity, 1.5)
+    np.testing.assert_allclose(distributions.sum(axis=1), 1)
+    for distribution in distributions:
+        assert abs((distribution * np.arange(MIN_OFFSET, MIN_OFFSET + distribution.size)).sum() - fattening) < 1.2
+        assert abs(MIN_OFFSET + distribution.argmax() - fattening) <= 1
 
 
 @pytest.mark.slow
-def test_probabilities_are_honest():
+def test_truth_probability_separates_right_from_wrong_measurements():
     sample = sample_of(size=(400, 300))
     right = truth_probability(lab_of(sample.color), sample.disparity, 1.5)
     known = sample.measured | sample.mismatch
@@ -141,18 +140,18 @@ def test_probabilities_are_honest():
     assert sample.mismatch[known & (right > 0.9)].mean() < 0.05
 
 
-def test_a_frame_without_edges_or_without_depth_has_no_suspects():
+def test_a_frame_without_edges_or_without_depth_has_no_unreliable_pixels():
     lab = np.full((20, 60, 3), 100, np.uint8)
     flat = np.full((20, 60), 12, np.float32)
     assert (truth_probability(lab, flat, 1.0) == 1).all()
     assert (truth_probability(lab, np.full_like(flat, np.nan), 1.0) == 1).all()
-    assert shadow_belief(flat, 1.0) == 0
+    assert shadow_confidence(flat, 1.0) == 0
 
 
-def test_shadows_of_the_simulation_are_believed_and_mirrored_ones_are_not():
+def test_simulated_shadows_have_high_confidence_and_mirrored_ones_none():
     sample = sample_of(size=(400, 300), discs=0)
-    assert shadow_belief(sample.disparity, 1.5) > 0.8
-    assert shadow_belief(np.ascontiguousarray(sample.disparity[:, ::-1]), 1.5) == 0
+    assert shadow_confidence(sample.disparity, 1.5) > 0.8
+    assert shadow_confidence(np.ascontiguousarray(sample.disparity[:, ::-1]), 1.5) == 0
 
 
 def test_limits_and_rims_of_shadows():
@@ -170,11 +169,11 @@ def test_limits_and_rims_of_shadows():
         assert (bonus[y, first:end] > 0.5).all() and (beyond[y, first:end] < 0.05).all()
     gaps = np.isnan(sample.disparity)
     assert np.isinf(limit[~gaps]).all() and (beyond[~gaps] == 1).all()
-    unbelieved = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, 0.0)[1]
-    assert (unbelieved == 1).all()
+    unconfident = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, 0.0)[1]
+    assert (unconfident == 1).all()
 
 
-def test_an_opening_closed_by_the_sensor_is_doubted_for_its_color():
+def test_an_opening_closed_by_the_sensor_is_found_by_its_color():
     color = np.full((80, 160, 3), (200, 60, 60), np.uint8)
     truth = np.full((80, 160), 30, np.float32)
     behind = np.zeros((80, 160), bool)
@@ -190,16 +189,16 @@ def test_an_opening_closed_by_the_sensor_is_doubted_for_its_color():
     planes = window_planes(sample.disparity, trust, 0.3)
     lab = lab_of(color)
     near = np.isfinite(sample.disparity) & (np.arange(160) > 58)
-    doubted = hidden_openings(lab, planes, Voters.of(lab, planes, trust, 4), near, 1.5, 11.0)
-    assert doubted[opening].all()
-    assert doubted[near & ~cv2.dilate(opening.astype(np.uint8), np.ones((9, 9))).astype(bool)].mean() < 0.01
+    hidden = hidden_openings(lab, planes, Voters.of(lab, planes, trust, 4), near, 1.5, 11.0)
+    assert hidden[opening].all()
+    assert hidden[near & ~cv2.dilate(opening.astype(np.uint8), np.ones((9, 9))).astype(bool)].mean() < 0.01
     refined = PlaneVotes()(sample.frame())
     assert np.median(43.5 / refined.depth.values[opening]) == pytest.approx(22, abs=0.5)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planes", "foreground", "curved", "camouflage"])
-def test_better_than_its_peers_everywhere(kind):
+def test_errors_are_below_those_of_library_filters_everywhere(kind):
     sample = sample_of(kind, 1, (320, 240))
     frame = sample.frame()
     refined = PlaneVotes()(frame)

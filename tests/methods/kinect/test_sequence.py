@@ -1,4 +1,4 @@
-"""What a sequence carries from frame to frame."""
+"""The state that a sequence carries from frame to frame."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.arrays.kinect_scenes import KinectSample, make_kinect_sequence
-from depthcli.methods.kinect.layer import Evidence, Layer
-from depthcli.methods.kinect.sequence import SequenceState, carried_labels, still_pixels
+from depthcli.methods.kinect.layers import Layer, Measurement
+from depthcli.methods.kinect.pipeline.sequence import SequenceState, carried_labels, still_pixels
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.methods.kinect.test_dsrm import preset
 from tests.methods.kinect.test_surfaces import labels_of, noisy
@@ -43,7 +43,7 @@ def both_ways(kind: str, seed: int):
     samples = make_kinect_sequence(kind, 8, seed, 320, 240, 40)
     pipeline = preset("sequence")
     along, state = run(pipeline, samples)
-    assert state.age == len(samples) - 1  # nothing was started anew
+    assert state.age == len(samples) - 1  # segments were computed once
     return samples, along, [pipeline(sample.frame()) for sample in samples]
 
 
@@ -98,12 +98,12 @@ def test_a_state_saved_and_read_goes_on_with_the_same_bytes(cut):
         assert array.tobytes() == end.arrays()[name].tobytes()
 
 
-def test_age_and_change_start_anew():
+def test_segments_are_new_after_max_age_and_much_change():
     samples = frames("static")
     ages = []
     state = None
     for sample in samples:
-        _, state = preset("sequence", longest=3).step(sample.frame(), state)
+        _, state = preset("sequence", max_age=3).step(sample.frame(), state)
         ages.append(state.age)
     assert ages == [0, 1, 2, 0, 1, 2, 0, 1]
     _, state = preset("sequence").step(samples[0].frame(), None)
@@ -137,10 +137,10 @@ def test_still_pixels(shape):
     rng = np.random.default_rng(0)
     color = blocks(*shape)
     before = np.clip(color + rng.integers(-6, 7, color.shape), 0, 255).astype(np.uint8)
-    trusted, disparity = noisy(*shape), noisy(*shape, seed=1)
-    found = still_pixels(color, before, trusted, disparity, 5, 2.0)
+    reliable, disparity = noisy(*shape), noisy(*shape, seed=1)
+    found = still_pixels(color, before, reliable, disparity, 5, 2.0)
     same = np.abs(color.astype(int) - before).max(axis=2) <= 5
-    np.testing.assert_array_equal(found, same & ~(np.abs(trusted - disparity) > 2))
+    np.testing.assert_array_equal(found, same & ~(np.abs(reliable - disparity) > 2))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (14, 23)])
@@ -156,17 +156,17 @@ def test_carried_labels(shape, share):
     )  # fmt: skip
     surfaces.coefficients[:, :3] = rng.integers(18, 28, (count, 3))
     limit = np.where(rng.random(shape) < 0.3, rng.uniform(10, 40, shape), np.inf).astype(np.float32)
-    trusted, still, own = noisy(*shape), rng.random(shape) < share, rng.random(shape) < 0.5
+    reliable, still, own = noisy(*shape), rng.random(shape) < share, rng.random(shape) < 0.5
     color = blocks(*shape)
-    seen = Evidence(trusted, trusted, np.zeros(shape, bool), limit, 0.3)
+    measurement = Measurement(reliable, reliable, np.zeros(shape, bool), limit, 0.3)
 
     def value_at(s, y, x):
         b = surfaces.coefficients[s]
         return b[0] + b[1] * x / 50 + b[2] * y / 50
 
-    found = carried_labels(Layer(labels, surfaces, own), still, color, seen, 1.5)
+    found = carried_labels(Layer(labels, surfaces, own), still, color, measurement, 1.5)
     expected = naive.carried_labels(
-        labels, own, still, color, trusted, limit, value_at, surfaces.scale, 1.5, 0.3
+        labels, own, still, color, reliable, limit, value_at, surfaces.scale, 1.5, 0.3
     )  # fmt: skip
     np.testing.assert_array_equal(found[0], expected[0])
     np.testing.assert_array_equal(found[1], expected[1])

@@ -7,7 +7,7 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.methods.kinect.model.polynomial import Polynomial
-from depthcli.methods.kinect.occlusion import farthest_fit
+from depthcli.methods.kinect.shadows import nearest_allowed
 from depthcli.methods.kinect.surfaces import add_detail, join_segments
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.naive import kinect as naive
@@ -33,10 +33,10 @@ def one_segment(values):
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("unknown", [0.0, 0.3, 1.0])
-def test_farthest_fit(shape, unknown):
+def test_nearest_allowed(shape, unknown):
     disparity = noisy(*shape, unknown=unknown)
-    found = farthest_fit(disparity, 1.5, 2.5)
-    np.testing.assert_allclose(found, naive.farthest_fit(disparity, 1.5, 2.5), rtol=1e-6)
+    found = nearest_allowed(disparity, 1.5, 2.5)
+    np.testing.assert_allclose(found, naive.nearest_allowed(disparity, 1.5, 2.5), rtol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -85,7 +85,7 @@ def test_pixels_on_a_line_are_flat_across_it():
     assert np.isfinite(fitted.coefficients).all() and np.isfinite(fitted.at(np.zeros((40, 40), np.int32))).all()
 
 
-def test_warm_start_follows_a_change_and_keeps_what_is_unseen():
+def test_warm_start_follows_a_change_and_keeps_surfaces_without_known_pixels():
     _rows, columns = np.mgrid[:30, :60].astype(np.float32)
     labels = (columns >= 30).astype(np.int32)
     first = Polynomial()(20 + 0.2 * columns, labels, 0.1)
@@ -96,7 +96,7 @@ def test_warm_start_follows_a_change_and_keeps_what_is_unseen():
     assert second.scale[1] == first.scale[1]
 
 
-def test_values_stay_near_what_was_seen():
+def test_values_stay_near_the_known_ones():
     values = np.full((10, 200), np.nan, np.float32)
     values[:, :20] = 20 - 0.9 * np.arange(20)
     surface = one_segment(values).at(np.zeros((10, 200), np.int32))

@@ -1,4 +1,4 @@
-"""Slopes and the median along them against their slow twins, and what they are for."""
+"""Slopes and the median along them against their slow references, and their use at color edges."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def bumpy(height, width, seed=0, empty=0.15):
 @pytest.mark.slow
 @pytest.mark.parametrize(("height", "width"), SIZES)
 @pytest.mark.parametrize("radius", [4, 9])
-def test_slopes_are_those_of_the_twin(height, width, radius):
+def test_slopes_agree_with_the_reference(height, width, radius):
     values, image = bumpy(height, width)
     image //= 8  # similar colors, but not all of them
     np.testing.assert_allclose(slopes(values, image, radius), naive.slopes(values, image, radius), atol=2e-3)
@@ -48,7 +48,7 @@ def test_a_plane_has_its_slope_and_a_flat_map_none():
 
 
 @pytest.mark.parametrize(("height", "width"), SIZES)
-def test_the_median_is_that_of_the_twin(height, width):
+def test_the_median_agrees_with_the_reference(height, width):
     values, image = bumpy(height, width)
     step = SlantedMedian(radius=3, color_scale=20, distance_scale=4)
     result = step.filtered(values, image, 200)

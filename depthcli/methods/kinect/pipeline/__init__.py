@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.method import Method, method_of
-from depthcli.methods.kinect.result import RefinedDepth
+from depthcli.core.result import Clock, RefinedDepth
+from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 
 
 class KinectPipeline(Method):
@@ -30,8 +34,40 @@ class KinectPipeline(Method):
         raise NotImplementedError
 
 
+class FilterPipeline(KinectPipeline):
+    """A refinement that filters the disparity; its noise is the sigma of measured pixels, filled ones have none."""
+
+    bytes_per_pixel: ClassVar[int]
+    """Estimate of the peak working memory."""
+
+    @abstractmethod
+    def filtered(
+        self, frame: RgbdFrame, measured: NDArray[np.float32], noise: float, clock: Clock
+    ) -> NDArray[np.float32]:
+        """Compute the refined disparity.
+
+        Parameters
+        ----------
+        frame : the measurement
+        measured : (H, W) float32, its disparity, pixels, NaN = unknown
+        noise : standard deviation of ``measured``, pixels
+        clock : stopped after every stage
+        """
+
+    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
+        clock = Clock()
+        measured = measured_disparity(frame)
+        noise = noise_level(measured)
+        values = self.filtered(frame, measured, noise, clock)
+        sigma = np.where(np.isnan(measured), np.nan, noise).astype(np.float32)
+        return refined_depth(frame, values, sigma, noise, clock)
+
+    def peak_bytes(self, shape: tuple[int, int]) -> int:
+        return self.bytes_per_pixel * shape[0] * shape[1]
+
+
 class SequencePipeline(KinectPipeline):
-    """A refinement that carries what it learned from frame to frame."""
+    """A refinement that carries a state from frame to frame."""
 
     @abstractmethod
     def step(self, frame: RgbdFrame, state: Any) -> tuple[RefinedDepth, Any]:
@@ -39,8 +75,8 @@ class SequencePipeline(KinectPipeline):
 
         Parameters
         ----------
-        frame : of the size of those before
-        state : what the last step gave; None before the first frame
+        frame : of the same size as the previous ones
+        state : as the last step returned it; None before the first frame
         """
 
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import cv2
@@ -11,23 +12,21 @@ from pydantic import Field
 
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.statistical_region_merging import StatisticalRegionMerging
-from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.maps import DepthMap, DepthStatus
-from depthcli.core.result import Clock
-from depthcli.methods.kinect.layer import Evidence, Layer, Refined, combine, evidence, fit_layer, lab_of
+from depthcli.core.maps import DepthStatus
+from depthcli.core.result import Clock, RefinedDepth
+from depthcli.methods.kinect.depth_edges import edge_distance
+from depthcli.methods.kinect.layers import Layer, Measurement, RefinedDisparity, combine, fit_layer
 from depthcli.methods.kinect.model import Model
 from depthcli.methods.kinect.model.polynomial import Polynomial
 from depthcli.methods.kinect.pipeline import KinectPipeline
-from depthcli.methods.kinect.result import RefinedDepth
-from depthcli.methods.kinect.suspects import jump_distance
 
 
 class Dsrm(KinectPipeline):
-    """Fit a polynomial in inverse depth to every segment of every layer, and trust it where the sensor errs.
+    """Fit a polynomial in inverse depth to every segment of every layer, and use it where the sensor is unreliable.
 
     The band beside depth jumps is left out of the fit; afterwards its values are kept where they agree with
-    the model. Segments of which too little is known join a neighbor of like color that fits the shadow they lie in.
+    the model. Segments of which too little is known join a neighbor of similar color that fits the shadow they lie in.
     """
 
     segmentation: Segmentation = Field(
@@ -39,19 +38,22 @@ class Dsrm(KinectPipeline):
     model: Model = Field(default_factory=Polynomial, description="of the inverse depth in a segment")
     jump: float = Field(5.0, gt=0, le=1000, description="a larger step is a depth edge, multiples of the noise")
     row_band: int = Field(
-        8, ge=0, le=64, description="suspects: pixels along the row on the near side of a depth edge, or beside a gap"
+        8, ge=0, le=64, description="unreliable pixels along the row on the near side of a depth edge, or beside a gap"
     )
     column_band: int = Field(2, ge=0, le=64, description="the same along the column")
     min_known: int = Field(30, ge=1, description="a segment's model needs so many known pixels")
     min_share: float = Field(0.05, ge=0, le=1, description="and this share of the segment")
     join: bool = Field(True, description="segments without a model join one that has one; false: bilateral filling")
     detail_reach: float = Field(
-        3.0, ge=0, le=100, description="pixels over which residuals of known values are added to the model; 0: none"
+        3.0,
+        ge=0,
+        le=100,
+        description="reach of residuals of known values that are added to the model, pixels; 0: none",
     )
-    tolerance: float = Field(3.0, gt=0, description="tau: a value that is off by more scales contradicts the model")
+    tolerance: float = Field(3.0, gt=0, description="tau: values that are off by more scales contradict the model")
     smooth: bool = Field(True, description="replace values that agree with the model by it: less noise")
     combination: Literal["median", "in_turn"] = Field(
-        "median", description="of the layers; in_turn: each fills and corrects what the finer ones left"
+        "median", description="of the layers; in_turn: each fills and corrects the result of the finer ones"
     )
     correction_band: int = Field(
         8, ge=0, le=64,
@@ -62,61 +64,62 @@ class Dsrm(KinectPipeline):
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
         return self.refine(frame)[0]
 
-    def refine(self, frame: RgbdFrame) -> tuple[RefinedDepth, Evidence, list[Layer], NDArray[np.float32]]:
-        """The result, and what a sequence goes on with: evidence, layers (none of those in turn), disparity."""
+    def refine(self, frame: RgbdFrame) -> tuple[RefinedDepth, Measurement, list[Layer], NDArray[np.float32]]:
+        """Return the result and the state of a sequence: measurement, layers (none ``in_turn``), disparity."""
         clock = Clock()
-        seen = evidence(frame, self.jump, self.row_band, self.column_band)
-        clock.stop("suspects")
-        labels = self.segmentation.layers(frame.color, seen.trusted)
+        measurement = Measurement.of(frame, self.jump, self.row_band, self.column_band)
+        clock.stop("unreliable")
+        labels = self.segmentation.layers(frame.color, measurement.reliable)
         clock.stop("segmentation")
+        lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
         layers: list[Layer] = []
         if self.combination == "median":
-            layers = self._fit(frame, seen, labels)
+            layers = [self._fit(measurement, layer, lab) for layer in labels]
             clock.stop("model")
-            refined = combine(layers, seen, self.detail_reach, self.tolerance, self.smooth)
+            refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
         else:
-            refined = self._in_turn(frame, seen, labels)
-        refined = filled(refined, frame, seen)
+            refined = self._in_turn(measurement, labels, lab)
+        refined = refined.filled(frame, measurement.noise)
         clock.stop("refinement")
-        result = in_meters(refined, frame)
+        result = refined.to_depth(frame)
         if self.details:
             result.pictures |= {f"segments_{k}": segment_picture(layer) for k, layer in enumerate(labels)}
         clock.stop("result")
         result.seconds = clock.seconds
-        return result, seen, layers, refined.disparity
+        return result, measurement, layers, refined.disparity
 
-    def _fit(self, frame: RgbdFrame, seen: Evidence, labels: list[NDArray[np.int32]]) -> list[Layer]:
-        """The layers' surfaces."""
-        lab = lab_of(frame.color)
-        return [fit_layer(seen, each, lab, self.model, self.min_known, self.min_share, self.join) for each in labels]
+    def _fit(self, measurement: Measurement, labels: NDArray[np.int32], lab: NDArray[np.uint8]) -> Layer:
+        return fit_layer(measurement, labels, lab, self.model, self.min_known, self.min_share, self.join)
 
-    def _in_turn(self, frame: RgbdFrame, seen: Evidence, labels: list[NDArray[np.int32]]) -> Refined:
-        """SPEC 4.3 C: each layer sees what the one before has filled and corrected."""
-        lab = lab_of(frame.color)
-        edge = jump_distance(seen.disparity, self.jump * seen.noise).inside(self.correction_band, self.correction_band)
-        values, scale = seen.trusted.copy(), np.full(frame.shape, seen.noise, np.float32)
+    def _in_turn(
+        self, measurement: Measurement, layers: list[NDArray[np.int32]], lab: NDArray[np.uint8]
+    ) -> RefinedDisparity:
+        """Fill and correct by one layer after the other, each fitted to the result of the finer ones (chapter 4)."""
+        shape = measurement.disparity.shape
+        distance = edge_distance(measurement.disparity, self.jump * measurement.noise)
+        edge = distance.inside(self.correction_band, self.correction_band)
+        values, scale = measurement.reliable.copy(), np.full(shape, measurement.noise, np.float32)
         status = np.where(np.isnan(values), np.uint8(DepthStatus.EMPTY), np.uint8(DepthStatus.KEPT))
-        for each in labels:
-            now = Evidence(seen.disparity, values, np.zeros(frame.shape, bool), seen.limit, seen.noise)
-            layer = fit_layer(now, each, lab, self.model, self.min_known, self.min_share, self.join)
-            surface, spread = layer.estimate(now, self.detail_reach)
+        for labels in layers:
+            refined = replace(measurement, reliable=values, core=np.zeros(shape, bool))
+            surface, spread = self._fit(refined, labels, lab).estimate(refined, self.detail_reach)
             unknown = np.isnan(values)
             off = np.abs(values - surface) > self.tolerance * spread
-            replaced = (unknown & ~np.isnan(surface)) | (off & (edge | _near_border(each, self.correction_band)))
+            replaced = (unknown & ~np.isnan(surface)) | (off & (edge | _near_border(labels, self.correction_band)))
             values = np.where(replaced, surface, values)
             scale = np.where(replaced, spread, scale)
-            measured = ~np.isnan(seen.disparity)
+            measured = ~np.isnan(measurement.disparity)
             status[replaced & measured] = DepthStatus.CORRECTED
             status[replaced & ~measured] = DepthStatus.GAP_FILLED
-        return Refined(values, scale, status)
+        return RefinedDisparity(values, scale, status)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Sums and pairs of the segmentation, or three maps a layer beside it."""
+        """Estimate the larger of the sums and pairs of the segmentation, and three maps a layer."""
         return 160 * shape[0] * shape[1] + (64 << 20)
 
 
 def _near_border(labels: NDArray[np.int32], reach: int) -> NDArray[np.bool_]:
-    """(H, W) bool: at most ``reach`` pixels from another segment."""
+    # (H, W) bool: at most ``reach`` pixels from another segment.
     inner = np.ones(labels.shape, np.uint8)
     across, down = labels[:, 1:] != labels[:, :-1], labels[1:] != labels[:-1]
     inner[:, 1:][across] = inner[:, :-1][across] = 0
@@ -125,31 +128,7 @@ def _near_border(labels: NDArray[np.int32], reach: int) -> NDArray[np.bool_]:
     return near
 
 
-def filled(refined: Refined, frame: RgbdFrame, seen: Evidence) -> Refined:
-    """What no surface reaches, from around."""
-    missing = np.isnan(refined.disparity)
-    if not missing.any():
-        return refined
-    from depthcli.methods.kinect.pipeline.joint_bilateral import joint_bilateral_fill
-
-    values = joint_bilateral_fill(frame.color, refined.disparity)
-    filled = missing & ~np.isnan(values)
-    scale = np.where(filled, np.float32(seen.noise), refined.scale)
-    status = np.where(filled, np.uint8(DepthStatus.FALLBACK), refined.status)
-    return Refined(values, scale, status)
-
-
-def in_meters(refined: Refined, frame: RgbdFrame) -> RefinedDepth:
-    """The result; what was kept as it is keeps the sensor's own bits."""
-    depth = depth_of_disparity(refined.disparity, frame.fb)
-    same = refined.status == DepthStatus.KEPT
-    depth[same] = frame.depth[same]
-    status = np.where(np.isnan(depth), np.uint8(DepthStatus.EMPTY), refined.status)
-    sigma: NDArray[np.float32] = (refined.scale * depth * depth / np.float32(frame.fb)).astype(np.float32)
-    return RefinedDepth(depth=DepthMap(depth, status), sigma=sigma)
-
-
 def segment_picture(labels: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8, every label a color of its own that says nothing."""
+    """Draw every label in an arbitrary color of its own, (H, W, 3) uint8."""
     mixed = (labels.astype(np.uint32) + 1) * np.uint32(2654435761)
     return np.stack([(mixed >> np.uint32(shift)).astype(np.uint8) | 32 for shift in (8, 16, 24)], axis=2)

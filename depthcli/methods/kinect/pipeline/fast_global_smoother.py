@@ -1,6 +1,8 @@
-"""Confidence-weighted fast global smoothing (OpenCV), as a peer."""
+"""Confidence-weighted fast global smoothing (OpenCV), for comparison."""
 
 from __future__ import annotations
+
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -10,29 +12,27 @@ from pydantic import Field
 from depthcli.algorithms.filters import single_thread
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
-from depthcli.methods.kinect.noise import noise_level
-from depthcli.methods.kinect.outcome import measured_disparity, outcome
-from depthcli.methods.kinect.pipeline import KinectPipeline
-from depthcli.methods.kinect.result import RefinedDepth
+from depthcli.methods.kinect.pipeline import FilterPipeline
 
 
-class FastGlobalSmoother(KinectPipeline):
+class FastGlobalSmoother(FilterPipeline):
     """``FGS(c d) / FGS(c)`` with ``cv2.ximgproc.fastGlobalSmootherFilter``, guided by the color image.
 
     The confidence c is 0 in gaps, low in the band on both sides of depth edges and around gaps, else 1 (Min et
     al., TIP 2014, applied as in OpenCV's WLS disparity filter).
     """
 
+    bytes_per_pixel: ClassVar[int] = 80
+
     smoothness: float = Field(900.0, gt=0, description="lambda of the smoother")
     sigma_color: float = Field(5.0, gt=0, description="contrast that stops the smoothing, grey levels")
-    edge_band: int = Field(2, ge=0, le=64, description="pixels around a depth edge that are doubted")
-    edge_confidence: float = Field(0.01, ge=0, le=1, description="confidence of the doubted pixels")
+    edge_band: int = Field(2, ge=0, le=64, description="pixels around a depth edge that are unreliable")
+    edge_confidence: float = Field(0.01, ge=0, le=1, description="confidence of the unreliable pixels")
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
 
-    def __call__(self, frame: RgbdFrame) -> RefinedDepth:
-        clock = Clock()
-        measured = measured_disparity(frame)
-        noise = noise_level(measured)
+    def filtered(
+        self, frame: RgbdFrame, measured: NDArray[np.float32], noise: float, clock: Clock
+    ) -> NDArray[np.float32]:
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
         if self.edge_band:
@@ -40,11 +40,7 @@ class FastGlobalSmoother(KinectPipeline):
         clock.stop("confidence")
         values = weighted_smoothing(frame.color, measured, confidence, self.smoothness, self.sigma_color)
         clock.stop("smoothing")
-        sigma = np.where(known, noise, np.nan).astype(np.float32)
-        return outcome(frame, values, sigma, noise, clock)
-
-    def peak_bytes(self, shape: tuple[int, int]) -> int:
-        return 80 * shape[0] * shape[1]
+        return values
 
 
 def weighted_smoothing(
@@ -54,7 +50,7 @@ def weighted_smoothing(
     smoothness: float,
     sigma_color: float,
 ) -> NDArray[np.float32]:
-    """``FGS(c d) / FGS(c)``, (H, W) float32; NaN where no confidence reaches.
+    """Compute ``FGS(c d) / FGS(c)``, (H, W) float32; NaN where no confidence reaches.
 
     Parameters
     ----------
@@ -66,13 +62,13 @@ def weighted_smoothing(
     weighted = np.where(confidence > 0, disparity, np.float32(0)) * confidence
     with single_thread():
         smooth = cv2.ximgproc.createFastGlobalSmootherFilter(color, smoothness, sigma_color)
-        above, below = smooth.filter(weighted), smooth.filter(confidence)
+        numerator, denominator = smooth.filter(weighted), smooth.filter(confidence)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(below > 1e-12, above / below, np.float32(np.nan)).astype(np.float32)
+        return np.where(denominator > 1e-12, numerator / denominator, np.float32(np.nan)).astype(np.float32)
 
 
 def _edge_band(disparity: NDArray[np.float32], jump: float, reach: int) -> NDArray[np.bool_]:
-    """(H, W) bool: within ``reach`` pixels of a step between neighbors, or between known and unknown."""
+    """Select the pixels within ``reach`` of a step between neighbors, or between known and unknown, (H, W) bool."""
     edge = np.zeros(disparity.shape, np.uint8)
     for axis in (0, 1):
         with np.errstate(invalid="ignore"):

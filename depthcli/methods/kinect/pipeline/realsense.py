@@ -1,4 +1,4 @@
-"""The post-processing chain that RealSense users know, with its parameters' names and defaults, as a peer."""
+"""The post-processing chain of librealsense, with its parameters' names and defaults, for comparison."""
 
 from __future__ import annotations
 
@@ -11,27 +11,25 @@ from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.core.result import Clock
+from depthcli.core.result import Clock, RefinedDepth
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.noise import noise_level
-from depthcli.methods.kinect.outcome import measured_disparity, outcome
+from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.pipeline import SequencePipeline
-from depthcli.methods.kinect.result import RefinedDepth
 
-_FRACTION = 32  # the deltas count 32nds of a pixel of disparity
+_FRACTION = 32  # unit of the deltas: 1/32 pixel of disparity, as in librealsense
 _COLUMNS = 64  # a task of the vertical pass: whole cache lines, so that no two threads write to one
-# Values from 1 to 8: how many of how many last frames must be valid for a pixel to be carried over.
+# Values from 1 to 7: a pixel is carried over if valid in so many of so many last frames (librealsense).
 _PERSISTENCE = {1: (8, 8), 2: (2, 3), 3: (2, 4), 4: (2, 8), 5: (1, 2), 6: (1, 5), 7: (1, 8)}
 _HOLES = {"left": 0, "farthest": 1, "nearest": 2}
 
 
 @dataclass(frozen=True)
 class RealsenseState:
-    """What the temporal filter remembers.
+    """State of the temporal filter.
 
     Attributes
     ----------
-    last : (H, W) float32, filtered disparity, pixels; NaN = never seen
+    last : (H, W) float32, filtered disparity, pixels; NaN = never known
     history : (H, W) uint8, bit k: valid and in agreement k + 1 frames ago
     """
 
@@ -43,14 +41,14 @@ class Realsense(SequencePipeline):
     """Spatial, temporal and hole-filling filter of librealsense, in this order, on disparity; without the color image.
 
     The spatial filter is the recursive edge-preserving one: along rows and columns, there and back, a value is
-    averaged with the state before it where the two differ by less than ``spatial_delta``. Options of 0 turn a
+    averaged with the filter's state where the two differ by less than ``spatial_delta``. Options of 0 turn a
     filter off.
     """
 
     magnitude: int = Field(2, ge=0, le=5, description="passes of the spatial filter; 0: off")
-    spatial_alpha: float = Field(0.5, ge=0.25, le=1, description="weight of the value against the state before it")
+    spatial_alpha: float = Field(0.5, ge=0.25, le=1, description="weight of the value against the filter's state")
     spatial_delta: int = Field(20, ge=1, le=50, description="larger steps are edges, 32nds of a pixel of disparity")
-    temporal_alpha: float = Field(0.4, gt=0, le=1, description="weight of the frame against those before it")
+    temporal_alpha: float = Field(0.4, gt=0, le=1, description="weight of the frame against the previous ones")
     temporal_delta: int = Field(20, ge=1, le=100, description="larger changes are motion, 32nds of a pixel")
     persistency: int = Field(
         3, ge=0, le=8, description="carry a value over gaps if valid in (1) 8 of 8, 2 of 3, 2 of 4, 2 of 8, 1 of 2, "
@@ -66,31 +64,31 @@ class Realsense(SequencePipeline):
         Raises
         ------
         ValueError
-            Where no pixel of the frame has a depth, or its size is another than before.
+            Where no pixel of the frame has a depth, or its size is not that of the previous frames.
         """
         clock = Clock()
         measured = measured_disparity(frame)
         if state is None:
             state = RealsenseState(np.full(frame.shape, np.nan, np.float32), np.zeros(frame.shape, np.uint8))
         if state.last.shape != frame.shape:
-            raise ValueError(f"the frame's size {frame.shape} is not that of the frames before {state.last.shape}")
+            raise ValueError(f"the frame's size {frame.shape} is not that of the previous frames {state.last.shape}")
         values = measured.copy()
         for _ in range(self.magnitude):
             _smooth_rows(values, np.float32(self.spatial_alpha), np.float32(self.spatial_delta / _FRACTION))
             _smooth_columns(values, np.float32(self.spatial_alpha), np.float32(self.spatial_delta / _FRACTION))
         clock.stop("spatial")
         last, history = state.last.copy(), state.history.copy()
-        enough, among = (9, 8) if self.persistency == 0 else _PERSISTENCE.get(self.persistency, (0, 8))
+        min_valid, n_frames = (9, 8) if self.persistency == 0 else _PERSISTENCE.get(self.persistency, (0, 8))
         alpha, delta = np.float32(self.temporal_alpha), np.float32(self.temporal_delta / _FRACTION)
         carried = np.zeros(frame.shape, np.bool_)
-        _follow(values, last, history, alpha, delta, enough, among, carried)
+        _temporal(values, last, history, alpha, delta, min_valid, n_frames, carried)
         clock.stop("temporal")
         if self.hole_filling != "off":
             _fill(values, _HOLES[self.hole_filling])
         clock.stop("holes")
         noise = noise_level(measured)
         sigma = np.where(np.isnan(measured), np.nan, noise).astype(np.float32)
-        result = outcome(frame, values, sigma, noise, clock)
+        result = refined_depth(frame, values, sigma, noise, clock)
         result.depth.status[carried] = DepthStatus.CARRIED
         return result, RealsenseState(last, history)
 
@@ -100,7 +98,7 @@ class Realsense(SequencePipeline):
 
 @jit
 def _smooth_line(line, alpha, delta):  # type: ignore[no-untyped-def]
-    """There and back; edges are told by the values before filtering, as the original does."""
+    # There and back; edges are steps of the unfiltered values, as in librealsense.
     for back in range(2):
         before = state = np.float32(np.nan)
         for k in range(line.size):
@@ -132,32 +130,32 @@ def _smooth_columns(values, alpha, delta):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _follow(values, last, history, alpha, delta, enough, among, carried):  # type: ignore[no-untyped-def]
+def _temporal(values, last, history, alpha, delta, min_valid, n_frames, carried):  # type: ignore[no-untyped-def]
     height, width = values.shape
     for y in prange(height):
         for x in range(width):
-            value, before, bits = values[y, x], last[y, x], np.int64(history[y, x])
+            value, previous, bits = values[y, x], last[y, x], np.int64(history[y, x])
             if np.isnan(value):
                 valid = np.int64(0)
-                for k in range(among):
+                for k in range(n_frames):
                     valid += (bits >> k) & 1
-                if not np.isnan(before) and valid >= enough:
-                    values[y, x] = before
+                if not np.isnan(previous) and valid >= min_valid:
+                    values[y, x] = previous
                     carried[y, x] = True
                 history[y, x] = np.uint8((bits << 1) & 255)
-            elif abs(value - before) < delta:
-                value = alpha * value + (np.float32(1) - alpha) * before
+            elif abs(value - previous) < delta:
+                value = alpha * value + (np.float32(1) - alpha) * previous
                 values[y, x] = value
                 last[y, x] = value
                 history[y, x] = np.uint8(((bits << 1) | 1) & 255)
-            else:  # first seen, or something else now
+            else:  # first value, or motion
                 last[y, x] = value
                 history[y, x] = np.uint8(1)
 
 
 @jit
 def _fill(values, mode):  # type: ignore[no-untyped-def]
-    """In raster order: what is filled counts for the pixels after it. Farthest is the least disparity."""
+    # In raster order: filled values count for later pixels. Farthest is the smallest disparity.
     height, width = values.shape
     for y in range(height):
         for x in range(width):

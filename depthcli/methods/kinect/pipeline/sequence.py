@@ -1,37 +1,92 @@
-"""Frames of a camera that moves little: segments are carried on, not computed anew (thesis chapter 4)."""
+"""Frames of a camera that moves little: segments are carried from frame to frame (thesis chapter 4)."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces, surface_at
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.core.result import Clock
-from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.kinect.layer import Evidence, Layer, combine, evidence
+from depthcli.core.result import Clock, RefinedDepth
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.kinect.layers import Layer, Measurement, combine
 from depthcli.methods.kinect.pipeline import SequencePipeline
-from depthcli.methods.kinect.pipeline.dsrm import Dsrm, filled, in_meters
-from depthcli.methods.kinect.result import RefinedDepth
-from depthcli.methods.kinect.sequence import SequenceState, carried_labels, still_pixels
+from depthcli.methods.kinect.pipeline.dsrm import Dsrm
+from depthcli.methods.kinect.surfaces import SHADOW_PENALTY
 
 _FILLED, _FALLBACK, _CARRIED = int(DepthStatus.GAP_FILLED), int(DepthStatus.FALLBACK), int(DepthStatus.CARRIED)
+_SURFACE = ("coefficients", "center", "bounds", "scale")  # arrays of Surfaces
+
+
+@dataclass(frozen=True)
+class SequenceState:
+    """State of a sequence after a frame.
+
+    Attributes
+    ----------
+    layers : the segments' labels and surfaces
+    color : (H, W, 3) uint8, of the frame
+    disparity : (H, W) float32, refined, pixels, NaN = none
+    noise : of the last segmented frame, pixels
+    age : frames since then
+    """
+
+    layers: tuple[Layer, ...]
+    color: NDArray[np.uint8]
+    disparity: NDArray[np.float32]
+    noise: float
+    age: int
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the state as arrays by name, for ``np.savez``; :meth:`from_arrays` is the inverse."""
+        arrays: dict[str, NDArray[Any]] = {
+            "color": self.color,
+            "disparity": self.disparity,
+            "noise": np.array(self.noise),
+            "age": np.array(self.age),
+        }
+        for k, layer in enumerate(self.layers):
+            arrays |= {f"labels_{k}": layer.labels, f"own_{k}": layer.own, f"unit_{k}": np.array(layer.surfaces.unit)}
+            arrays |= {f"{name}_{k}": getattr(layer.surfaces, name) for name in _SURFACE}
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> SequenceState:
+        """Restore the state from :meth:`arrays`; KeyError where one is missing."""
+        layers: list[Layer] = []
+        while f"labels_{len(layers)}" in arrays:
+            k = len(layers)
+            surfaces = Surfaces(
+                **{name: arrays[f"{name}_{k}"] for name in _SURFACE}, unit=float(arrays[f"unit_{k}"])
+            )  # fmt: skip
+            layers.append(Layer(arrays[f"labels_{k}"], surfaces, arrays[f"own_{k}"]))
+        return cls(
+            tuple(layers), arrays["color"], arrays["disparity"], float(arrays["noise"]), int(arrays["age"])
+        )  # fmt: skip
 
 
 class Sequence(SequencePipeline, Dsrm):
-    """The first frame as in ``dsrm``; then every pixel that is still keeps its segment, and surfaces are refitted.
+    """The first frame as in ``dsrm``; then every still pixel keeps its segment, and surfaces are refitted.
 
-    What has changed joins the segment that is nearest in color and depth. Too much change, or age, starts anew.
+    Changed pixels join the segment that is nearest in color and depth. After too much change, or too many frames,
+    segments are computed again.
     """
+
+    renamed: ClassVar[dict[str, str]] = {"most_changed": "max_changed", "longest": "max_age"}
 
     color_change: int = Field(
         10, ge=0, le=255, description="a still pixel's color changes by at most this, grey levels"
     )
-    most_changed: float = Field(0.3, ge=0, le=1, description="share of changed pixels that starts anew")
-    longest: int = Field(30, ge=1, description="frames after which segments are computed anew")
+    max_changed: float = Field(0.3, ge=0, le=1, description="with a larger share of changed pixels segments are new")
+    max_age: int = Field(30, ge=1, description="frames after which segments are computed again")
     drift: float = Field(
-        1.0, ge=0, description="scale by which a filled value is trusted less a frame later, multiples of the noise"
+        1.0, ge=0, description="standard deviation of a filled value's change a frame, multiples of the noise"
     )
 
     def step(self, frame: RgbdFrame, state: SequenceState | None) -> tuple[RefinedDepth, SequenceState]:
@@ -40,53 +95,170 @@ class Sequence(SequencePipeline, Dsrm):
         Raises
         ------
         ValueError
-            Where no pixel of the frame has a depth, or its size is another than before.
+            Where no pixel of the frame has a depth, or its size is not that of the previous frames.
         """
         if state is None:
             return self.start(frame)
         if state.color.shape != frame.color.shape:
-            raise ValueError(f"the frame's size {frame.shape} is not that of the frames before {state.color.shape[:2]}")
+            raise ValueError(
+                f"the frame's size {frame.shape} is not that of the previous frames {state.color.shape[:2]}"
+            )
         clock = Clock()
-        seen = evidence(frame, self.jump, self.row_band, self.column_band, state.noise)
+        measurement = Measurement.of(frame, self.jump, self.row_band, self.column_band, state.noise)
         still = still_pixels(
-            frame.color, state.color, seen.trusted, state.disparity, self.color_change, self.tolerance * state.noise
+            frame.color,
+            state.color,
+            measurement.reliable,
+            state.disparity,
+            self.color_change,
+            self.tolerance * state.noise,
         )
-        clock.stop("suspects")
-        if state.age + 1 >= self.longest or 1 - still.mean() > self.most_changed:
+        clock.stop("unreliable")
+        if state.age + 1 >= self.max_age or 1 - still.mean() > self.max_changed:
             return self.start(frame)
-        layers = [self._carried(layer, seen, still, frame.color) for layer in state.layers]
+        layers = [self._carried(layer, measurement, still, frame.color) for layer in state.layers]
         clock.stop("model")
-        refined = combine(layers, seen, self.detail_reach, self.tolerance, self.smooth)
+        refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
         _blend(
             refined.disparity, refined.scale, refined.status, state.disparity, still,
             np.float32(self.drift * state.noise),
         )  # fmt: skip
-        refined = filled(refined, frame, seen)
+        refined = refined.filled(frame, state.noise)
         clock.stop("refinement")
-        result = in_meters(refined, frame)
+        result = refined.to_depth(frame)
         clock.stop("result")
         result.seconds = clock.seconds
         return result, SequenceState(tuple(layers), frame.color, refined.disparity, state.noise, state.age + 1)
 
     def start(self, frame: RgbdFrame) -> tuple[RefinedDepth, SequenceState]:
-        """Refine a frame as if none had been before."""
-        result, seen, layers, disparity = self.refine(frame)
-        return result, SequenceState(tuple(layers), frame.color, disparity, seen.noise, 0)
+        """Refine the first frame of a sequence."""
+        result, measurement, layers, disparity = self.refine(frame)
+        return result, SequenceState(tuple(layers), frame.color, disparity, measurement.noise, 0)
 
-    def _carried(self, layer: Layer, seen: Evidence, still: NDArray[np.bool_], color: NDArray[np.uint8]) -> Layer:
-        """The layer in this frame: labels moved, surfaces refitted from where they were."""
-        labels, own = carried_labels(layer, still, color, seen, self.jump * seen.noise)
-        return Layer(labels, self.model(seen.trusted, labels, seen.noise, layer.surfaces), own)
+    def _carried(
+        self, layer: Layer, measurement: Measurement, still: NDArray[np.bool_], color: NDArray[np.uint8]
+    ) -> Layer:
+        labels, own = carried_labels(layer, still, color, measurement, self.jump * measurement.noise)
+        return Layer(labels, self.model(measurement.reliable, labels, measurement.noise, layer.surfaces), own)
 
 
 @parallel_jit
-def _blend(disparity, scale, status, before, still, drift):  # type: ignore[no-untyped-def]
-    """Filled values of still pixels: weighted mean with those before, which are as sure but for the drift."""
+def _blend(disparity, scale, status, previous, still, drift):  # type: ignore[no-untyped-def]
+    # Filled values of still pixels: weighted mean with the previous ones, whose variance grows by the drift.
     height, width = disparity.shape
     for y in prange(height):
         for x in range(width):
-            if (status[y, x] == _FILLED or status[y, x] == _FALLBACK) and still[y, x] and not np.isnan(before[y, x]):
+            if (status[y, x] == _FILLED or status[y, x] == _FALLBACK) and still[y, x] and not np.isnan(previous[y, x]):
                 variance = scale[y, x] * scale[y, x]
-                now, then = np.float32(1) / variance, np.float32(1) / (variance + drift * drift)
-                disparity[y, x] = (now * disparity[y, x] + then * before[y, x]) / (now + then)
+                weight, old_weight = np.float32(1) / variance, np.float32(1) / (variance + drift * drift)
+                disparity[y, x] = (weight * disparity[y, x] + old_weight * previous[y, x]) / (weight + old_weight)
                 status[y, x] = _CARRIED
+
+
+def still_pixels(
+    color: NDArray[np.uint8],
+    previous_color: NDArray[np.uint8],
+    reliable: NDArray[np.float32],
+    previous_disparity: NDArray[np.float32],
+    color_change: int,
+    disparity_change: float,
+) -> NDArray[np.bool_]:
+    """Select the pixels, (H, W) bool, whose color channels and disparity change by at most the given amounts.
+
+    A pixel without a reliable disparity in both frames is judged by its color alone.
+    """
+    still = np.empty(reliable.shape, np.bool_)
+    _still(color, previous_color, reliable, previous_disparity, color_change, np.float32(disparity_change), still)
+    return still
+
+
+@parallel_jit
+def _still(color, previous_color, reliable, previous, color_change, change, still):  # type: ignore[no-untyped-def]
+    height, width = reliable.shape
+    for y in prange(height):
+        for x in range(width):
+            difference = np.int64(0)
+            for c in range(3):
+                difference = max(difference, abs(np.int64(color[y, x, c]) - np.int64(previous_color[y, x, c])))
+            moved = abs(reliable[y, x] - previous[y, x]) > change  # False where either is NaN
+            still[y, x] = difference <= color_change and not moved
+
+
+def carried_labels(
+    layer: Layer, still: NDArray[np.bool_], color: NDArray[np.uint8], measurement: Measurement, jump: float
+) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Return labels and ``own`` of a layer in the next frame, both (H, W).
+
+    A still pixel keeps its segment, unless its reliable disparity is off the surface by more than a jump and three
+    scales, or the surface is nearer by a jump than its shadow allows. Others take the segment at the end of the
+    cheapest path through 8-neighbors. A step costs the absolute differences of color, the distance of the surface
+    from the reliable disparity, in fifths of the noise, and ``SHADOW_PENALTY`` where the surface is nearer than the
+    shadow allows. Two raster sweeps, so that bent paths may be missed. Label -1 where no pixel keeps a segment.
+
+    Parameters
+    ----------
+    still : (H, W) bool
+    color : (H, W, 3) uint8
+    measurement : of the next frame
+    jump : step of a depth edge, pixels
+    """
+    surfaces = layer.surfaces
+    shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
+    cost = np.empty(still.shape, np.float32)
+    _held(layer.labels, still, measurement.reliable, measurement.limit, *shapes, surfaces.scale, np.float32(jump), cost)
+    labels, own = layer.labels.copy(), layer.own.copy()
+    _sweep(
+        cost, labels, own, color, measurement.reliable, measurement.limit, *shapes, np.float32(5 / measurement.noise)
+    )
+    return labels, own
+
+
+@parallel_jit
+def _held(labels, still, reliable, limit, coefficients, center, bounds, unit, scale, jump, cost):  # type: ignore[no-untyped-def]
+    # 0 where a pixel keeps its segment, else infinite.
+    height, width = labels.shape
+    for y in prange(height):
+        for x in range(width):
+            s = labels[y, x]
+            cost[y, x] = np.inf
+            if s < 0 or not still[y, x]:
+                continue
+            value = surface_at(coefficients, center, bounds, unit, s, y, x)
+            off = abs(reliable[y, x] - value)
+            if not off > jump + 3 * scale[s] and not value > limit[y, x] + jump:  # False where it is unknown
+                cost[y, x] = 0
+
+
+@jit
+def _sweep(cost, labels, own, color, reliable, limit, coefficients, center, bounds, unit, weight):  # type: ignore[no-untyped-def]
+    height, width = labels.shape
+    for y in range(height):
+        for x in range(width):
+            if cost[y, x] > 0:
+                labels[y, x] = -1
+    held = cost.copy()
+    for step in (1, -1):
+        for j in range(height):
+            y = j if step == 1 else height - 1 - j
+            for i in range(width):
+                x = i if step == 1 else width - 1 - i
+                if held[y, x] == 0:
+                    continue
+                for k in range(4):
+                    v = y if k == 0 else y - step
+                    u = x - step if k == 0 else x + (k - 2)
+                    if not (0 <= v < height and 0 <= u < width) or labels[v, u] < 0:
+                        continue
+                    total = cost[v, u]
+                    for c in range(3):
+                        total += np.float32(abs(np.int64(color[y, x, c]) - np.int64(color[v, u, c])))
+                    value = surface_at(coefficients, center, bounds, unit, labels[v, u], y, x)
+                    apart = weight * np.float32(abs(reliable[y, x] - value))
+                    if not np.isnan(apart):
+                        total += apart
+                    if value > limit[y, x]:
+                        total += np.float32(SHADOW_PENALTY)
+                    if total < cost[y, x]:
+                        cost[y, x] = total
+                        labels[y, x] = labels[v, u]
+                        own[y, x] = own[v, u]

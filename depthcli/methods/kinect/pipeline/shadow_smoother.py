@@ -1,4 +1,4 @@
-"""Smoothing at video rate that knows what a sensor's faults look like."""
+"""Smoothing at video rate, with low confidence where the sensor fattens near surfaces, and shadows filled first."""
 
 from __future__ import annotations
 
@@ -6,33 +6,29 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
-from depthcli.core.result import Clock
-from depthcli.methods.kinect.noise import noise_level
-from depthcli.methods.kinect.outcome import measured_disparity, outcome
+from depthcli.core.result import Clock, RefinedDepth
+from depthcli.methods.kinect.depth_edges import edge_distance
+from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.fast_global_smoother import weighted_smoothing
-from depthcli.methods.kinect.result import RefinedDepth
-from depthcli.methods.kinect.shadows import shadow_belief, shadow_rims
-from depthcli.methods.kinect.suspects import jump_distance
-
-_KEEP = 2.0  # a sure measurement moves by at most so many times the noise
+from depthcli.methods.kinect.shadows import shadow_confidence, shadow_rims
 
 
 class ShadowSmoother(KinectPipeline):
-    """``FGS(c d) / FGS(c)`` with the near side of depth edges doubted and shadows continued from their left.
+    """``FGS(c d) / FGS(c)`` with low confidence on the near side of depth edges, and shadows filled from their left.
 
-    What a sensor shows wrong lies on the near side of depth edges alone, and what lies in a shadow is the surface on
-    its left: both are told to the smoother by its confidence. In doubtful frames (gaps that do not look like
-    shadows) it is a plain smoother.
+    Wrong measurements lie on the near side of depth edges, and a shadow falls on the surface on its left. In frames
+    whose gaps are not as wide as shadows it is a plain smoother.
     """
 
     smoothness: float = Field(60.0, gt=0, description="lambda of the smoother")
     sigma_color: float = Field(4.0, gt=0, description="contrast that stops the smoothing, grey levels")
-    row_band: int = Field(8, ge=0, le=64, description="pixels of the near side that are doubted, along rows")
+    row_band: int = Field(8, ge=0, le=64, description="pixels of the near side that are unreliable, along rows")
     column_band: int = Field(2, ge=0, le=64, description="the same along columns")
-    edge_confidence: float = Field(0.003, ge=0, le=1, description="confidence of the doubted pixels")
-    shadow_confidence: float = Field(0.5, ge=0, le=1, description="confidence of what continues into a shadow")
+    edge_confidence: float = Field(0.003, ge=0, le=1, description="confidence of the unreliable pixels")
+    shadow_confidence: float = Field(0.5, ge=0, le=1, description="confidence of values that continue into a shadow")
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
+    max_change: float = Field(2.0, ge=0, description="largest change of a reliable measurement, multiples of the noise")
 
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
         clock = Clock()
@@ -41,21 +37,21 @@ class ShadowSmoother(KinectPipeline):
         jump = self.jump * noise
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
-        band = jump_distance(measured, jump).inside(self.row_band, self.column_band)
+        band = edge_distance(measured, jump).inside(self.row_band, self.column_band)
         confidence[known & band] = self.edge_confidence
         rims = shadow_rims(measured, jump)
         shadow = ~known & ~np.isnan(rims)
-        confidence[shadow] = self.shadow_confidence * shadow_belief(measured, jump)
+        confidence[shadow] = self.shadow_confidence * shadow_confidence(measured, jump)
         clock.stop("confidence")
         values = weighted_smoothing(
             frame.color, np.where(known, measured, rims), confidence, self.smoothness, self.sigma_color
         )
-        # Where color shows no edge the smoother knows none: what is sure stays.
-        sure = known & ~band & (np.abs(values - measured) > _KEEP * noise)
-        values[sure] = measured[sure]
+        # Without a color edge the smoother crosses depth edges: reliable measurements stay.
+        crossed = known & ~band & (np.abs(values - measured) > self.max_change * noise)
+        values[crossed] = measured[crossed]
         clock.stop("smoothing")
         sigma = np.where(known & ~band, noise, np.nan).astype(np.float32)
-        return outcome(frame, values, sigma, noise, clock)
+        return refined_depth(frame, values, sigma, noise, clock)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         return 100 * shape[0] * shape[1]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from depthcli.core.frames import SparseFrame
 from depthcli.core.method import Method, method_of
-from depthcli.methods.kinect.result import RefinedDepth
+from depthcli.core.result import RefinedDepth
 
 
 class TransparentPipeline(Method):

@@ -10,8 +10,7 @@ from pydantic import Field
 from depthcli.algorithms.dense_crf import GaussianKernel, TruncatedLinear, mean_field
 from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.core.frames import SparseFrame
-from depthcli.core.result import Clock
-from depthcli.methods.kinect.result import RefinedDepth
+from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.evidence import Evidence, gather, inverse, outcome
 from depthcli.methods.transparent.fit import RobustFit
 from depthcli.methods.transparent.pipeline import TransparentPipeline

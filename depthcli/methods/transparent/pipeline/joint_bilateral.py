@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
 from depthcli.core.frames import SparseFrame
 from depthcli.core.method import Odd
-from depthcli.core.result import Clock
-from depthcli.methods.kinect.pipeline.joint_bilateral import joint_bilateral_fill
-from depthcli.methods.kinect.result import RefinedDepth
+from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.evidence import inverse, outcome
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.pipeline.nearest import Nearest, disagrees, nearest_depth

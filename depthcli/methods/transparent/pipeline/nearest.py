@@ -9,8 +9,7 @@ from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.sample_planes import Samples, nearest_samples
 from depthcli.core.frames import SparseFrame
-from depthcli.core.result import Clock
-from depthcli.methods.kinect.result import RefinedDepth
+from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.evidence import inverse, outcome
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 

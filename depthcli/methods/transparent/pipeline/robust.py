@@ -6,8 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.frames import SparseFrame
-from depthcli.core.result import Clock
-from depthcli.methods.kinect.result import RefinedDepth
+from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.evidence import gather, outcome
 from depthcli.methods.transparent.fit import RobustFit, Smoothing
 from depthcli.methods.transparent.pipeline import TransparentPipeline

@@ -1,26 +1,35 @@
-"""Candidates for the disparity of a pixel, voted for by the surfaces around it."""
+"""Votes of the planes around a pixel for its disparity, and pixels whose color speaks against the measured surface."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.kinect.shadows import SLOPE_FADE
 
-LEVELS = ((1, 5), (4, 36), (12, 108))  # every pixel within 5, every fourth within 36, every twelfth within 108
-_FADE = 20.0  # pixels over which a slope is followed
+# Chosen by experiment; scripts/kinect_experiments.py has the figures of the presets.
+LEVELS = ((1, 5), (4, 36), (12, 108))
+"""Stride and reach of the voters: every pixel within 5, every fourth within 36, every twelfth within 108 pixels."""
 _BIN = 5 / 3  # width of a bin of the histogram, multiples of the noise
-_SCALES = 2.0 * 1.1 ** np.arange(32)  # pixels: of the laws of distance that there are tables for
-_LEAST_SHARE = 0.01  # smaller modes are no candidates
-_LEAST_LIKENESS = 0.002  # of colors; where they differ more this counts for them
+_SPACE_SCALES = 2.0 * 1.1 ** np.arange(32)  # scales of distance that weights are tabulated for, pixels
+_MIN_SHARE = 0.01  # smaller modes are no candidates
+_MIN_SIMILARITY = 0.002  # of colors, however different
+# Hidden openings:
+_MIN_LIKELIHOOD_RATIO = 0.3  # of a pixel's color on its own surface to that on surfaces behind it
+_MIN_OPENING_DISTANCE = 9  # pixels: nearer ones may lie in the same opening
+_OPENING_REACH = 36  # pixels
+_OPENING_GRID, _OPENING_SQUARE = 3, 5  # one pixel of a square of 3 x 3 is tested, for all of 5 x 5 around it
+_OPENING_SCALE = 20.0  # distance over which weights fall by 1/e, pixels
 
 
 @dataclass(frozen=True)
 class Voters:
-    """Every n-th pixel of every n-th row, packed.
+    """Planes of every n-th pixel of every n-th row.
 
     Attributes
     ----------
@@ -37,7 +46,7 @@ class Voters:
 
     @classmethod
     def of(cls, lab: NDArray[np.uint8], planes: WindowPlanes, trust: NDArray[np.float32], stride: int) -> Voters:
-        """Sampled from full-size maps; each stands for the ``stride ** 2`` pixels of its cell."""
+        """Sample full-size maps; each voter stands for the ``stride ** 2`` pixels of its cell."""
         every = np.s_[::stride, ::stride]
         stack = np.stack([planes.value[every], planes.slope_x[every], planes.slope_y[every]])
         weight = np.where(np.isnan(stack[0]), np.float32(0), trust[every] * np.float32(stride * stride))
@@ -46,13 +55,13 @@ class Voters:
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """What is known about a pixel beside the votes; all (H, W) float32.
+class ShadowPrior:
+    """Influence of shadows on the votes; all (H, W) float32.
 
     Attributes
     ----------
     limit, beyond : votes for more than ``limit`` pixels count ``beyond`` times
-    rim, bonus : a surface that gets the share ``bonus`` of all votes besides (NaN = none)
+    rim, bonus : a disparity (NaN = none) that gets the share ``bonus`` of all votes in addition
     """
 
     limit: NDArray[np.float32]
@@ -61,22 +70,22 @@ class Evidence:
     bonus: NDArray[np.float32]
 
 
-def color_law(sigma: float) -> NDArray[np.float32]:
-    """(766,) float32: likeness of two colors by their L1 distance in 8-bit Lab."""
-    return (np.exp(-np.arange(766) / sigma) + _LEAST_LIKENESS).astype(np.float32)
+def color_similarity(sigma: float) -> NDArray[np.float32]:
+    """Tabulate the similarity of two colors by their L1 distance in 8-bit Lab, (766,) float32."""
+    return (np.exp(-np.arange(766) / sigma) + _MIN_SIMILARITY).astype(np.float32)
 
 
 def cast_votes(
     pixels: NDArray[np.int32],
     lab: NDArray[np.uint8],
     voters: list[Voters],
-    evidence: Evidence,
+    prior: ShadowPrior,
     noise: float,
     candidates: int,
     sigma_color: float,
     sigma_space: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The strongest modes of the votes for the disparity of some pixels.
+    """Find the strongest modes of the votes for the disparity of some pixels.
 
     Each voter votes for its plane, continued to the pixel along slopes that fade with distance, with the
     weight ``exp(-|Lab difference|_1 / sigma_color - |offset|_1 / sigma_space)``.
@@ -86,7 +95,7 @@ def cast_votes(
     pixels : (N, 2) int32, row and column
     lab : (H, W, 3) uint8
     voters : for each of ``LEVELS``
-    evidence : what else is known
+    prior : influence of shadows
     noise : of the disparity, pixels
     candidates : K, largest number of modes
     sigma_color : L1 in 8-bit Lab
@@ -106,27 +115,27 @@ def cast_votes(
     low = float(voting[0].min()) - 8 * unit
     bins = int((float(voting[0].max()) - low) / unit) + 10
     reach = max(r for _, r in LEVELS)
-    space = np.exp(-np.arange(reach + 1) / _SCALES[:, None]).astype(np.float32)
-    scale = np.searchsorted(_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
+    space = np.exp(-np.arange(reach + 1) / _SPACE_SCALES[:, None]).astype(np.float32)
+    scale = np.searchsorted(_SPACE_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
     near, middle, far = voters
     _vote(
         pixels, scale, lab, near.planes, near.lab, near.weight, middle.planes, middle.lab, middle.weight,
-        far.planes, far.lab, far.weight, evidence.limit, evidence.beyond, evidence.rim, evidence.bonus,
-        color_law(sigma_color), space, np.float32(low), np.float32(unit), bins, values, shares,
+        far.planes, far.lab, far.weight, prior.limit, prior.beyond, prior.rim, prior.bonus,
+        color_similarity(sigma_color), space, np.float32(low), np.float32(unit), bins, values, shares,
     )  # fmt: skip
     return values, shares
 
 
 @jit
 def _gather(  # type: ignore[no-untyped-def]
-    y, x, light, a, b, planes, colors, weight, stride, inner, reach, limit, beyond, likeness, space, low, unit, bins,
+    y, x, light, a, b, planes, colors, weight, stride, inner, reach, limit, beyond, similarity, space, low, unit, bins,
     votes, extent,
 ):  # fmt: skip
-    """Add the votes of one level to the histogram; those within ``inner`` pixels belong to the level before."""
+    # Adds the votes of one level to the histogram; those within ``inner`` pixels belong to the finer level.
     height, width = weight.shape
     top, bottom = max((y - reach + stride - 1) // stride, 0), min((y + reach) // stride + 1, height)
     left, right = max((x - reach + stride - 1) // stride, 0), min((x + reach) // stride + 1, width)
-    per_square = np.float32(1 / (_FADE * _FADE))
+    per_square = np.float32(1 / (SLOPE_FADE * SLOPE_FADE))
     for v in range(top, bottom):
         dy = y - v * stride
         row, down, square = space[abs(dy)], np.float32(dy), np.float32(dy * dy)
@@ -138,10 +147,10 @@ def _gather(  # type: ignore[no-untyped-def]
             if w_row[u] <= 0 or (inside and abs(dx) <= inner):
                 continue
             c = abs(np.int32(l_row[u]) - light) + abs(np.int32(a_row[u]) - a) + abs(np.int32(b_row[u]) - b)
-            if c >= likeness.size:
+            if c >= similarity.size:
                 continue
             across = np.float32(dx)
-            w = w_row[u] * likeness[c] * row * space[abs(dx)]
+            w = w_row[u] * similarity[c] * row * space[abs(dx)]
             fade = np.float32(1) / (np.float32(1) + (across * across + square) * per_square)
             d = value[u] + fade * (slope_x[u] * across + slope_y[u] * down)
             if d > limit:
@@ -157,7 +166,7 @@ def _gather(  # type: ignore[no-untyped-def]
 @parallel_jit
 def _vote(  # type: ignore[no-untyped-def]
     pixels, scale, lab, planes0, colors0, weight0, planes1, colors1, weight1, planes2, colors2, weight2, limit, beyond,
-    rim, bonus, likeness, space, low, unit, bins, values, shares,
+    rim, bonus, similarity, space, low, unit, bins, values, shares,
 ):  # fmt: skip
     for block in prange((len(pixels) + 255) // 256):
         votes = np.zeros((bins, 2), np.float32)  # mass, and mass x value
@@ -167,18 +176,18 @@ def _vote(  # type: ignore[no-untyped-def]
             y, x = pixels[n]
             light, a, b = np.int32(lab[y, x, 0]), np.int32(lab[y, x, 1]), np.int32(lab[y, x, 2])
             extent[0], extent[1] = bins, -1
-            most, factor, law = limit[y, x], beyond[y, x], space[scale[n]]
+            largest, factor, weights = limit[y, x], beyond[y, x], space[scale[n]]
             _gather(
-                y, x, light, a, b, planes0, colors0, weight0, 1, -1, 5, most, factor, likeness, law, low, per_unit,
-                bins, votes, extent,
+                y, x, light, a, b, planes0, colors0, weight0, 1, -1, 5, largest, factor, similarity, weights, low,
+                per_unit, bins, votes, extent,
             )  # fmt: skip
             _gather(
-                y, x, light, a, b, planes1, colors1, weight1, 4, 5, 36, most, factor, likeness, law, low, per_unit,
-                bins, votes, extent,
+                y, x, light, a, b, planes1, colors1, weight1, 4, 5, 36, largest, factor, similarity, weights, low,
+                per_unit, bins, votes, extent,
             )  # fmt: skip
             _gather(
-                y, x, light, a, b, planes2, colors2, weight2, 12, 36, 108, most, factor, likeness, law, low, per_unit,
-                bins, votes, extent,
+                y, x, light, a, b, planes2, colors2, weight2, 12, 36, 108, largest, factor, similarity, weights, low,
+                per_unit, bins, votes, extent,
             )  # fmt: skip
             total = np.float32(0)
             for k in range(extent[0], extent[1] + 1):
@@ -200,14 +209,14 @@ def _vote(  # type: ignore[no-untyped-def]
 
 @jit
 def _modes(votes, extent, total, values, shares):  # type: ignore[no-untyped-def]
-    """Take the modes out of a histogram, the strongest first."""
+    # Takes the modes out of a histogram, the strongest first.
     for i in range(values.size):
         best, top = np.float32(0), -1
         for k in range(extent[0], extent[1] + 1):
             m = votes[k, 0] + np.float32(0.5) * (votes[k - 1, 0] + votes[k + 1, 0])
             if m > best:
                 best, top = m, k
-        if top < 0 or best < np.float32(_LEAST_SHARE) * total:
+        if top < 0 or best < np.float32(_MIN_SHARE) * total:
             break
         around, center = np.float32(0), np.float32(0)
         for k in range(top - 1, top + 2):
@@ -220,3 +229,80 @@ def _modes(votes, extent, total, values, shares):  # type: ignore[no-untyped-def
             votes[k, 0] = np.float32(0)
             votes[k, 1] = np.float32(0)
         shares[i] = around / total
+
+
+def hidden_openings(
+    lab: NDArray[np.uint8],
+    planes: WindowPlanes,
+    voters: Voters,
+    trusted: NDArray[np.bool_],
+    jump: float,
+    sigma_color: float,
+) -> NDArray[np.bool_]:
+    """Select measured pixels, (H, W) bool, whose color speaks for a surface behind the measured one.
+
+    Where near surfaces grow over a narrow opening from both sides, it is closed: neither a gap nor a step is left,
+    and only the color shows the surface behind.
+
+    Parameters
+    ----------
+    lab : (H, W, 3) uint8
+    planes : of the measured disparity
+    voters : every fourth pixel
+    trusted : (H, W) bool, pixels to test
+    jump : surfaces that are farther by more lie behind, pixels
+    sigma_color : as in :func:`cast_votes`
+    """
+    space = np.exp(-np.arange(_OPENING_REACH + 1) / _OPENING_SCALE).astype(np.float32)
+    shape = trusted.shape
+    hidden = np.zeros((-(-shape[0] // _OPENING_GRID), -(-shape[1] // _OPENING_GRID)), np.uint8)
+    _test_openings(
+        lab, planes.value, planes.slope_x, planes.slope_y, trusted, voters.planes, voters.lab, voters.weight,
+        color_similarity(sigma_color), space, np.float32(jump), hidden,
+    )  # fmt: skip
+    spread = np.zeros(shape, np.uint8)
+    spread[::_OPENING_GRID, ::_OPENING_GRID] = hidden
+    opened: NDArray[np.bool_] = (
+        cv2.dilate(spread, np.ones((_OPENING_SQUARE, _OPENING_SQUARE), np.uint8)) > 0
+    ) & trusted
+    return opened
+
+
+@parallel_jit
+def _test_openings(lab, value, slope_x, slope_y, trusted, planes, colors, weight, similarity, space, jump, hidden):  # type: ignore[no-untyped-def]
+    for j in prange(hidden.shape[0]):
+        y = _OPENING_GRID * j
+        for i in range(hidden.shape[1]):
+            x = _OPENING_GRID * i
+            if not trusted[y, x]:
+                continue
+            own = value[y, x]
+            light, a, b = np.int32(lab[y, x, 0]), np.int32(lab[y, x, 1]), np.int32(lab[y, x, 2])
+            s_own, n_own = np.float32(0), np.float32(1e-9)
+            s_far, n_far = np.float32(0), np.float32(1e-9)
+            top, bottom = max((y - _OPENING_REACH + 3) // 4, 0), min((y + _OPENING_REACH) // 4 + 1, weight.shape[0])
+            left, right = max((x - _OPENING_REACH + 3) // 4, 0), min((x + _OPENING_REACH) // 4 + 1, weight.shape[1])
+            for v in range(top, bottom):
+                dy = 4 * v - y
+                row = space[abs(dy)]
+                for u in range(left, right):
+                    dx = 4 * u - x
+                    if weight[v, u] <= 0 or (abs(dx) <= _MIN_OPENING_DISTANCE and abs(dy) <= _MIN_OPENING_DISTANCE):
+                        continue
+                    d = planes[0, v, u]
+                    here = own + slope_x[y, x] * np.float32(dx) + slope_y[y, x] * np.float32(dy)
+                    z = row * space[abs(dx)]
+                    c = abs(np.int32(colors[0, v, u]) - light) + abs(np.int32(colors[1, v, u]) - a)
+                    c += abs(np.int32(colors[2, v, u]) - b)
+                    if d < min(own, here) - jump:
+                        s_far += z * similarity[c]
+                        n_far += z
+                    elif abs(d - own) < jump or abs(d - here) < jump:
+                        s_own += z * similarity[c]
+                        n_own += z
+            if (
+                n_far > np.float32(1e-6)
+                and n_own > np.float32(1e-6)
+                and s_own * n_far < _MIN_LIKELIHOOD_RATIO * s_far * n_own
+            ):
+                hidden[j, i] = 1

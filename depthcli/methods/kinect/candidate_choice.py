@@ -1,4 +1,4 @@
-"""One candidate for every suspect pixel: what the votes, the measurement and the neighbors agree on."""
+"""Choice among the candidates of every unreliable pixel, by votes, measurement and neighbors."""
 
 from __future__ import annotations
 
@@ -9,44 +9,47 @@ from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.algorithms.trws import trws
 from depthcli.kernels.jit import parallel_jit, prange
 
-CLOSE = 4.0  # multiples of the noise: a candidate so near to the measurement stands for it
-_FLOOR = 0.08  # share of votes below which candidates differ little
-_SUREST = 0.97  # no measurement is right or wrong with more probability than this
-_EDGE_COLOR = 12.0  # contrast (L1 in 8-bit Lab) over which smoothness fades
-_LEAST_WEIGHT = 0.02
-_HOPELESS = 4.0  # candidates that cost more than the cheapest by this are left out
+# Chosen by experiment; scripts/kinect_experiments.py has the figures of the presets.
+AGREEMENT = 4.0
+"""A candidate that is nearer to the measurement agrees with it, multiples of the noise."""
+_MIN_SHARE = 0.08  # added to the shares of votes: small ones differ little
+_MAX_PROBABILITY = 0.97  # of a measurement to be right, or to be wrong
+_EDGE_COLOR = 12.0  # contrast over which smoothness falls by 1/e, L1 in 8-bit Lab
+_MIN_WEIGHT = 0.02  # of smoothness, across the strongest color edge
+_MAX_EXTRA_COST = 4.0  # candidates that cost more than the cheapest by this are left out
 
 
-def choose(
+def choose_candidates(
     pixels: NDArray[np.int32],
     values: NDArray[np.float32],
     shares: NDArray[np.float32],
     lab: NDArray[np.uint8],
     disparity: NDArray[np.float32],
     right: NDArray[np.float32],
-    suspect: NDArray[np.bool_],
+    unreliable: NDArray[np.bool_],
     planes: WindowPlanes,
     noise: float,
     smoothness: float,
     truncation: float,
     iterations: int,
 ) -> NDArray[np.float32]:
-    """(H, W) float32: the chosen values at the suspect pixels, pixels; NaN where nothing was voted for, and elsewhere.
+    """Choose a value for every unreliable pixel, (H, W) float32; NaN where it has no candidate, and elsewhere.
 
-    The cost of a candidate is ``-ln(share + floor)`` and, where something was measured, ``-ln`` of the probability
-    that it is right (for candidates close to it) or wrong; neighbors pay for differing, less across color edges.
+    The cost of a candidate is ``-ln(share + 0.08)`` and, where something was measured, ``-ln`` of the probability
+    that it is right (for candidates close to it) or wrong; differences of neighbors cost, less across color edges.
+    TRW-S minimizes the sum.
 
     Parameters
     ----------
-    pixels : (N, 2) int32, the suspect pixels in raster order
-    values, shares : (N, K) of :func:`depthcli.methods.kinect.votes.cast_votes`
+    pixels : (N, 2) int32, the unreliable pixels in raster order
+    values, shares : (N, K) of :func:`depthcli.methods.kinect.plane_voting.cast_votes`
     lab : (H, W, 3) uint8
     disparity : (H, W) float32 measured, pixels, NaN = unknown
     right : (H, W) float32, probability that a measured value is right
-    suspect : (H, W) bool
-    planes : known surfaces; outside the suspects they are the fixed neighbors
+    unreliable : (H, W) bool
+    planes : known surfaces; at reliable pixels they are the fixed neighbors
     noise : pixels
-    smoothness : weight of a difference, a multiple of the noise, between alike neighbors
+    smoothness : weight of a difference, in units of the noise, between neighbors of one color
     truncation : largest difference that counts, multiples of the noise
     iterations : of the message passing
     """
@@ -55,48 +58,48 @@ def choose(
     unary = np.full(candidates.shape, np.inf, np.float32)
     weights = np.zeros((len(pixels), 4), np.float32)
     _costs(
-        pixels, values, shares, lab, disparity, right, suspect, planes.value, planes.slope_x, planes.slope_y,
+        pixels, values, shares, lab, disparity, right, unreliable, planes.value, planes.slope_x, planes.slope_y,
         np.float32(noise), np.float32(smoothness), np.float32(truncation), candidates, unary, weights,
     )  # fmt: skip
-    given = np.isfinite(unary[:, 0])
-    pixels = pixels[given]
+    has_candidates = np.isfinite(unary[:, 0])
+    pixels = pixels[has_candidates]
     if not len(pixels):
         return chosen
     active = np.zeros(disparity.shape, bool)
     active[pixels[:, 0], pixels[:, 1]] = True
-    labels = trws(candidates[given], unary[given], active, weights[given], truncation * noise, iterations).labels
-    chosen[active] = candidates[given][np.arange(len(pixels)), labels]
+    candidates, unary, weights = candidates[has_candidates], unary[has_candidates], weights[has_candidates]
+    labels = trws(candidates, unary, active, weights, truncation * noise, iterations).labels
+    chosen[active] = candidates[np.arange(len(pixels)), labels]
     return chosen
 
 
 @parallel_jit
 def _costs(  # type: ignore[no-untyped-def]
-    pixels, values, shares, lab, disparity, right, suspect, value, slope_x, slope_y, noise, smoothness, truncation,
+    pixels, values, shares, lab, disparity, right, unreliable, value, slope_x, slope_y, noise, smoothness, truncation,
     candidates, unary, weights,
 ):  # fmt: skip
     height, width = disparity.shape
-    most = values.shape[1]
     for n in prange(len(pixels)):
         y, x = pixels[n]
         measured = disparity[y, x]
         known = not np.isnan(measured)
         count = 0
-        found = False
-        for i in range(most):
+        agreed = False
+        for i in range(values.shape[1]):
             if np.isnan(values[n, i]):
                 break
             candidates[n, count] = values[n, i]
-            unary[n, count] = -np.log(shares[n, i] + np.float32(_FLOOR))
-            found = found or (known and abs(values[n, i] - measured) < np.float32(CLOSE) * noise)
+            unary[n, count] = -np.log(shares[n, i] + np.float32(_MIN_SHARE))
+            agreed = agreed or (known and abs(values[n, i] - measured) < np.float32(AGREEMENT) * noise)
             count += 1
-        if known and not found:
+        if known and not agreed:
             candidates[n, count] = measured
-            unary[n, count] = -np.log(np.float32(_FLOOR))
+            unary[n, count] = -np.log(np.float32(_MIN_SHARE))
             count += 1
         if known:
-            p = min(max(right[y, x], np.float32(1 - _SUREST)), np.float32(_SUREST))
+            p = min(max(right[y, x], np.float32(1 - _MAX_PROBABILITY)), np.float32(_MAX_PROBABILITY))
             for i in range(count):
-                close = abs(candidates[n, i] - measured) < np.float32(CLOSE) * noise
+                close = abs(candidates[n, i] - measured) < np.float32(AGREEMENT) * noise
                 unary[n, i] -= np.log(p) if close else np.log(np.float32(1) - p)
         for k in range(8):
             j = k % 4
@@ -112,22 +115,22 @@ def _costs(  # type: ignore[no-untyped-def]
                 contrast += abs(np.int32(lab[y, x, i]) - np.int32(lab[v, u, i]))
             diagonal = np.float32(0.7 if dy != 0 and dx != 0 else 1.0)
             weight = smoothness * np.float32(np.exp(-contrast / _EDGE_COLOR)) * diagonal / noise
-            weight += np.float32(_LEAST_WEIGHT)
+            weight += np.float32(_MIN_WEIGHT)
             if k < 4:
                 weights[n, k] = weight
-            if not suspect[v, u] and not np.isnan(value[v, u]):
+            if not unreliable[v, u] and not np.isnan(value[v, u]):
                 here = value[v, u] - slope_x[v, u] * np.float32(dx) - slope_y[v, u] * np.float32(dy)
                 for i in range(count):
                     unary[n, i] += weight * min(abs(candidates[n, i] - here), truncation * noise)
-        # the cheap ones, in order
-        least = np.float32(np.inf)
+        # Keep the cheap ones, in order.
+        cheapest = np.float32(np.inf)
         for i in range(count):
-            least = min(least, unary[n, i])
+            cheapest = min(cheapest, unary[n, i])
         kept = 0
         for i in range(count):
             cost, candidate = unary[n, i], candidates[n, i]
             unary[n, i] = np.inf
-            if cost <= least + np.float32(_HOPELESS):
+            if cost <= cheapest + np.float32(_MAX_EXTRA_COST):
                 unary[n, kept] = cost
                 candidates[n, kept] = candidate
                 kept += 1

@@ -1,0 +1,104 @@
+"""Disparity of a frame: as it was measured, its noise, and the depth of what it was refined to."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
+from depthcli.core.cameras.triangulation import depth_of_disparity
+from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import DepthMap, DepthStatus
+from depthcli.core.result import Clock, RefinedDepth
+
+_NOISE_SAMPLES = 60_000  # second differences along either axis: as many give the median within a percent
+_CORRECTED = 3.0  # multiples of the noise: a measurement that moves by more was wrong, not noisy
+_FARTHEST = np.float32(1e-3)  # share of the smallest measured disparity below which a value is none
+
+
+def measured_disparity(frame: RgbdFrame) -> NDArray[np.float32]:
+    """Return the frame's disparity, (H, W) float32 pixels, NaN = unknown; ValueError where no pixel is known."""
+    disparity = frame.disparity
+    if np.isnan(disparity).all():
+        raise ValueError("no pixel of the frame has a depth")
+    return disparity
+
+
+def noise_level(disparity: NDArray[np.float32], floor: float = 0.1) -> float:
+    """Estimate the standard deviation of a disparity map's noise, in pixels: the unit of thresholds on disparities.
+
+    From the median of the second differences along rows and columns, which slopes do not change and edges hardly
+    do. Where most of them are 0 the values are rounded: then that of rounding to their median step.
+
+    Parameters
+    ----------
+    disparity : (H, W) float32, pixels, NaN = unknown
+    floor : smallest result. Triangulating sensors interpolate and smooth to about 1/8 pixel, and noise that
+        neighbors share hardly shows in differences
+    """
+    every = max(1, disparity.size // _NOISE_SAMPLES)
+    lines = disparity[::every], disparity[:, ::every].T
+    bends, steps = (np.concatenate([np.abs(np.diff(a, n)).ravel() for a in lines]) for n in (2, 1))
+    bend, step = bends[~np.isnan(bends)], steps[steps > 0]
+    middle = float(np.median(bend)) if bend.size else 0.0
+    rounded = float(np.median(step)) / 12**0.5 if step.size and middle == 0 else 0.0
+    return max(MAD_TO_SIGMA * middle / 6**0.5, rounded, floor)
+
+
+def nearest_fill(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Fill unknown values with the nearest known one (Euclidean distance as ``cv2.distanceTransform`` has it).
+
+    Parameters
+    ----------
+    values : (H, W) float32, NaN = unknown; a map without any known value is returned as it is
+    """
+    unknown = np.isnan(values)
+    if not unknown.any() or unknown.all():
+        return values.copy()
+    _, label = cv2.distanceTransformWithLabels(
+        unknown.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    table = np.full(int(label.max()) + 1, np.nan, np.float32)
+    table[label[~unknown]] = values[~unknown]
+    filled: NDArray[np.float32] = table[label]
+    return filled
+
+
+def refined_depth(
+    frame: RgbdFrame,
+    disparity: NDArray[np.float32],
+    sigma: NDArray[np.float32],
+    noise: float,
+    clock: Clock,
+    fallback: NDArray[np.bool_] | None = None,
+) -> RefinedDepth:
+    """Convert a refined disparity to depth, with a status that says what became of every measurement.
+
+    Parameters
+    ----------
+    frame : the measurement
+    disparity : (H, W) float32 refined, pixels, NaN = none. Values that are not positive, or farther than 1000 times
+        the farthest measurement, count as none
+    sigma : (H, W) float32, pixels, NaN = none
+    noise : of the measurement, pixels: a measured value that moved by more than three times the noise is
+        ``CORRECTED``, by less ``SMOOTHED``
+    clock : seconds so far
+    fallback : (H, W) bool, gaps filled from around instead of by the model
+    """
+    measured = frame.disparity
+    known = ~np.isnan(measured)
+    values = np.where(disparity > np.nanmin(measured) * _FARTHEST, disparity, np.float32(np.nan))
+    depth = depth_of_disparity(values, frame.fb)
+    same = values == measured
+    depth[same] = frame.depth[same]
+    status = np.zeros(frame.shape, np.uint8)
+    status[known & ~same] = DepthStatus.SMOOTHED
+    status[known & (np.abs(values - measured) > _CORRECTED * noise)] = DepthStatus.CORRECTED
+    status[~known] = DepthStatus.GAP_FILLED
+    if fallback is not None:
+        status[~known & fallback] = DepthStatus.FALLBACK
+    status[np.isnan(depth)] = DepthStatus.EMPTY
+    meters: NDArray[np.float32] = (sigma * depth * depth / np.float32(frame.fb)).astype(np.float32)
+    clock.stop("result")
+    return RefinedDepth(seconds=clock.seconds, depth=DepthMap(depth, status), sigma=meters)

@@ -1,0 +1,269 @@
+"""Layers of segments: a surface for each segment of a layer, and one disparity from all layers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
+from depthcli.algorithms.plane_fitting.polynomials import Surfaces
+from depthcli.core.cameras.triangulation import depth_of_disparity
+from depthcli.core.frames import RgbdFrame
+from depthcli.core.maps import DepthMap, DepthStatus
+from depthcli.core.result import RefinedDepth
+from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.kinect.depth_edges import edge_distance
+from depthcli.methods.kinect.disparity import measured_disparity, noise_level
+from depthcli.methods.kinect.model import SurfaceModel
+from depthcli.methods.kinect.shadows import nearest_allowed
+from depthcli.methods.kinect.surfaces import add_detail, join_segments
+
+CORE_DISTANCE = 6
+"""Pixels into the near side from which on an unreliable pixel is probably right: thin objects have no others."""
+_MIN_CORE_PIXELS = 5  # that a surface is fitted to
+
+_KEPT, _FILLED, _CORRECTED, _FALLBACK, _EMPTY, _SMOOTHED = (
+    int(s)
+    for s in (
+        DepthStatus.KEPT, DepthStatus.GAP_FILLED, DepthStatus.CORRECTED, DepthStatus.FALLBACK, DepthStatus.EMPTY,
+        DepthStatus.SMOOTHED,
+    )
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The measured disparity of a frame, and where it is reliable.
+
+    Attributes
+    ----------
+    disparity : (H, W) float32, pixels, NaN = unknown
+    reliable : (H, W) float32, the same without unreliable pixels
+    core : (H, W) bool, unreliable pixels that lie well within the near side of a depth edge
+    limit : (H, W) float32, largest disparity that fits the gap, inf where the gap is no shadow
+    noise : standard deviation of the disparity, pixels
+    """
+
+    disparity: NDArray[np.float32]
+    reliable: NDArray[np.float32]
+    core: NDArray[np.bool_]
+    limit: NDArray[np.float32]
+    noise: float
+
+    @classmethod
+    def of(
+        cls, frame: RgbdFrame, jump: float, row_band: int, column_band: int, noise: float | None = None
+    ) -> Measurement:
+        """Classify the pixels of a frame.
+
+        Parameters
+        ----------
+        jump : larger steps are depth edges, multiples of the noise
+        row_band, column_band : unreliable pixels lie at most so many pixels into the near side of an edge; 0: none
+        noise : pixels; None: estimated
+
+        Raises
+        ------
+        ValueError
+            Where no pixel has a depth.
+        """
+        disparity = measured_disparity(frame)
+        noise = noise_level(disparity) if noise is None else noise
+        distance = edge_distance(disparity, jump * noise)
+        unreliable = distance.inside(row_band, column_band)
+        return cls(
+            disparity=disparity,
+            reliable=np.where(unreliable, np.float32(np.nan), disparity),
+            core=unreliable & (distance.row > CORE_DISTANCE) & (distance.column > 1),
+            limit=nearest_allowed(disparity, jump * noise),
+            noise=noise,
+        )
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A partition of the frame with a surface for every part.
+
+    Attributes
+    ----------
+    labels : (H, W) int32, the surface of every pixel, -1 where there is none
+    surfaces : n of them
+    own : (H, W) bool, the surface was fitted to the pixel's own segment, not to another that the segment joined
+    """
+
+    labels: NDArray[np.int32]
+    surfaces: Surfaces
+    own: NDArray[np.bool_]
+
+    def estimate(self, measurement: Measurement, reach: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Evaluate value and scale, (H, W) float32, with detail within ``reach`` pixels of reliable ones; 0: none."""
+        values = self.surfaces.at(self.labels)
+        if reach:
+            add_detail(values, measurement.reliable, self.labels, self.surfaces.scale, reach)
+        scale = np.where(self.labels < 0, np.float32(np.nan), self.surfaces.scale[self.labels])
+        return values, scale
+
+
+def fit_layer(
+    measurement: Measurement,
+    labels: NDArray[np.int32],
+    color: NDArray[np.uint8],
+    model: SurfaceModel,
+    min_known: int,
+    min_share: float,
+    join: bool,
+) -> Layer:
+    """Fit ``model`` to the segments ``labels`` (H, W), and let segments where it cannot be fitted join others.
+
+    Parameters
+    ----------
+    color : (H, W, 3) uint8 CIELAB
+    min_known, min_share : reliable pixels that a segment needs, and their share of it. With fewer, a segment whose
+        measured pixels mostly are ``core`` pixels is fitted to those
+    join : False: a segment without a model stays without a surface
+    """
+    count = int(labels.max()) + 1
+    sizes = _count(labels, measurement.disparity, measurement.reliable, measurement.core, count)
+    size, known, unreliable, core = sizes.T
+    modelled = (known >= min_known) & (known >= min_share * size)
+    by_core = ~modelled & (core >= _MIN_CORE_PIXELS) & (2 * core >= known + unreliable)
+    values = measurement.reliable
+    if by_core.any():
+        values = np.where(by_core[labels] & measurement.core, measurement.disparity, values)
+    surfaces = model(values, labels, measurement.noise)
+    modelled |= by_core
+    owners = np.where(modelled, np.arange(count, dtype=np.int32), np.int32(-1))
+    if join:
+        owners = join_segments(labels, modelled, surfaces, color, measurement.limit)
+    return Layer(owners[labels], surfaces, modelled[labels])
+
+
+@jit
+def _count(labels, disparity, reliable, core, count):  # type: ignore[no-untyped-def]
+    # Pixels of every segment: all, reliable, unreliable, and those in the core.
+    sizes = np.zeros((count, 4), np.int32)
+    height, width = labels.shape
+    for y in range(height):
+        for x in range(width):
+            s = labels[y, x]
+            sizes[s, 0] += 1
+            if not np.isnan(reliable[y, x]):
+                sizes[s, 1] += 1
+            elif not np.isnan(disparity[y, x]):
+                sizes[s, 2] += 1
+                if core[y, x]:
+                    sizes[s, 3] += 1
+    return sizes
+
+
+@dataclass(frozen=True)
+class RefinedDisparity:
+    """A refined disparity map.
+
+    Attributes
+    ----------
+    disparity, scale : (H, W) float32, pixels; value and standard deviation, NaN = none
+    status : (H, W) uint8, bits of :class:`~depthcli.core.maps.DepthStatus`
+    """
+
+    disparity: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    status: NDArray[np.uint8]
+
+    def filled(self, frame: RgbdFrame, noise: float) -> RefinedDisparity:
+        """Fill pixels that no surface reaches by a joint bilateral filter; their scale is ``noise``, pixels."""
+        missing = np.isnan(self.disparity)
+        if not missing.any():
+            return self
+        values = joint_bilateral_fill(frame.color, self.disparity)
+        filled = missing & ~np.isnan(values)
+        scale = np.where(filled, np.float32(noise), self.scale)
+        return RefinedDisparity(values, scale, np.where(filled, np.uint8(DepthStatus.FALLBACK), self.status))
+
+    def to_depth(self, frame: RgbdFrame) -> RefinedDepth:
+        """Convert to depth; kept measurements have the sensor's exact value."""
+        depth = depth_of_disparity(self.disparity, frame.fb)
+        kept = self.status == DepthStatus.KEPT
+        depth[kept] = frame.depth[kept]
+        status = np.where(np.isnan(depth), np.uint8(DepthStatus.EMPTY), self.status)
+        sigma: NDArray[np.float32] = (self.scale * depth * depth / np.float32(frame.fb)).astype(np.float32)
+        return RefinedDepth(depth=DepthMap(depth, status), sigma=sigma)
+
+
+def combine(
+    layers: list[Layer], measurement: Measurement, reach: float, tolerance: float, smooth: bool
+) -> RefinedDisparity:
+    """Take the median of the layers where a measurement is unknown, or unreliable and in contradiction to it.
+
+    Parameters
+    ----------
+    reach : of detail, see :meth:`Layer.estimate`
+    tolerance : a measured value that is off by more scales contradicts the surface
+    smooth : replace measured values that agree with the surface as well
+    """
+    shape = (len(layers), *measurement.disparity.shape)
+    values, scales, own = np.empty(shape, np.float32), np.empty(shape, np.float32), np.zeros(shape[1:], bool)
+    for k, layer in enumerate(layers):
+        values[k], scales[k] = layer.estimate(measurement, reach)
+        own |= layer.own
+    result = RefinedDisparity(
+        np.empty(shape[1:], np.float32), np.empty(shape[1:], np.float32), np.empty(shape[1:], np.uint8)
+    )
+    _decide(
+        values, scales, own, measurement.disparity, measurement.reliable, np.float32(tolerance),
+        np.float32(measurement.noise), smooth, result.disparity, result.scale, result.status,
+    )  # fmt: skip
+    return result
+
+
+@jit
+def _median(sorted_values, count):  # type: ignore[no-untyped-def]
+    middle = count >> 1
+    if count & 1:
+        return sorted_values[middle]
+    return np.float32(0.5) * (sorted_values[middle - 1] + sorted_values[middle])
+
+
+@parallel_jit
+def _decide(values, scales, own, disparity, reliable, tolerance, noise, smooth, out, scale, status):  # type: ignore[no-untyped-def]
+    layers, height, width = values.shape
+    for y in prange(height):
+        value, spread = np.empty(layers, np.float32), np.empty(layers, np.float32)
+        for x in range(width):
+            count = 0
+            for k in range(layers):
+                if np.isnan(values[k, y, x]):
+                    continue
+                i = count
+                while i > 0 and value[i - 1] > values[k, y, x]:
+                    value[i] = value[i - 1]
+                    i -= 1
+                value[i] = values[k, y, x]
+                i = count
+                while i > 0 and spread[i - 1] > scales[k, y, x]:
+                    spread[i] = spread[i - 1]
+                    i -= 1
+                spread[i] = scales[k, y, x]
+                count += 1
+            measured = disparity[y, x]
+            if count == 0:
+                out[y, x] = measured
+                scale[y, x] = np.nan if np.isnan(measured) else noise
+                status[y, x] = _EMPTY if np.isnan(measured) else _KEPT
+                continue
+            middle = _median(value, count)
+            scale[y, x] = max(_median(spread, count), noise)
+            if np.isnan(measured):
+                out[y, x] = middle
+                status[y, x] = _FILLED if own[y, x] else _FALLBACK
+            elif abs(measured - middle) <= tolerance * scale[y, x]:
+                out[y, x] = middle if smooth else measured
+                status[y, x] = _KEPT | _SMOOTHED if smooth else _KEPT
+            elif np.isnan(reliable[y, x]):
+                out[y, x] = middle
+                status[y, x] = _CORRECTED
+            else:
+                out[y, x] = measured
+                status[y, x] = _KEPT
