@@ -52,7 +52,7 @@ class Command(ABC):
         words = ["depthcli", self.name]
         for argument in self.arguments:
             value = values[argument.name]
-            words += [] if value is None else [*map(str, value)] if argument.many else [str(value)]
+            words += [] if value is None else [*map(str, value)] if argument.repeatable else [str(value)]
         for option in self.options:
             value = values[option.name]
             if value == option.default or value is None or value == []:
@@ -60,7 +60,7 @@ class Command(ABC):
             if option.type is bool:
                 words.append(option.flag)
                 continue
-            for each in value if option.many else [value]:
+            for each in value if option.repeatable else [value]:
                 words += [option.flag, str(each)]
         return shlex.join(words)
 

@@ -97,7 +97,7 @@ def _function(command: Command) -> Callable[..., int]:
 
 
 def _annotation(option: Option) -> Any:
-    kind: Any = list[option.type] if option.many else option.type  # type: ignore[name-defined]
+    kind: Any = list[option.type] if option.repeatable else option.type  # type: ignore[name-defined]
     return kind if option.required or option.type is bool else kind | None
 
 
@@ -110,7 +110,7 @@ def _option(option: Option) -> Any:
     default = ... if option.required else option.default
     names = (option.flag, option.short) if option.short else (option.flag,)
     return typer.Option(
-        default, *names, metavar=option.metavar or None, help=option.help, min=option.least, max=option.most
+        default, *names, metavar=option.metavar or None, help=option.help, min=option.min_value, max=option.max_value
     )
 
 

@@ -17,17 +17,18 @@ CONFIG = Option("config", str, "YAML file, or the name of a preset.", "CONFIG", 
 INPUT = Option("input", Path, "Folder of scenes, or a CSV file of pairs.", "DIR", short="-i")
 OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True)
 LAYOUT = Option("layout", str, "Layout of the input folder. Default: recognized from its files.", "NAME")
-SCENES = Option("scenes", str, "Use only the scenes whose name matches; repeatable.", "GLOB", many=True)
+SCENES = Option("scenes", str, "Use only the scenes whose name matches; repeatable.", "GLOB", repeatable=True)
 NAME = Option("name", str, "Name of a single scene. Default: that of its file or folder.", "NAME")
-SET = Option("set", str, "Override one key of the config; repeatable.", "KEY=VALUE", many=True)
+SET = Option("set", str, "Override one key of the config; repeatable.", "KEY=VALUE", repeatable=True)
 EVALUATE = Option("evaluate", bool, "Compare the results with the ground truth of the input folder.", default=False)
 HTML_FLAG = Option("html", bool, "Like --evaluate, and write evaluation/report.html.", default=False)
 DRY_RUN = Option("dry_run", bool, "Print config, scenes and memory needed; compute nothing.", default=False)
 SELECT = (NAME, LAYOUT, SCENES, SET)
 RUN = (
     Option("jobs", int, "Number of scenes computed at a time, each by a process.", "N", default=1, short="-j",
-           least=1, most=512),
-    Option("threads", int, "Threads of each process. Default: all cores, divided by --jobs.", "N", least=1, most=1024),
+           min_value=1, max_value=512),
+    Option("threads", int, "Threads of each process. Default: all cores, divided by --jobs.", "N",
+           min_value=1, max_value=1024),
     Option("max_memory", str, "Memory that may be used, such as 2GiB. Default: all that is free.", "SIZE"),
     Option("overwrite", bool, "Replace the results of an earlier run with another config.", default=False),
     Option("keep", str, "Files to keep of each scene, such as disp_left.pfm,status.png. Default: all.", "NAMES"),

@@ -38,7 +38,7 @@ class EvaluateCommand(Command):
     def arguments(self) -> tuple[Option, ...]:
         """The runs to compare."""
         about = "Run folders, folders of others' maps, or single maps."
-        return (Option("runs", Path, about, "RUN...", many=True, required=True),)
+        return (Option("runs", Path, about, "RUN...", repeatable=True, required=True),)
 
     @property
     def options(self) -> tuple[Option, ...]:
@@ -50,10 +50,10 @@ class EvaluateCommand(Command):
             SCENES,
             LAYOUT,
             Option("protocol", str, "How to score, such as kitti-2015. Default: as each scene's data set.", "NAME"),
-            Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", least=1e-6),
+            Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", min_value=1e-6),
             Option("resolution", str, "Size of Middlebury v3's truth. Default: by a known scene's width.", "F|H|Q"),
             Option("resize", str, "Bring depth maps and their truth to one size, nearest neighbor.", "WxH"),
-            Option("threshold", float, "Error above which pixels are wrong, not the benchmark's.", "T", least=1e-6),
+            Option("threshold", float, "Error above which pixels are wrong, not the benchmark's.", "T", min_value=1e-6),
             Option("format", str, "Print wide tables: latex, markdown or csv; best bold, second underlined.", "FORMAT"),
             *HTML,
         )  # fmt: skip

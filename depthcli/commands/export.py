@@ -37,7 +37,7 @@ class ExportCommand(Command):
             Option("output", Path, "The archive to write.", "FILE.zip", short="-o", required=True),
             Option("split", str, "Only the training or only the test scenes.", "training|test"),
             Option("sparse", bool, "Maps with holes, as such (Middlebury).", default=False),
-            Option("seconds", float, "Run time of every scene, where the run has no report.", "S", least=0.0),
+            Option("seconds", float, "Run time of every scene, where the run has no report.", "S", min_value=0.0),
             Option("overwrite", bool, "Replace the archive.", default=False),
         )
 

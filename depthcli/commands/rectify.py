@@ -55,13 +55,13 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
             LAYOUT,
             SCENES,
             Option("calibration", Path, "OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain, "
-                   "KITTI calib_cam_to_cam; repeatable.", "FILE", many=True),
+                   "KITTI calib_cam_to_cam; repeatable.", "FILE", repeatable=True),
             Option("uncalibrated", bool, "By matched key points alone; depths stay unknown.", default=False),
             Option("unit", str, "Unit of OpenCV's translation: m, cm or mm.", "UNIT", default="m"),
             Option("fisheye", bool, "The lenses of OpenCV's file are fisheye.", default=False),
             Option("cameras", str, "Numbers of the left and right camera in KITTI's file.", "L,R", default="2,3"),
             Option("alpha", float, "0: only what both images hold; 1: all that either holds.", "SHARE", default=0.0,
-                   least=0, most=1),
+                   min_value=0, max_value=1),
             *RUN,
             DRY_RUN,
         )  # fmt: skip

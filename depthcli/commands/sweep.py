@@ -43,16 +43,17 @@ class SweepCommand(Command):
         """What to vary, of which command, on what."""
         return (
             Option(
-                "over", str, "KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable.", "KEY=VALUES", many=True, required=True
+                "over", str, "KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable.", "KEY=VALUES",
+                repeatable=True, required=True
             ),
             Option("command", str, "The command that CONFIG belongs to.", "COMMAND", default="stereo"),
             Option("input", Path, "Folder of scenes.", "DIR", short="-i", required=True),
             OUTPUT,
-            Option("random", int, "Draw N combinations instead of taking all.", "N", least=1),
-            Option("seed", int, "Seed of the draw.", "N", default=0, least=0),
+            Option("random", int, "Draw N combinations instead of taking all.", "N", min_value=1),
+            Option("seed", int, "Seed of the draw.", "N", default=0, min_value=0),
             LAYOUT,
             SCENES,
-            Option("set", str, "Override one key in all runs; repeatable.", "KEY=VALUE", many=True),
+            Option("set", str, "Override one key in all runs; repeatable.", "KEY=VALUE", repeatable=True),
             *RUN,
             Option("dry_run", bool, "Only list the runs, and how many scenes of each are done.", default=False),
             *HTML,

@@ -10,18 +10,16 @@ is then refused as any unknown key is, with the new name as the hint, however li
 from __future__ import annotations
 
 import contextlib
-import difflib
-import json
+import copy
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ValidationError
+from pydantic import BaseModel, ValidationError
 
+from depthcli.core.config_errors import explain
 from depthcli.core.errors import ConfigError
-from depthcli.core.method import Family
 from depthcli.core.yaml_source import (
     Builder,
     ConfigData,
@@ -38,7 +36,6 @@ __all__ = ["ConfigData", "dump_config", "load_config", "overlay", "parse_config"
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
-_MISSING = object()
 _METHOD_KEYS = ("method", "pipeline")
 
 
@@ -49,9 +46,9 @@ def overlay(
 
     Parameters
     ----------
-    config : what the file said
-    settings : ``a.b=value``; value is YAML, a number in the path is the index of a list scene. A pair begins with the
-        option that messages shall blame instead of ``--set``
+    config : of the file
+    settings : ``a.b=value``; value is YAML, a number in the path is an index of a list. Of a pair, the first is the
+        option that messages name instead of ``--set``
     defaults : values of keys that the file leaves out, so that one key below them can be set
     """
     for entry in settings:
@@ -76,13 +73,13 @@ def overlay(
         value = None if node is None else Builder(place, places, config.problems, lines=False).build(node, location)
         parent = _walk(config.data, location[:-1])
         parent[location[-1]] = value
-        for known in [p for p in config.places if p[: len(location)] == location]:
-            del config.places[known]
+        for below in [p for p in config.places if p[: len(location)] == location]:
+            del config.places[below]
         config.places.update(places)
         config.places[location] = place
 
 
-def with_base(config: ConfigData, path: Path, find: Callable[[str], Path | None], seen: tuple[Path, ...] = ()) -> None:
+def with_base(config: ConfigData, path: Path, find: Callable[[str], Path | None], chain: tuple[Path, ...] = ()) -> None:
     """Lay ``config`` over the one that its key ``base`` names, in place.
 
     Mappings are merged key by key, but for one that names another method; anything else replaces what the base says.
@@ -109,7 +106,7 @@ def with_base(config: ConfigData, path: Path, find: Callable[[str], Path | None]
     if target is None:
         config.problems.append(f"{place}: base: {short(name)} is neither a preset nor a file beside this one")
         return
-    chain = (*seen, path.resolve())
+    chain = (*chain, path.resolve())
     if target.resolve() in chain:
         raise ConfigError(f"{place}: base: {name} leads back to this file")
     base = read_config(target)
@@ -136,7 +133,7 @@ def _has(data: Any, location: Location) -> bool:
 
 
 def validate(model: type[_Model], config: ConfigData) -> _Model:
-    """Check ``config`` against ``model``.
+    """Return ``config`` as ``model``, checked.
 
     Raises
     ------
@@ -147,7 +144,7 @@ def validate(model: type[_Model], config: ConfigData) -> _Model:
     try:
         value = model.model_validate(config.data)
     except ValidationError as error:
-        problems += [_explain(model, config, scene) for scene in error.errors(include_url=False)]
+        problems += [explain(model, config, each) for each in error.errors(include_url=False)]
     if problems:
         raise ConfigError("\n".join(sorted(dict.fromkeys(problems), key=_line_number)))
     return value
@@ -159,12 +156,12 @@ def load_config(
     settings: Sequence[str | tuple[str, str]] = (),
     find: Callable[[str], Path | None] = lambda name: None,
 ) -> _Model:
-    """Read, lay over its base, overlay and check in one go.
+    """Return a config read, laid over its base, overlaid with options and checked.
 
     Parameters
     ----------
     model : of the config's root
-    source : a file, or what was read already
+    source : a file, or a config that is read already
     settings : as for :func:`overlay`
     find : as for :func:`with_base`
 
@@ -186,13 +183,13 @@ def load_config(
 
 
 def dump_config(model: BaseModel) -> str:
-    """The resolved model as YAML, always the same text for the same values; reads back to an equal model."""
+    """Return the resolved model as YAML, always the same text for the same values; reads back to an equal model."""
     return to_yaml(model.model_dump(mode="json", by_alias=True))
 
 
 def _line_number(problem: str) -> int:
-    found = re.match(r"[^\n]*?:(\d+): ", problem)
-    return int(found[1]) if found else 0
+    match = re.match(r"[^\n]*?:(\d+): ", problem)
+    return int(match[1]) if match else 0
 
 
 def _walk(data: Any, location: Location) -> Any:
@@ -203,155 +200,28 @@ def _walk(data: Any, location: Location) -> Any:
 
 def _assign(data: dict[str, Any], location: Location, defaults: Any) -> str:
     """Make room for a value at ``location``; the problem in words where that cannot be."""
-    here: Any = data
+    inside: Any = data
     for depth, part in enumerate(location):
-        last = depth == len(location) - 1
         at = dotted(location[:depth]) or "the root"
-        if isinstance(here, list):
+        if isinstance(inside, list):
             if not isinstance(part, int):
-                return f"{at} is a list of {len(here)}; want an index such as {at}.0 (got {part!r})"
-            if part >= len(here):
-                return f"{at} has {len(here)} scenes; the last index is {len(here) - 1} (got {part})"
-        elif not isinstance(here, dict):
+                return f"{at} is a list of {len(inside)}; want an index such as {at}.0 (got {part!r})"
+            if part >= len(inside):
+                return f"{at} has {len(inside)} entries; the last index is {len(inside) - 1} (got {part})"
+        elif not isinstance(inside, dict):
             return f"{at} is a single value, nothing can be set below it"
-        if last:
-            return ""
-        default = _MISSING
-        if isinstance(defaults, dict) or (isinstance(defaults, list) and isinstance(part, int)):
-            try:
-                default = defaults[part]  # type: ignore[index]
-            except (KeyError, IndexError):
-                default = _MISSING
-        below = here.get(part) if isinstance(here, dict) else here[part]
+        if depth == len(location) - 1:
+            break
+        try:
+            defaults = defaults[part]
+        except (KeyError, IndexError, TypeError):
+            defaults = None
+        below = inside.get(part) if isinstance(inside, dict) else inside[part]
         if below is None:
-            below = json.loads(json.dumps(default)) if isinstance(default, dict | list) else {}
+            below = copy.deepcopy(defaults) if isinstance(defaults, dict | list) else {}
         elif isinstance(below, str):
             # A method written by its name alone: the key goes into its parameters.
             below = {"method": below}
-        here[part] = below
-        here, defaults = below, default
+        inside[part] = below
+        inside = below
     return ""
-
-
-def _explain(model: type[BaseModel], config: ConfigData, scene: Any) -> str:
-    """One pydantic error as one line."""
-    kind: str = scene["type"]
-    location = _resolve(model, config.data, tuple(scene["loc"]), kind == "missing")
-    place = config.place(location)
-    key = dotted(location)
-    got, hint = scene.get("input"), ""
-    known: list[str] = []
-    if kind == "extra_forbidden":
-        what = "no such key"
-        owners = _models(model, config.data, location[:-1])
-        known = _keys(owners)
-        old = str(location[-1]) if location else ""
-        renamed: list[dict[str, str]] = [getattr(owner, "renamed", {}) for owner in owners]
-        near = [names[old] for names in renamed if old in names] or difflib.get_close_matches(old, known, 1, 0.6)
-        if near:
-            hint = f"; did you mean {near[0]!r}?"
-        elif known:
-            hint = f"; there are: {', '.join(known)}"
-    elif kind == "missing":
-        what = "missing, and it has no default"
-    elif kind in ("method_name", "method_type"):
-        what, _, hint = str(scene["msg"]).partition(";")
-        hint = f";{hint}" if hint else ""
-    else:
-        what = str(scene["msg"]).removeprefix("Value error, ").removeprefix("Assertion failed, ")
-        what = what.replace("Input should", "should", 1)
-    shown = "" if kind in ("missing", "method_name") or _is_big(got) else f" (got {short(got)})"
-    # An option that names the key, or one below it, needs no key beside it.
-    named = place.startswith("--") and (not place.startswith("--set ") or f"{place[6:]}.".startswith(f"{key}."))
-    prefix = place if named or not key else f"{place}: {key}"
-    return f"{prefix}: {what}{shown}{hint}"
-
-
-def _resolve(model: type[BaseModel], data: Any, loc: Location, missing: bool) -> Location:
-    """Pydantic's location as keys of the file, without the names of union members and of a flattened field."""
-    flat = getattr(model, "flattened", None)
-    out: list[str | int] = []
-    here = data
-    for depth, part in enumerate(loc):
-        last = depth == len(loc) - 1
-        if depth == 0 and part == flat and not last:
-            continue
-        if isinstance(here, dict) and isinstance(part, str):
-            if part in here or last:
-                out.append(part)
-            here = here.get(part, here)  # names of union members and of a flattened field are not in the data
-        elif isinstance(here, list) and isinstance(part, int) and part < len(here):
-            out.append(part)
-            here = here[part]
-        elif missing and last:
-            out.append(part)
-    return tuple(out)
-
-
-def _is_big(value: Any) -> bool:
-    return isinstance(value, dict | list | tuple | BaseModel) and len(short(value)) > 60
-
-
-def _keys(owners: Iterable[type[BaseModel]]) -> list[str]:
-    """Names of the keys that may stand in a mapping read as one of ``owners``."""
-    names: list[str] = []
-    for kind in owners:
-        fields = [info.alias or name for name, info in kind.model_fields.items() if not info.exclude]
-        names += [name for name in fields if name not in names]
-    return names
-
-
-def _models(kind: Any, data: Any, location: Location) -> list[type[BaseModel]]:
-    """The models that the value at ``location`` may be of, following the data where a family is met."""
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        flat = kind.model_fields.get(getattr(kind, "flattened", ""))
-        family = _family([*flat.metadata, *_inside(flat.annotation)]) if flat else None
-        inner = _method(family, data) if family else []
-        if not location:
-            return [kind, *inner]
-        name = location[0]
-        for owner in (kind, *inner):
-            if isinstance(name, str) and name in owner.model_fields:
-                info = owner.model_fields[name]
-                below = data.get(name) if isinstance(data, dict) else None
-                annotation: Any = Annotated[(info.annotation, *info.metadata)] if info.metadata else info.annotation
-                return _models(annotation, below, location[1:])
-        return []
-    origin = get_origin(kind)
-    if origin is Annotated:
-        inside, *metadata = get_args(kind)
-        family = _family(metadata)
-        if family is None:
-            return _models(inside, data, location)
-        return [m for method in _method(family, data) for m in _models(method, data, location)]
-    if origin in (Union, UnionType):
-        return [m for option in get_args(kind) for m in _models(option, data, location)]
-    if origin in (list, tuple, Sequence) and location and isinstance(location[0], int):
-        scenes = [a for a in get_args(kind) if a is not Ellipsis]
-        below = data[location[0]] if isinstance(data, list) and location[0] < len(data) else None
-        return [m for option in scenes for m in _models(option, below, location[1:])]
-    if origin is dict and location:
-        below = data.get(location[0]) if isinstance(data, dict) else None
-        return _models(get_args(kind)[1], below, location[1:])
-    return []
-
-
-def _inside(annotation: Any) -> list[Any]:
-    """What stands beside the types of an optional annotation."""
-    if get_origin(annotation) is Annotated:
-        return list(get_args(annotation)[1:])
-    return [scene for option in get_args(annotation) for scene in _inside(option)]
-
-
-def _family(metadata: Iterable[Any]) -> Family | None:
-    for scene in metadata:
-        owner = getattr(scene.func, "__self__", None) if isinstance(scene, BeforeValidator) else None
-        if isinstance(owner, Family):
-            return owner
-    return None
-
-
-def _method(family: Family, data: Any) -> list[type[BaseModel]]:
-    name = data if isinstance(data, str) else data.get(family.key) if isinstance(data, dict) else None
-    own = family.named(name) if isinstance(name, str) else None
-    return [family.load(own)] if own is not None else []

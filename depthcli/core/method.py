@@ -20,9 +20,11 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     SerializeAsAny,
     SerializerFunctionWrapHandler,
     model_serializer,
+    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
@@ -178,3 +180,37 @@ def method_of(package: str, key: str = "method") -> Any:
     ...     cost: Annotated[CostMeasure, *method_of("depthcli.methods.stereo.cost")]
     """
     return (BeforeValidator(Family(package, key).parse), SerializeAsAny())  # type: ignore[type-arg]  # a class at run time, an alias to mypy
+
+
+class RootConfig(BaseModel):
+    """Base of a command's config, whose field named ``flattened`` holds a method written at the root of the file.
+
+    ``{pipeline: local, cost: census, max_disparity: 60}`` reads as the field ``max_disparity`` of the command and a
+    pipeline with its field ``cost``. The key ``run``, which a run folder's ``run.yaml`` adds about how it was made, is
+    accepted and ignored, so that this file is a config again.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    flattened: ClassVar[str] = "pipeline"
+    renamed: ClassVar[dict[str, str]] = {}
+    """Former names of fields and their names today, which the error for such an unknown key suggests."""
+
+    run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        own = {key: value for key, value in data.items() if key in cls.model_fields and key != cls.flattened}
+        name = data.get(cls.flattened)
+        if cls.flattened not in data or isinstance(name, BaseModel):
+            return data if isinstance(name, BaseModel) else own
+        rest = {key: value for key, value in data.items() if key not in cls.model_fields}
+        return {**own, cls.flattened: {**rest, cls.flattened: name} if isinstance(name, str) else name}
+
+    @model_serializer(mode="wrap")
+    def _flatten(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields = handler(self)
+        method = fields.pop(self.flattened)
+        return {self.flattened: method.pop(self.flattened), **fields, **method}

@@ -17,10 +17,10 @@ class Option:
     help : one sentence
     metavar : what the value is called in the help
     default : value where it is not given; None for nothing
-    many : repeatable; the value is a list
+    repeatable : may be given several times; the value is a list
     short : one-letter form, such as ``-i``
     required : must be given
-    least, most : bounds of a number
+    min_value, max_value : bounds of a number
     sets : the config key that it overrides, as ``--set`` does; such an option reaches no command by itself
     """
 
@@ -29,14 +29,14 @@ class Option:
     help: str
     metavar: str = ""
     default: Any = None
-    many: bool = False
+    repeatable: bool = False
     short: str = ""
     required: bool = False
-    least: float | None = None
-    most: float | None = None
+    min_value: float | None = None
+    max_value: float | None = None
     sets: str = ""
 
     @property
     def flag(self) -> str:
-        """As written on the command line."""
+        """The option as it is written on the command line."""
         return "--" + self.name.rstrip("_").replace("_", "-")

@@ -10,8 +10,7 @@ import pytest
 
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError
-from depthcli.core.method import Family
-from depthcli.core.root_config import RootConfig
+from depthcli.core.method import Family, RootConfig
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.pipeline import Pipeline

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from depthcli.core.config_file import dump_config, load_config, parse_config, read_config
 from depthcli.core.errors import ConfigError
-from depthcli.core.root_config import RootConfig
+from depthcli.core.method import RootConfig
 from tests.core.toys import AnyToy
 
 
@@ -152,7 +152,7 @@ def test_set_reaches_below_a_default():
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("parts.5=census", "--set parts.5: parts has 1 scenes; the last index is 0 (got 5)"),
+        ("parts.5=census", "--set parts.5: parts has 1 entries; the last index is 0 (got 5)"),
         ("parts.x=census", "--set parts.x: parts is a list of 1; want an index such as parts.0 (got 'x')"),
         ("width.x=3", "--set width.x: width is a single value, nothing can be set below it"),
         ("width", "--set width: want KEY=VALUE, such as --set cost.window=[9,7]"),

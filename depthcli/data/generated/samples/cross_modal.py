@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from depthcli.data.formats.images import Image
 
 SPECKLES = Option("speckles", float, "Share of the right image's pixels with a projected dot.", "SHARE", default=0.0,
-                  least=0, most=1)  # fmt: skip
+                  min_value=0, max_value=1)  # fmt: skip
 FROM = Option("from_", Path, "Make them from the scenes of this folder instead.", "DIR")
 
 

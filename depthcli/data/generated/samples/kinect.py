@@ -27,8 +27,10 @@ class KinectSampleKind(Sample):
         SEED,
         WIDTH,
         HEIGHT,
-        Option("frames", int, "Frames of each sequence; 0: no sequences.", "N", default=10, least=0, most=100_000),
-        Option("fattening", int, "How far foreground is widened.", "PIXELS", default=4, least=0, most=64),
+        Option(
+            "frames", int, "Frames of each sequence; 0: no sequences.", "N", default=10, min_value=0, max_value=100_000
+        ),
+        Option("fattening", int, "How far foreground is widened.", "PIXELS", default=4, min_value=0, max_value=64),
         FROM,
     )
 

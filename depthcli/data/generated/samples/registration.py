@@ -26,8 +26,8 @@ class RegistrationSample(Sample):
     options: ClassVar[tuple[Option, ...]] = (
         COUNT,
         SEED,
-        Option("noise", float, "Standard deviation of the noise, grey levels.", "LEVELS", default=0.0, least=0,
-               most=100),
+        Option("noise", float, "Standard deviation of the noise, grey levels.", "LEVELS", default=0.0, min_value=0,
+               max_value=100),
     )  # fmt: skip
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:

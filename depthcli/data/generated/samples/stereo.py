@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 KINDS = ("planes", "foreground", "repetitive", "curved", "street")
 _USUAL = KINDS[:4]  # in turn, where no kind is named
 
-COUNT = Option("count", int, "Number of scenes.", "N", default=6, short="-n", least=1, most=10_000)
-SEED = Option("seed", int, "Seed of the first scenes.", "N", default=0, least=0, most=2**31 - 1)
-WIDTH = Option("width", int, "Width.", "PIXELS", default=400, least=16, most=8192)
-HEIGHT = Option("height", int, "Height.", "PIXELS", default=300, least=16, most=8192)
+COUNT = Option("count", int, "Number of scenes.", "N", default=6, short="-n", min_value=1, max_value=10_000)
+SEED = Option("seed", int, "Seed of the first scenes.", "N", default=0, min_value=0, max_value=2**31 - 1)
+WIDTH = Option("width", int, "Width.", "PIXELS", default=400, min_value=16, max_value=8192)
+HEIGHT = Option("height", int, "Height.", "PIXELS", default=300, min_value=16, max_value=8192)
 
 
 class StereoSample(Sample):
@@ -32,18 +32,21 @@ class StereoSample(Sample):
     about = "Stereo pairs (the default)."
     options: ClassVar[tuple[Option, ...]] = (
         COUNT,
-        Option("kind", str, f"{', '.join(KINDS)}; repeatable; default: in turn the first four.", "KIND", many=True),
+        Option("kind", str, f"{', '.join(KINDS)}; repeatable; default: in turn the first four.", "KIND",
+               repeatable=True),
         SEED,
         WIDTH,
         HEIGHT,
-        Option("max_disparity", int, "Largest disparity, at most width / 2.", "PIXELS", default=48, least=4, most=4096),
-        Option("noise", float, "Standard deviation of the noise, grey levels.", "LEVELS", default=0.0, least=0,
-               most=100),
+        Option("max_disparity", int, "Largest disparity, at most width / 2.", "PIXELS", default=48,
+               min_value=4, max_value=4096),
+        Option("noise", float, "Standard deviation of the noise, grey levels.", "LEVELS", default=0.0, min_value=0,
+               max_value=100),
         Option(
             "radiometric", float, "How differently the right camera sees the light, 0 to 1.", "SHARE", default=0.0,
-            least=0, most=1,
+            min_value=0, max_value=1,
         ),
-        Option("wall_contrast", float, "Texture of the walls, 0 (bare) to 1.", "SHARE", default=1.0, least=0, most=1),
+        Option("wall_contrast", float, "Texture of the walls, 0 (bare) to 1.", "SHARE", default=1.0,
+               min_value=0, max_value=1),
     )  # fmt: skip
 
     def check(self, values: Mapping[str, Any]) -> None:

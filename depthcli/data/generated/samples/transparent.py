@@ -31,8 +31,10 @@ class TransparentSample(Sample):
         SEED,
         WIDTH,
         HEIGHT,
-        Option("share", float, "Share of the pixels with sparse depth.", "SHARE", default=0.02, least=0, most=1),
-        Option("outliers", float, "Share of it that is wrong.", "SHARE", default=0.1, least=0, most=1),
+        Option(
+            "share", float, "Share of the pixels with sparse depth.", "SHARE", default=0.02, min_value=0, max_value=1
+        ),
+        Option("outliers", float, "Share of it that is wrong.", "SHARE", default=0.1, min_value=0, max_value=1),
         SPECKLES,
         Option("at_edges", bool, "Sparse depth along edges of color only.", default=False),
         FROM,
