@@ -204,7 +204,6 @@ def _warnings(pair: StereoPair, measured: float) -> list[str]:
 
 
 def _range_warnings(result: StereoResult, search: SearchRange, key_points: dict[str, int]) -> list[str]:
-    """Of pixels at the range's ends, and of files that cannot hold it."""
     shares = search.share_at_ends(result.disparity)
     warnings = [
         f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"

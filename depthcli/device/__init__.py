@@ -1,22 +1,24 @@
 """Devices beside the processor that run kernels: GPUs, through OpenCL or CUDA.
 
-Kernels are written once, in OpenCL C with about ten macros (``dialect.py``); ``opencl.py`` builds that text with
-pyopencl, ``cuda.py`` with CuPy. Both are optional and imported only where a device is asked for.
+Kernels are written once, in OpenCL C with some macros (``dialect.py``); ``opencl.py`` builds that text with pyopencl,
+``cuda.py`` with CuPy. Both packages are optional and imported only where a device is requested.
 """
 
 from __future__ import annotations
 
-import importlib.resources
+import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from depthcli.core.errors import ConfigError, DepthcliError
+from depthcli.device.dialect import COPY, Kernels
+
+__all__ = ["Device", "DeviceArray", "DeviceError", "DeviceInfo", "Kernels", "Launch"]
 
 KINDS = ("opencl", "cuda")
 """Ways to reach a device, in the order in which ``auto`` tries them."""
@@ -61,46 +63,13 @@ class DeviceArray:
 
     @property
     def size(self) -> int:
-        """Number of elements."""
+        """Return the number of elements."""
         return int(np.prod(self.shape, dtype=np.int64))
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the elements."""
+        """Return the bytes of the elements."""
         return self.size * self.dtype.itemsize
-
-
-class Kernels:
-    """The kernels of one or more files of C text, with macros of their own.
-
-    Parameters
-    ----------
-    package : of the files
-    files : names, in the order in which they are joined
-    macros : name -> value, defined before the text
-    """
-
-    def __init__(self, package: str, *files: str, **macros: str | int) -> None:
-        self._package = package
-        self._files = files
-        self._macros = macros
-        self._variants: dict[tuple[tuple[str, str | int], ...], Kernels] = {}
-
-    def with_macros(self, **macros: str | int) -> Kernels:
-        """The same text with other macros beside those that it has: one object for one set of macros."""
-        key = tuple(sorted(macros.items()))
-        if key not in self._variants:
-            self._variants[key] = Kernels(self._package, *self._files, **{**self._macros, **macros})
-        return self._variants[key]
-
-    @cached_property
-    def text(self) -> str:
-        """Macros and files."""
-        from depthcli.device.dialect import COMMON
-
-        folder = importlib.resources.files(self._package)
-        lines = [f"#define {name} {value}\n" for name, value in sorted(self._macros.items())]
-        return "".join([*lines, COMMON, *(folder.joinpath(name).read_text("utf-8") for name in self._files)])
 
 
 @dataclass(frozen=True)
@@ -110,7 +79,7 @@ class Launch:
     Attributes
     ----------
     seconds : on the device
-    nbytes : of the arrays that it was given, each counted once: what it moves at least
+    nbytes : of the arrays among its arguments, each counted once: what it moves at least
     """
 
     name: str
@@ -119,83 +88,148 @@ class Launch:
 
 
 class Device(ABC):
-    """A device with one queue: what is asked of it happens in order."""
+    """A device with one queue: commands run in the order in which they are given.
+
+    Every method raises DeviceError where the driver fails, or the device has too little memory.
+    """
+
+    driver_errors: tuple[type[Exception], ...] = (Exception,)
+    """What the package behind the device raises."""
 
     def __init__(self, info: DeviceInfo) -> None:
         self.info = info
         self.profile: list[Launch] | None = None
         """Where a list, ``finish`` adds to it what was launched since the last one."""
+        self._kernels: dict[tuple[Kernels, str], Any] = {}
+        self._events: list[tuple[str, Any, int]] = []
 
-    @abstractmethod
     def upload(self, array: NDArray[Any]) -> DeviceArray:
-        """A copy of ``array`` on the device."""
+        """Return a copy of ``array`` on the device."""
+        array = np.ascontiguousarray(array)
+        target = self.empty(array.shape, array.dtype)
+        if array.size:
+            self._guarded(self._copy_to_device, target.handle, array)
+        return target
 
-    @abstractmethod
     def download(self, array: DeviceArray) -> NDArray[Any]:
-        """A copy of ``array`` on the host; waits for it."""
+        """Return a copy of ``array`` on the host, when it is computed."""
+        target: NDArray[Any] = np.empty(array.shape, array.dtype)
+        if array.size:
+            self._guarded(self._copy_to_host, target, array.handle)
+        return target
 
-    @abstractmethod
     def empty(self, shape: Sequence[int], dtype: DTypeLike) -> DeviceArray:
-        """An uninitialized array. DeviceError where there is no room."""
+        """Return an uninitialized array."""
+        sizes, kind = tuple(int(n) for n in shape), np.dtype(dtype)
+        return DeviceArray(sizes, kind, self._guarded(self._allocate, sizes, kind))
 
-    @abstractmethod
     def launch(self, kernels: Kernels, name: str, size: Sequence[int], group: Sequence[int], *arguments: Any) -> None:
         """Run a kernel.
 
         Parameters
         ----------
-        size : threads wanted in up to three dimensions, the fastest first; rounded up to whole groups
+        size : threads in up to three dimensions, the fastest first; rounded up to whole groups
         group : threads of a group in the same dimensions
         arguments : arrays of this device; int (32 bit), float (32 bit) or NumPy scalars
         """
+        kernel = self._kernels.get((kernels, name))
+        if kernel is None:
+            kernel = self._kernels[kernels, name] = self._guarded(self._compile, kernels, name)
+        n_groups = tuple(-(-int(n) // g) for n, g in zip(size, group, strict=True))
+        if 0 in n_groups:
+            return
+        event = self._guarded(self._enqueue, kernel, n_groups, tuple(group), [_argument(a) for a in arguments])
+        if self.profile is not None:
+            nbytes = sum(argument.nbytes for argument in arguments if isinstance(argument, DeviceArray))
+            self._events.append((name, event, nbytes))
 
-    @abstractmethod
     def finish(self) -> None:
-        """Wait until all is done."""
-
-    @property
-    @abstractmethod
-    def local_memory(self) -> int:
-        """Bytes that a group's threads share."""
-
-    @property
-    @abstractmethod
-    def has_double(self) -> bool:
-        """Kernels may use double precision."""
+        """Wait until all commands are done."""
+        events, self._events = self._events, []
+        self._guarded(self._wait)
+        if self.profile is not None:
+            self.profile += [
+                Launch(name, self._guarded(self._seconds, event), nbytes) for name, event, nbytes in events
+            ]
 
     def bandwidth(self) -> float:
-        """Bytes a second that a kernel moves which copies a large array (both ways counted)."""
-        from depthcli.device.dialect import COPY
-
+        """Return the bytes a second that a kernel moves which copies a large array (both ways counted)."""
         count = min(32 << 20, self.info.memory // 64)
         source, target = self.empty((count,), np.uint32), self.empty((count,), np.uint32)
-        before, self.profile = self.profile, []
+        outer, self.profile = self.profile, []
         for _ in range(4):
             self.launch(COPY, "copy", (count,), (256,), source, target, count)
         self.finish()
         seconds = min(launch.seconds for launch in self.profile)
-        self.profile = before
+        self.profile = outer
         return 2 * source.nbytes / seconds
 
+    def _guarded(self, action: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return action(*arguments)
+        except self.driver_errors as error:
+            raise DeviceError(f"{self.info.address} ({self.info.name}) {self._failure(error)}") from error
 
-def bytes_of(arguments: Sequence[Any]) -> int:
-    """Of the arrays among a kernel's arguments."""
-    return sum(argument.nbytes for argument in arguments if isinstance(argument, DeviceArray))
+    def _failure(self, error: Exception) -> str:
+        return f"failed: {first_line(error)}"
+
+    @abstractmethod
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
+        """Return the back end's own uninitialized buffer."""
+
+    @abstractmethod
+    def _copy_to_device(self, target: Any, array: NDArray[Any]) -> None: ...
+
+    @abstractmethod
+    def _copy_to_host(self, target: NDArray[Any], source: Any) -> None: ...
+
+    @abstractmethod
+    def _compile(self, kernels: Kernels, name: str) -> Any:
+        """Return the back end's own kernel."""
+
+    @abstractmethod
+    def _enqueue(self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any]) -> Any:
+        """Run the kernel and return what :meth:`_seconds` needs."""
+
+    @abstractmethod
+    def _wait(self) -> None: ...
+
+    @abstractmethod
+    def _seconds(self, event: Any) -> float:
+        """Return how long a finished kernel ran."""
+
+    @property
+    @abstractmethod
+    def has_double(self) -> bool:
+        """Whether kernels may use double precision."""
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of a driver's message."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+def _argument(value: Any) -> Any:
+    if isinstance(value, DeviceArray):
+        return value.handle
+    if isinstance(value, int):
+        return np.int32(value)
+    return np.float32(value) if isinstance(value, float) else value
 
 
 def devices() -> list[DeviceInfo]:
-    """All devices that the installed packages and drivers show, GPUs first."""
+    """Return all devices that the installed packages and drivers show, GPUs first."""
     found = [info for kind in KINDS for info in _backend(kind).list_devices()]
     return sorted(found, key=lambda info: not info.is_gpu)
 
 
 def why_none() -> str:
-    """Why a kind shows no device, for each that shows none."""
+    """Return why a kind shows no device, for each that shows none."""
     return "; ".join(f"{kind}: {_backend(kind).why_none()}" for kind in KINDS if not _backend(kind).list_devices())
 
 
 def find_device(wanted: str) -> DeviceInfo | None:
-    """The device that ``wanted`` names, None for the processor.
+    """Return the device that ``wanted`` names, None for the processor.
 
     Parameters
     ----------
@@ -229,7 +263,7 @@ _open: dict[str, Device] = {}
 
 
 def open_device(wanted: str) -> Device | None:
-    """The device that ``wanted`` names, opened once in a process; None for the processor.
+    """Open the device that ``wanted`` names, once in a process; return None for the processor.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-// What a device's bandwidth is measured by.
+// Measures the bandwidth of a device.
 KERNEL void copy(GLOBAL const uint *RESTRICT source, GLOBAL uint *RESTRICT target, int count)
 {
     int i = GLOBAL_ID(0);

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
-from depthcli.device import Device, DeviceArray, DeviceError, DeviceInfo, Kernels, Launch, bytes_of
+from depthcli.device import Device, DeviceInfo, Kernels, first_line
 from depthcli.device.dialect import CUDA
 
 OPTIONS = ("--std=c++14", "--fmad=false")
-"""Of the compiler: sums and products apart, division and square root rounded correctly (its default)."""
+"""Options of the compiler: no fused sums and products; its default rounds division and square root correctly."""
 
 
 @cache
@@ -32,22 +31,22 @@ def _found() -> tuple[list[DeviceInfo], str]:
             driver = f"CUDA {version // 1000}.{version % 1000 // 10}"
             found.append(DeviceInfo(f"cuda:{number}", name, int(facts["totalGlobalMem"]), True, driver))
     except Exception as error:  # CuPy has a type of its own for every library that can fail
-        return [], f"no CUDA device answers ({str(error).splitlines()[0]})"
+        return [], f"no CUDA device answers ({first_line(error)})"
     return found, "" if found else "there is no CUDA device"
 
 
 def list_devices() -> list[DeviceInfo]:
-    """In the driver's order."""
+    """Return all devices in the driver's order."""
     return _found()[0]
 
 
 def why_none() -> str:
-    """Why the list is empty."""
+    """Return why the list is empty."""
     return _found()[1]
 
 
 def open_device(info: DeviceInfo) -> Device:
-    """The device of ``info``."""
+    """Open the device of ``info``."""
     return CudaDevice(info)
 
 
@@ -59,79 +58,46 @@ class CudaDevice(Device):
 
         super().__init__(info)
         self._cupy = cupy
-        self._number = int(info.address.partition(":")[2])
         self._modules: dict[Kernels, Any] = {}
-        self._kernels: dict[tuple[Kernels, str], Any] = {}
-        self._events: list[tuple[str, Any, Any, int]] = []
-        self._guarded(cupy.cuda.Device(self._number).use)
+        self._guarded(cupy.cuda.Device(int(info.address.partition(":")[2])).use)
 
-    def _guarded(self, action: Any, *arguments: Any, **options: Any) -> Any:
-        try:
-            return action(*arguments, **options)
-        except self._cupy.cuda.memory.OutOfMemoryError as error:
-            raise DeviceError(f"{self.info.address} ({self.info.name}) has no room: {error}") from error
-        except Exception as error:  # CuPy has a type of its own for every library that can fail
-            raise DeviceError(f"{self.info.address} ({self.info.name}) failed: {str(error).splitlines()[0]}") from error
+    def _failure(self, error: Exception) -> str:
+        if isinstance(error, self._cupy.cuda.memory.OutOfMemoryError):
+            return f"has no room: {error}"
+        return super()._failure(error)
 
-    def upload(self, array: NDArray[Any]) -> DeviceArray:
-        """A copy of ``array`` on the device."""
-        handle = self._guarded(self._cupy.asarray, np.ascontiguousarray(array))
-        return DeviceArray(array.shape, array.dtype, handle)
+    def _allocate(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
+        return self._cupy.empty(shape, dtype)
 
-    def download(self, array: DeviceArray) -> NDArray[Any]:
-        """A copy of ``array`` on the host."""
-        copied: NDArray[Any] = self._guarded(self._cupy.asnumpy, array.handle)
-        return copied
+    def _copy_to_device(self, target: Any, array: NDArray[Any]) -> None:
+        target.set(array)
 
-    def empty(self, shape: Sequence[int], dtype: DTypeLike) -> DeviceArray:
-        """From CuPy's pool."""
-        kind = np.dtype(dtype)
-        handle = self._guarded(self._cupy.empty, tuple(shape), kind)
-        return DeviceArray(tuple(int(n) for n in shape), kind, handle)
+    def _copy_to_host(self, target: NDArray[Any], source: Any) -> None:
+        source.get(out=target)
 
-    def launch(self, kernels: Kernels, name: str, size: Sequence[int], group: Sequence[int], *arguments: Any) -> None:
-        """Enqueue the kernel."""
-        kernel = self._kernels.get((kernels, name))
-        if kernel is None:
-            if kernels not in self._modules:
-                made = self._cupy.RawModule(code=CUDA + kernels.text, options=OPTIONS, backend="nvrtc")
-                self._modules[kernels] = made
-            kernel = self._kernels[kernels, name] = self._guarded(self._modules[kernels].get_function, name)
-        blocks = tuple(-(-int(n) // g) for n, g in zip(size, group, strict=True))
-        if 0 in blocks:
-            return
-        events = None
-        if self.profile is not None:
-            events = (self._cupy.cuda.Event(), self._cupy.cuda.Event())
-            events[0].record()
-        self._guarded(kernel, blocks, tuple(group), tuple(_argument(a) for a in arguments))
-        if events is not None:
-            events[1].record()
-            self._events.append((name, *events, bytes_of(arguments)))
+    def _compile(self, kernels: Kernels, name: str) -> Any:
+        if kernels not in self._modules:
+            text = CUDA + kernels.text
+            self._modules[kernels] = self._cupy.RawModule(code=text, options=OPTIONS, backend="nvrtc")
+        return self._modules[kernels].get_function(name)
 
-    def finish(self) -> None:
-        """Wait for the queue."""
-        self._guarded(self._cupy.cuda.get_current_stream().synchronize)
-        if self.profile is not None:
-            elapsed = self._cupy.cuda.get_elapsed_time
-            for name, start, stop, nbytes in self._events:
-                self.profile.append(Launch(name, elapsed(start, stop) * 1e-3, nbytes))
-        self._events.clear()
+    def _enqueue(self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any]) -> Any:
+        if self.profile is None:
+            kernel(n_groups, group, tuple(arguments))
+            return None
+        start, stop = self._cupy.cuda.Event(), self._cupy.cuda.Event()
+        start.record()
+        kernel(n_groups, group, tuple(arguments))
+        stop.record()
+        return start, stop
 
-    @property
-    def local_memory(self) -> int:
-        """Bytes that a group's threads share."""
-        return int(self._cupy.cuda.Device(self._number).attributes["MaxSharedMemoryPerBlock"])
+    def _wait(self) -> None:
+        self._cupy.cuda.get_current_stream().synchronize()
+
+    def _seconds(self, event: Any) -> float:
+        return float(self._cupy.cuda.get_elapsed_time(*event)) * 1e-3
 
     @property
     def has_double(self) -> bool:
-        """Kernels may use double precision."""
+        """Whether kernels may use double precision: always."""
         return True
-
-
-def _argument(value: Any) -> Any:
-    if isinstance(value, DeviceArray):
-        return value.handle
-    if isinstance(value, int):
-        return np.int32(value)
-    return np.float32(value) if isinstance(value, float) else value

@@ -2,12 +2,13 @@
 
 A kernel is ``KERNEL void name(GLOBAL const uchar *RESTRICT in, ...)``; ``GLOBAL_ID``, ``LOCAL_ID``, ``GROUP_ID``,
 ``LOCAL_SIZE`` of dimension 0, 1, 2 are ints; ``LOCAL`` memory is shared by a group, ``BARRIER()`` waits for it.
-Sums and products are never fused: the result is that of the processor's kernels.
+Sums and products are never fused, so that results are those of the processor's kernels.
 """
 
 from __future__ import annotations
 
-from depthcli.device import Kernels
+import importlib.resources
+from functools import cached_property
 
 OPENCL = """
 #pragma OPENCL FP_CONTRACT OFF
@@ -72,4 +73,37 @@ DEVICE float larger_f(float a, float b) { return a > b ? a : b; }
 DEVICE int no_value(float v) { return v != v; }
 """
 
+
+class Kernels:
+    """The kernels of one or more files of C text, with macros of their own.
+
+    Parameters
+    ----------
+    package : of the files
+    files : names, in the order in which they are joined
+    macros : name -> value, defined before the text
+    """
+
+    def __init__(self, package: str, *files: str, **macros: str | int) -> None:
+        self._package = package
+        self._files = files
+        self._macros = macros
+        self._variants: dict[tuple[tuple[str, str | int], ...], Kernels] = {}
+
+    def with_macros(self, **macros: str | int) -> Kernels:
+        """Return the same files with further macros, always the same object for the same macros."""
+        key = tuple(sorted(macros.items()))
+        if key not in self._variants:
+            self._variants[key] = Kernels(self._package, *self._files, **{**self._macros, **macros})
+        return self._variants[key]
+
+    @cached_property
+    def text(self) -> str:
+        """Return the macros and the files as one text."""
+        folder = importlib.resources.files(self._package)
+        lines = [f"#define {name} {value}\n" for name, value in sorted(self._macros.items())]
+        return "".join([*lines, COMMON, *(folder.joinpath(name).read_text("utf-8") for name in self._files)])
+
+
 COPY = Kernels("depthcli.device", "copy.cl")
+"""What the bandwidth of a device is measured with."""

@@ -86,19 +86,19 @@ def test_options_are_blamed_by_their_name(tmp_path: Path):
 
 
 def test_a_file_holds_one_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (tmp_path / "twins").mkdir()
-    (tmp_path / "twins" / "__init__.py").write_text("")
+    (tmp_path / "family").mkdir()
+    (tmp_path / "family" / "__init__.py").write_text("")
     method = "class {}(Method):\n    def __call__(self):\n        return 1\n"
     head = "from depthcli.core.method import Method\n"
-    (tmp_path / "twins" / "both.py").write_text(head + method.format("A") + method.format("B"))
-    (tmp_path / "twins" / "none.py").write_text("x = 1\n")
+    (tmp_path / "family" / "both.py").write_text(head + method.format("A") + method.format("B"))
+    (tmp_path / "family" / "none.py").write_text("x = 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    family = Family("twins")
-    with pytest.raises(TypeError, match=r"twins\.both defines A and B; a file of a family holds one method"):
+    family = Family("family")
+    with pytest.raises(TypeError, match=r"family\.both defines A and B; a file of a family holds one method"):
         family.load("both")
     with pytest.raises(TypeError, match="defines no method"):
         family.load("none")
-    sys.modules.pop("twins", None)
+    sys.modules.pop("family", None)
 
 
 class _Root(RootConfig):

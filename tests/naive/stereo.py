@@ -1,4 +1,4 @@
-"""Slow, obvious numpy twins of the stereo kernels: loops as the papers write them. Never imports depthcli.
+"""Slow, obvious numpy references of the stereo kernels: loops as the papers write them. Never imports depthcli.
 
 Disparities run along the last axis; left (y, x) matches right (y, x - d).
 """

@@ -44,5 +44,5 @@ class FusionWithVolumes(Matcher):
 
     @property
     def has_tiles(self) -> bool:
-        """Whether parts of a pair can be matched: no, the volumes are those of the whole pair."""
+        """Return False: the volumes are those of the whole pair."""
         return False

@@ -45,7 +45,7 @@ def match_rectified(
     max_scale_ratio: float = 1.1,
     min_disparity: float = 0.0,
 ) -> Matches:
-    """Mutual nearest neighbors in descriptor space along epipolar lines (eq. 2.1) that pass the ratio test.
+    """Match mutual nearest neighbors in descriptor space along epipolar lines (eq. 2.1) that pass the ratio test.
 
     Candidates lie less than ``max_row_difference`` rows apart, have a disparity in [``min_disparity``,
     ``max_disparity``] and the same sign of the Laplacian, and about the same scale: in a rectified pair a patch
@@ -77,10 +77,8 @@ def match_rectified(
 def _search(
     points: KeyPoints, others: KeyPoints, low: float, high: float, rows: float, ratio: float, max_scale_ratio: float
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """For every one of ``points`` the index of the nearest of ``others``, -1: none; and its distance.
-
-    ``low`` and ``high`` limit x - x', ``rows`` the difference of y.
-    """
+    # For each of ``points`` the index of the nearest of ``others``, -1: none; and its distance. ``low`` and ``high``
+    # limit x - x', ``rows`` the difference of y.
     order = np.lexsort((others.x, others.y)).astype(np.int32)
     first = np.searchsorted(others.y[order], points.y - rows, side="right").astype(np.int32)
     last = np.searchsorted(others.y[order], points.y + rows, side="left").astype(np.int32)
@@ -93,10 +91,10 @@ def _search(
 
 
 @jit
-def _comparable(shift, low, high, sign, other_sign, scale, other_scale, most):  # type: ignore[no-untyped-def]
+def _comparable(shift, low, high, sign, other_sign, scale, other_scale, max_scale_ratio):  # type: ignore[no-untyped-def]
     if shift < low or shift > high or sign != other_sign:
         return False
-    return scale <= most * other_scale and other_scale <= most * scale
+    return scale <= max_scale_ratio * other_scale and other_scale <= max_scale_ratio * scale
 
 
 @parallel_jit
@@ -104,7 +102,7 @@ def _nearest(  # type: ignore[no-untyped-def]
     x, sign, scale, descriptors, other_x, other_sign, other_scale, other_descriptors,
     low, high, min_shift, max_shift, ratio, max_scale_ratio,
 ) -> Any:  # fmt: skip
-    """Nearest candidate of every key point, -1 where none is or the second is too near; and its distance."""
+    # Nearest candidate of each key point, -1 where there is none or the second is too near; and its distance.
     count = x.size
     nearest = np.full(count, -1, np.int32)
     distance = np.full(count, np.inf, np.float32)
@@ -150,14 +148,14 @@ def _nearest(  # type: ignore[no-untyped-def]
 
 
 def consistent(matches: Matches, neighbors: int = 8, agreeing: int = 2, tolerance: float = 2.0) -> Matches:
-    """Matches whose disparity some of the matches around them share.
+    """Return the matches whose disparity some of the matches around them share.
 
     A blob that straddles the rim of an object is matched, but by the object, not by the ground it lies on.
 
     Parameters
     ----------
-    neighbors : how many of the nearest matches are asked
-    agreeing : how many of them must have a disparity within ``tolerance``
+    neighbors : number of the nearest matches that are compared
+    agreeing : number of them that must have a disparity within ``tolerance``
     tolerance : pixels
     """
     kept = np.zeros(len(matches), bool)

@@ -60,7 +60,7 @@ class Matcher(ABC):
 
     @property
     def has_tiles(self) -> bool:
-        """Whether parts of a pair can be matched."""
+        """Tell whether parts of a pair can be matched by themselves."""
         return True
 
     def cost_stages(self) -> CostStages | None:

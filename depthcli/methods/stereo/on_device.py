@@ -28,7 +28,7 @@ _IMAGES = Kernels("depthcli.methods.stereo", "images.cl")
 
 @dataclass(frozen=True)
 class DevicePair:
-    """A pair whose images are copied to a device when they are first asked for.
+    """A pair whose images are copied to a device when they are first used.
 
     Attributes
     ----------
@@ -40,18 +40,18 @@ class DevicePair:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(H, W)."""
+        """Return (H, W)."""
         return self.host.shape
 
     @cached_property
     def color(self) -> tuple[DeviceArray, DeviceArray]:
-        """Both images, (H, W, 3) uint8."""
+        """Return both images, (H, W, 3) uint8."""
         left, right = self.host.color8
         return self.device.upload(left), self.device.upload(right)
 
     @cached_property
     def grey(self) -> tuple[DeviceArray, DeviceArray]:
-        """Both images, (H, W) luma in their own dtype."""
+        """Return both images, (H, W) luma in their own dtype."""
         if self.host.left.ndim == 3 and self.host.left.dtype == np.uint8 and self.host.bits in (None, 8):
             left, right = self.color
             return self._luma(left), self._luma(right)
@@ -60,7 +60,7 @@ class DevicePair:
 
     @cached_property
     def grey8(self) -> tuple[DeviceArray, DeviceArray]:
-        """Both images, (H, W) uint8."""
+        """Return both images, (H, W) uint8."""
         left, right = self.grey
         if left.dtype == np.uint8:
             return left, right
@@ -76,7 +76,7 @@ class DevicePair:
 
 @dataclass(frozen=True)
 class DeviceVolume:
-    """As :class:`~depthcli.methods.stereo.volume.CostVolume`: (H, W, D) uint8, uint16 or float32."""
+    """A :class:`~depthcli.methods.stereo.volume.CostVolume` on a device: (H, W, D) uint8, uint16 or float32."""
 
     device: Device
     costs: DeviceArray
@@ -84,34 +84,34 @@ class DeviceVolume:
 
     @property
     def disparities(self) -> int:
-        """D."""
+        """Return D, the number of disparities."""
         return self.costs.shape[2]
 
     @property
     def c_type(self) -> str:
-        """The costs' type in C."""
+        """Return the costs' type in C."""
         return c_type(self.costs.dtype)
 
     def download(self) -> CostVolume:
-        """The volume on the host."""
+        """Copy the volume to the host."""
         return CostVolume(self.device.download(self.costs), self.scale)
 
     @classmethod
     def upload(cls, device: Device, volume: CostVolume) -> DeviceVolume:
-        """A copy of ``volume`` on the device."""
+        """Copy ``volume`` to the device."""
         return cls(device, device.upload(volume.costs), volume.scale)
 
 
 @dataclass(frozen=True)
 class DeviceMap:
-    """As :class:`~depthcli.core.maps.DisparityMap`: (H, W) float32 and uint8."""
+    """A :class:`~depthcli.core.maps.DisparityMap` on a device: (H, W) float32 and uint8."""
 
     device: Device
     values: DeviceArray
     status: DeviceArray
 
     def download(self) -> DisparityMap:
-        """The map on the host."""
+        """Copy the map to the host."""
         return DisparityMap(self.device.download(self.values), self.device.download(self.status))
 
     def refined(self, kernels: Kernels, name: str, inputs: Sequence[DeviceArray] = (), *parameters: Any) -> DeviceMap:
@@ -134,13 +134,13 @@ class DeviceMap:
 
     @classmethod
     def upload(cls, device: Device, disparity: DisparityMap) -> DeviceMap:
-        """A copy of ``disparity`` on the device."""
+        """Copy ``disparity`` to the device."""
         return cls(device, device.upload(disparity.values), device.upload(disparity.status))
 
 
 @dataclass(frozen=True)
 class DeviceContext:
-    """As :class:`~depthcli.methods.stereo.volume.RefinementContext`."""
+    """A :class:`~depthcli.methods.stereo.volume.RefinementContext` on a device."""
 
     pair: DevicePair
     volume: DeviceVolume
@@ -148,17 +148,17 @@ class DeviceContext:
 
     @cached_property
     def host(self) -> RefinementContext:
-        """The context on the host, for steps without a device implementation."""
+        """Return the context on the host, for steps without a device implementation."""
         return RefinementContext(self.pair.host, self.volume.download(), self.pair.device.download(self.right))
 
 
 def c_type(dtype: Any) -> str:
-    """Name in C of a NumPy type that kernels know."""
+    """Return the name in C of a NumPy type that kernels take."""
     return {"uint8": "uchar", "uint16": "ushort", "int16": "short", "float32": "float"}[np.dtype(dtype).name]
 
 
 def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
-    """Threads for every cell of (H, W, D), d fastest, and a group that fits the depth."""
+    """Return threads for every cell of (H, W, D), d fastest, and a group that fits the depth."""
     height, width, depth = volume.shape
     lanes = 16
     while lanes < min(depth, 64):

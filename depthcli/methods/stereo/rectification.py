@@ -14,27 +14,27 @@ from depthcli.core.errors import InputError
 Points = NDArray[np.float64]
 """(N, 2) x and y, pixels."""
 
-_MOST_PIXELS = 2_000_000  # larger images are matched at this size
-_MOST_POINTS = 6000
-_RATIO = 0.75  # a match must be nearer than this times the second candidate
-_FEWEST = 20
-_MOST_ROWS = 1.0  # median row error, pixels, that a pair rectified without calibration may keep
-_STEPS = 60
-_FOCALS = (1.0, 1.5, 0.7, 2.5)  # of the longer side: where the search begins
-_PRIOR = 0.1  # pixels a radian, and a unit of log f: what cannot be told stays as it is
-_FIRST = 0.02  # of the width: the smallest disparity of the matches afterwards
+_MAX_PIXELS = 2_000_000  # larger images are reduced to this size for key points: more of them add little
+_MAX_KEY_POINTS = 6000
+_RATIO = 0.75  # a match must be nearer than this times the second candidate (Lowe, IJCV 2004, has 0.8)
+_MIN_MATCHES = 20  # for six unknowns
+_MAX_ROW_ERROR = 1.0  # median, pixels, that a pair rectified without calibration may keep: what matching tolerates
+_MAX_STEPS = 60  # of Levenberg-Marquardt; an upper bound, it ends when steps are small
+_FIRST_FOCALS = (1.0, 1.5, 0.7, 2.5)  # starts of the search, in lengths of the longer side: wide to long lenses
+_REGULARIZATION = 0.1  # pixels a radian, and a unit of log f: keeps at zero what the matches do not determine
+_MIN_DISPARITY_SHARE = 0.02  # smallest disparity of the matches afterwards, share of the width
 
 
 def match_views(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Points, Points]:
-    """Matched key points (SIFT, mutual nearest neighbors, ratio test) of two (H, W) uint8 views; some are wrong."""
+    """Match key points (SIFT, mutual nearest neighbors, ratio test) of two (H, W) uint8 views; some pairs are wrong."""
     found = []
     for image in (left, right):
         height, width = image.shape
-        shrink = min(1.0, (_MOST_PIXELS / (height * width)) ** 0.5)
+        shrink = min(1.0, (_MAX_PIXELS / (height * width)) ** 0.5)
         small = image
         if shrink < 1:
             small = np.asarray(cv2.resize(image, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA), np.uint8)
-        points, descriptors = cv2.SIFT.create(nfeatures=_MOST_POINTS).detectAndCompute(small, None)
+        points, descriptors = cv2.SIFT.create(nfeatures=_MAX_KEY_POINTS).detectAndCompute(small, None)
         places = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
         scale = np.array([width / small.shape[1], height / small.shape[0]])
         found.append(((places + 0.5) * scale - 0.5, descriptors))
@@ -53,29 +53,29 @@ def match_views(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Poin
 
 
 def row_error(left: Points, right: Points) -> float:
-    """Median difference of the rows of matched points, pixels; NaN without any."""
+    """Return the median difference of the rows of matched points, pixels; NaN without any."""
     return float(np.median(np.abs(left[:, 1] - right[:, 1]))) if len(left) else float("nan")
 
 
 @dataclass(frozen=True)
 class RectifyingHomographies:
-    """How both views are warped to ``size``, (width, height); (3, 3) each."""
+    """The (3, 3) homographies that warp both views to ``size``, (width, height)."""
 
     left: NDArray[np.float64]
     right: NDArray[np.float64]
     size: tuple[int, int]
 
     def images(self, left: NDArray[Any], right: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
-        """Both warped images, and (H, W) bool of the pixels that both hold."""
-        views, seen = [], np.ones(self.size[::-1], bool)
+        """Return both warped images, and (H, W) bool of the pixels that both hold."""
+        views, in_both = [], np.ones(self.size[::-1], bool)
         for image, homography in ((left, self.left), (right, self.right)):
             views.append(cv2.warpPerspective(image, homography, self.size, flags=cv2.INTER_CUBIC))
             full = np.full(image.shape[:2], 255, np.uint8)
-            seen &= cv2.warpPerspective(full, homography, self.size, flags=cv2.INTER_NEAREST) > 0
-        return views[0], views[1], seen
+            in_both &= cv2.warpPerspective(full, homography, self.size, flags=cv2.INTER_NEAREST) > 0
+        return views[0], views[1], in_both
 
     def points(self, left: Points, right: Points) -> tuple[Points, Points]:
-        """(N, 2) pixels of both views where they come to lie."""
+        """Return the (N, 2) warped pixels of both views."""
         return _moved(self.left, left), _moved(self.right, right)
 
 
@@ -83,8 +83,8 @@ def rectify_uncalibrated(left: Points, right: Points, size: tuple[int, int]) -> 
     """Turn both cameras, whose focal length is not known, so that matched points lie in the same rows.
 
     The homographies are those of two turned pin-hole cameras of one focal length, so that the images keep their
-    shape (quasi-Euclidean rectification, Fusiello and Irsara, ICPR 2008); of the matches only those count that
-    a fundamental matrix explains (MAGSAC). Afterwards the right view is moved along the rows so that disparities
+    shape (quasi-Euclidean rectification, Fusiello and Irsara, ICPR 2008); only matches that a fundamental matrix
+    explains count (MAGSAC). Afterwards the right view is moved along the rows so that disparities
     begin a little above 0.
 
     Parameters
@@ -97,24 +97,24 @@ def rectify_uncalibrated(left: Points, right: Points, size: tuple[int, int]) -> 
     InputError
         Too few matches, or half of them stay more than a pixel apart.
     """
-    if len(left) < _FEWEST:
-        raise InputError(f"only {len(left)} key points match, at least {_FEWEST} are needed to rectify a pair")
+    if len(left) < _MIN_MATCHES:
+        raise InputError(f"only {len(left)} key points match, at least {_MIN_MATCHES} are needed to rectify a pair")
     _, inside = cv2.findFundamentalMat(left, right, cv2.USAC_MAGSAC, 1.0, 0.999, 10_000)
     chosen = np.zeros(len(left), bool) if inside is None else inside.ravel() > 0
-    if chosen.sum() < _FEWEST:
+    if chosen.sum() < _MIN_MATCHES:
         raise InputError(f"no geometry of two views explains the {len(left)} matched key points")
     best: tuple[float, RectifyingHomographies] | None = None
-    for focal in _FOCALS:
+    for focal in _FIRST_FOCALS:
         found = _fitted(left[chosen], right[chosen], size, focal * max(size))
         error = row_error(*found.points(left, right))
         if best is None or error < 0.9 * best[0]:
             best = (error, found)
     assert best is not None
     error, found = best
-    if not error <= _MOST_ROWS:
+    if not error <= _MAX_ROW_ERROR:
         raise InputError(
             f"the rows of half of the {len(left)} matched key points stay more than {error:.1f} px apart, at most "
-            f"{_MOST_ROWS:g} px may be left; calibrate the cameras"
+            f"{_MAX_ROW_ERROR:g} px may be left; calibrate the cameras"
         )
     return found
 
@@ -122,7 +122,7 @@ def rectify_uncalibrated(left: Points, right: Points, size: tuple[int, int]) -> 
 def _fitted(left: Points, right: Points, size: tuple[int, int], focal: float) -> RectifyingHomographies:
     """Levenberg-Marquardt over two and three angles and the focal length, with Huber's weights."""
     parameters, damping = np.zeros(6), 1e-3
-    weigh = np.sqrt(len(left)) * _PRIOR
+    weigh = np.sqrt(len(left)) * _REGULARIZATION
 
     def residual(values: NDArray[np.float64]) -> NDArray[np.float64]:
         one, other = (_moved(h, p) for h, p in zip(_turned(values, size, focal), (left, right), strict=True))
@@ -131,7 +131,7 @@ def _fitted(left: Points, right: Points, size: tuple[int, int], focal: float) ->
         return np.concatenate([rows, weigh * values])
 
     here = residual(parameters)
-    for _ in range(_STEPS):
+    for _ in range(_MAX_STEPS):
         columns = [(residual(parameters + step) - residual(parameters - step)) / 2e-6 for step in 1e-6 * np.eye(6)]
         jacobian = np.stack(columns, axis=1)
         normal = jacobian.T @ jacobian
@@ -149,7 +149,7 @@ def _fitted(left: Points, right: Points, size: tuple[int, int], focal: float) ->
     middle = np.array([[(size[0] - 1) / 2, (size[1] - 1) / 2]])
     shift = middle - _moved(one, middle)
     ours, theirs = _moved(one, left), _moved(other, right)
-    first = float(np.quantile(ours[:, 0] - theirs[:, 0], 0.01)) - _FIRST * size[0]
+    first = float(np.quantile(ours[:, 0] - theirs[:, 0], 0.01)) - _MIN_DISPARITY_SHARE * size[0]
     return RectifyingHomographies(
         _shift(shift[0, 0], shift[0, 1]) @ one, _shift(shift[0, 0] + first, shift[0, 1]) @ other, size
     )

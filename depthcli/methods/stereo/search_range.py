@@ -1,4 +1,4 @@
-"""Which disparities to search, and how a range that does not begin at 0 is brought to one that does."""
+"""Which disparities are searched, and how a pair is shifted so that its smallest disparity is 0."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.methods.stereo.keypoint_matching import consistent, match_rectified
 from depthcli.methods.stereo.volume import StereoResult
 
-# Widths of images that are looked at for key points: more of them say nothing new about the range.
-_MOST_PIXELS = 600_000
-_ROWS_APART = 1.0
-_NEAREST, _FARTHEST = 0.75, -0.5  # of the width: what is looked for
-_TAIL = 0.005  # share of the matches at either end that is not believed
-_FEWEST = 16
+_MAX_PIXELS = 600_000  # larger images are reduced to this size for key points: more of them do not change the range
+_MAX_ROW_DIFFERENCE = 1.0  # of matched key points, pixels
+_MIN_SHIFT, _MAX_SHIFT = -0.5, 0.75  # disparities among which key points are matched, shares of the width
+_TAIL = 0.005  # share of the matches that are ignored at either end: some are wrong
+_MIN_MATCHES = 16  # with fewer, quantiles mean nothing
 # The nearest and the farthest things seldom have key points; on the Middlebury scenes of 2001 to 2014 at most 0.4 % of
 # the true disparities lie beyond these margins (shares of the range between the quantiles), on KITTI 1.8 %.
-_ABOVE, _BELOW, _AT_LEAST = 0.3, 0.2, 4.0
+_MARGIN_ABOVE, _MARGIN_BELOW, _MIN_MARGIN_PX = 0.3, 0.2, 4.0
 
 
 @dataclass(frozen=True)
@@ -37,11 +36,11 @@ class SearchRange:
 
     @property
     def last(self) -> int:
-        """Largest disparity of the shifted pair, whose smallest is 0."""
+        """Return the largest disparity of the shifted pair, whose smallest is 0."""
         return self.top - self.low
 
     def shift(self, pair: StereoPair) -> StereoPair:
-        """The pair whose disparities are smaller by ``low``; a range that begins at 0 leaves it as it is.
+        """Return the pair whose disparities are smaller by ``low``; the pair itself where the range begins at 0.
 
         Columns are cut off where ``low`` is positive, since nothing to the left of them can be matched, and repeated
         where it is negative: every other match keeps its place, inside or outside the right image.
@@ -58,7 +57,7 @@ class SearchRange:
         return StereoPair(left, right, pair.bits)
 
     def restore(self, result: StereoResult, width: int) -> StereoResult:
-        """The result of the shifted pair, in the pixels and disparities of the pair, which is ``width`` wide.
+        """Return the shifted pair's result in the pixels and disparities of the pair, which is ``width`` wide.
 
         Pixels without a partner in the right image, whatever their disparity, are occluded; they are filled by
         the values next to them where the map has no holes, else they stay empty.
@@ -91,7 +90,7 @@ class SearchRange:
         return np.pad(values, ((0, 0), (self.low, 0), *(((0, 0),) * (values.ndim - 2))), mode="edge")
 
     def share_at_ends(self, disparity: DisparityMap) -> tuple[float, float]:
-        """Shares of the measured pixels within a pixel of the range's lower and upper end."""
+        """Return the shares of the measured pixels within a pixel of the range's lower and upper end."""
         measured = disparity.values[disparity.measured]
         if measured.size == 0:
             return 0.0, 0.0
@@ -99,7 +98,7 @@ class SearchRange:
 
 
 def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:
-    """The range that matched key points suggest, with a margin, and how many matches say so.
+    """Return the range of the disparities of matched key points, with a margin, and the number of matches.
 
     Raises
     ------
@@ -107,22 +106,20 @@ def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:
         Too few key points match.
     """
     height, width = pair.shape
-    shrink = min(1.0, (_MOST_PIXELS / (height * width)) ** 0.5)
+    shrink = min(1.0, (_MAX_PIXELS / (height * width)) ** 0.5)
     size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
     views = [_smaller(image, size) for image in pair.grey8]
     detect: Callable[[NDArray[np.uint8]], Any] = Surf(threshold=1e-6)
-    found = consistent(
-        match_rectified(
-            detect(views[0]), detect(views[1]), _NEAREST * size[0], _ROWS_APART, min_disparity=_FARTHEST * size[0]
-        )
-    )
-    if len(found) < _FEWEST:
+    largest, smallest = _MAX_SHIFT * size[0], _MIN_SHIFT * size[0]
+    left, right = (detect(view) for view in views)
+    found = consistent(match_rectified(left, right, largest, _MAX_ROW_DIFFERENCE, min_disparity=smallest))
+    if len(found) < _MIN_MATCHES:
         raise InputError(
             f"only {len(found)} key points match, too few to find the search range; say it with --max-disparity PIXELS "
             "(views swapped, or not rectified?)"
         )
     low, high = np.quantile(found.disparity.astype(np.float64), (_TAIL, 1 - _TAIL)) * (width / size[0])
-    below, above = (max(_AT_LEAST, share * (high - low)) for share in (_BELOW, _ABOVE))
+    below, above = (max(_MIN_MARGIN_PX, share * (high - low)) for share in (_MARGIN_BELOW, _MARGIN_ABOVE))
     return SearchRange(int(np.floor(low - below)), int(np.ceil(high + above))), len(found)
 
 

@@ -1,4 +1,4 @@
-// Winner-takes-all of both views and what looks at single costs: (H, W, D) COST.
+// Winner-takes-all of both views, and the steps that read single costs: (H, W, D) COST.
 #ifndef COST
 #define COST ushort
 #endif
@@ -33,7 +33,7 @@ KERNEL void winners(GLOBAL const COST *RESTRICT costs, GLOBAL ushort *RESTRICT b
         best[(index_t)y * width + x] = (ushort)(keys[row][0] & 0xFFFFu);
 }
 
-// As whole-pixel values without a reason; also what a map starts as.
+// The map of the winners: their values, no status bits.
 KERNEL void start_map(GLOBAL const ushort *RESTRICT best, GLOBAL float *RESTRICT values, GLOBAL uchar *RESTRICT status,
                       int count)
 {

@@ -43,9 +43,9 @@ class Tile:
 
     Attributes
     ----------
-    rows, columns : (first, behind the last) of the pixels that are answered for
-    around : (top, bottom, left, right) of the pixels that are looked at
-    spans : what is searched, ascending, with gaps between
+    rows, columns : (first, behind the last) of the pixels that get their values from this tile
+    around : (top, bottom, left, right) of these pixels and the margins
+    spans : disparities that are searched, ascending, with gaps between
     """
 
     rows: tuple[int, int]
@@ -55,30 +55,30 @@ class Tile:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(height, width) of what is looked at."""
+        """Return (height, width), margins included."""
         top, bottom, left, right = self.around
         return bottom - top, right - left
 
     @property
     def depth(self) -> int:
-        """Cells of a pixel: the disparities, and one between spans."""
+        """Return the number of cells of a pixel: the disparities, and one between spans."""
         return sum(span.count for span in self.spans) + len(self.spans) - 1
 
     @property
     def inside(self) -> tuple[slice, slice]:
-        """Where in the tile the pixels lie that it answers for."""
+        """Return the rows and columns of the tile without its margins, within the tile."""
         top, _, left, _ = self.around
         return slice(self.rows[0] - top, self.rows[1] - top), slice(self.columns[0] - left, self.columns[1] - left)
 
     @property
     def place(self) -> tuple[slice, slice]:
-        """Where they lie in the image."""
+        """Return the same rows and columns within the image."""
         return slice(*self.rows), slice(*self.columns)
 
     def cut(self, pair: StereoPair, low: int = 0) -> StereoPair:
-        """The tile as a pair of its own, whose disparities are smaller by ``low``."""
+        """Return the tile as a pair of its own, whose disparities are smaller by ``low``."""
         top, bottom, left, right = self.around
-        before = max(0, low - left)  # columns that the right image does not have: nothing is there
+        before = max(0, low - left)  # columns that the right image does not have
         other = pair.right[top:bottom, left - low + before : right - low]
         if before:
             other = cast(Image, cv2.copyMakeBorder(other, 0, 0, before, 0, cv2.BORDER_REPLICATE))
@@ -88,12 +88,12 @@ class Tile:
 
 @dataclass(frozen=True)
 class Margins:
-    """What a tile looks at beyond the pixels it answers for, pixels.
+    """The margins of a tile, pixels.
 
     Attributes
     ----------
     halo : on all sides
-    lead : on the left beyond the longest span, whose cells lie outside the tile's right image
+    lead : on the left, beyond those of the longest span, whose cells lie outside the tile's right image
     whole : whether tiles are matched as pairs of their own: over one span, the right side as wide as the left one
     """
 
@@ -129,7 +129,7 @@ class Candidates:
         return sums
 
     def tiles(self, margins: Margins, fits: Callable[[Tile], bool]) -> list[Tile] | None:
-        """The tiles that together take the least time; None where not even the smallest fit.
+        """Return the tiles that together take the shortest time; None where not even the smallest fit.
 
         The image is halved again and again, along the side that pays off, as long as parts with candidates of their
         own are cheaper, margins included, than the whole.
@@ -143,13 +143,13 @@ class Candidates:
             cost = float("inf")
             if fits(tile):
                 cost = float(height * width * (tile.depth + _PIXEL_OVERHEAD) + _TILE_OVERHEAD)
-            least = _MIN_TILE_BLOCKS if cost < float("inf") else 1
+            n_min = _MIN_TILE_BLOCKS if cost < float("inf") else 1
             chosen: tuple[tuple[int, int, int, int], ...] = ((y0, y1, x0, x1),)
             cuts = []
-            if y1 - y0 >= 2 * least:
+            if y1 - y0 >= 2 * n_min:
                 middle = (y0 + y1) // 2
                 cuts.append(((y0, middle, x0, x1), (middle, y1, x0, x1)))
-            if x1 - x0 >= 2 * least:
+            if x1 - x0 >= 2 * n_min:
                 middle = (x0 + x1) // 2
                 cuts.append(((y0, y1, x0, middle), (y0, y1, middle, x1)))
             for one, other in cuts:
@@ -162,7 +162,7 @@ class Candidates:
         return None if cost == float("inf") else [self.tile(*part, margins) for part in chosen]
 
     def tile(self, y0: int, y1: int, x0: int, x1: int, margins: Margins) -> Tile:
-        """The tile of blocks ``y0`` .. ``y1`` - 1, ``x0`` .. ``x1`` - 1 with its margins."""
+        """Return the tile of blocks ``y0`` .. ``y1`` - 1, ``x0`` .. ``x1`` - 1 with its margins."""
         height, width = self.shape
         rows = y0 * BLOCK, min(y1 * BLOCK, height)
         columns = x0 * BLOCK, min(x1 * BLOCK, width)
@@ -185,7 +185,7 @@ class Candidates:
         return Tile(rows, columns, around, spans)
 
     def _spans(self, there: NDArray[np.bool_], columns: tuple[int, int]) -> tuple[Span, ...]:
-        """Runs of bins; the last pixel has no candidate beyond the image's left side, the first has one."""
+        # Runs of bins. The last pixel has no candidate beyond the image's left side; the first pixel has one.
         last = min(self.top, columns[1] - 1)
         there = there[: last // BIN + 1].copy()
         if not there.any() or there.argmax() * BIN > columns[0]:

@@ -1,4 +1,4 @@
-"""Every stereo kernel against its slow, obvious twin."""
+"""Every stereo kernel against its slow, obvious reference."""
 
 from __future__ import annotations
 
@@ -312,7 +312,7 @@ def test_interpolation(height, width, disparities):
     status[:, ::2][status[:, ::2] != 0] = Status.OCCLUDED
     result = Interpolation()(DisparityMap(disparity.values, status), evidence).values
     expected = naive.interpolation(disparity.values, status == Status.OCCLUDED, evidence.pair.color8[0])
-    # Where two values are equally like in color the twin has no opinion.
+    # Where two values are equally like in color the reference does not decide.
     decided = ~np.isnan(expected)
     np.testing.assert_array_equal(result[decided], expected[decided])
     assert not np.any(np.isnan(result) & decided)

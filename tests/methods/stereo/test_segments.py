@@ -1,4 +1,4 @@
-"""The segment-based pipeline: its kernels against naive twins, its behaviour on generated and on impossible pairs."""
+"""The segment-based pipeline: its kernels against naive references; generated and impossible pairs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the two OpenCV matchers share: padding, WLS filter, filling, and the way back to our maps."""
+"""What the two OpenCV matchers share: padding, WLS filter, filling, and conversion to disparity maps."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Wls(BaseModel):
 
 
 def search_range(max_disparity: int) -> int:
-    """OpenCV's number of disparities for 0 .. ``max_disparity``: a multiple of 16."""
+    """Return OpenCV's number of disparities for 0 .. ``max_disparity``: a multiple of 16."""
     if max_disparity < 0:
         raise ValueError(f"max_disparity must be >= 0, got {max_disparity}")
     return (max_disparity // 16 + 1) * 16
@@ -45,8 +45,8 @@ def match(
 ) -> StereoResult:
     """Run ``matcher`` on the padded pair.
 
-    The matchers never answer in the first ``search_range`` columns, so the pair is padded on the left by
-    repeating its border, and the answer is cropped.
+    The matchers give no value in the first ``search_range`` columns, so the pair is padded on the left by
+    repeating its border, and the result is cropped.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def match(
 
 
 def _to_map(raw: NDArray[Any], max_disparity: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Pixels and reasons of (H, W) int16; what lies more than a step beyond the range was not asked for."""
+    # Values and status of (H, W) int16; more than a step beyond the range is OUT_OF_RANGE.
     status = np.zeros(raw.shape, np.uint8)
     status[raw >= (max_disparity + 1) * _FRACTIONS] = Status.OUT_OF_RANGE
     status[raw < 0] = Status.MISMATCH

@@ -45,7 +45,7 @@ class OpencvBm(StereoPipeline):
         return match(matcher, left, right, max_disparity, self.block // 2 + 1, self.wls, self.fill)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """A few rows of sums, and the maps."""
+        """Estimate the bytes of a few rows of sums, and of the maps."""
         height, width = shape
         disparities = search_range(max_disparity)
         pixels = (height + self.block) * (width + disparities + self.block)

@@ -67,7 +67,7 @@ class OpencvSgbm(StereoPipeline):
         return match(matcher, left, right, max_disparity, margin, self.wls, self.fill)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Full-image volumes in modes hh and hh4 (int16 costs and sums), else a few rows; and the maps."""
+        """Estimate the bytes of the maps and of int16 costs and sums: volumes in modes hh and hh4, else a few rows."""
         height, width = shape
         disparities = search_range(max_disparity)
         pixels = height * (width + disparities)

@@ -37,7 +37,7 @@ KERNEL void difference(GLOBAL const FEATURE *RESTRICT left, GLOBAL const FEATURE
     costs[cell] = (uchar)smaller(total >> shift, limit);
 }
 
-// Least and largest value within half a pixel along the row.
+// Smallest and largest value within half a pixel along the row.
 DEVICE void half_pixel(GLOBAL const FEATURE *RESTRICT image, index_t row, int x, int width, int c, int *low, int *high)
 {
     int here = image[(row + x) * CHANNELS + c];
@@ -47,7 +47,7 @@ DEVICE void half_pixel(GLOBAL const FEATURE *RESTRICT image, index_t row, int x,
     *high = larger(here, larger(before, after));
 }
 
-// The same, blind to where pixels sample (Birchfield and Tomasi, PAMI 1998).
+// The same, insensitive to sampling (Birchfield and Tomasi, PAMI 1998).
 KERNEL void tolerant_difference(GLOBAL const FEATURE *RESTRICT left, GLOBAL const FEATURE *RESTRICT right,
                                 GLOBAL uchar *RESTRICT costs, int height, int width, int depth, int outside,
                                 int shift, int limit)

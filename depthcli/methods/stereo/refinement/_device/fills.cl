@@ -1,7 +1,7 @@
 // Filling of pixels without a value.
 #define FILLED 16
 
-// Every pixel looks left and right for the nearest value. Rows without any stay empty, for the columns.
+// Rows first: each empty pixel gets the smaller of the nearest values of its row. Rows without values stay empty.
 KERNEL void fill_rows(GLOBAL const float *RESTRICT values, GLOBAL float *RESTRICT filled, int height, int width)
 {
     int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
@@ -21,7 +21,8 @@ KERNEL void fill_rows(GLOBAL const float *RESTRICT values, GLOBAL float *RESTRIC
     filled[(index_t)y * width + x] = value;
 }
 
-// ``filled`` holds the rows' values; only rows that had none at all are left.
+// Columns then: in rows without values each pixel gets the nearest value above, else below; ``rows`` is that of
+// fill_rows.
 KERNEL void fill_columns(GLOBAL const float *RESTRICT values, GLOBAL const uchar *RESTRICT status,
                          GLOBAL const float *RESTRICT rows, GLOBAL float *RESTRICT filled,
                          GLOBAL uchar *RESTRICT reasons, int height, int width)
@@ -43,8 +44,8 @@ KERNEL void fill_columns(GLOBAL const float *RESTRICT values, GLOBAL const uchar
     reasons[here] = (uchar)(status[here] | (no_value(values[here]) && !no_value(value) ? FILLED : 0));
 }
 
-// Slope along the row and value at (y, x) of the surface that (y, x) belongs to, seen towards ``step``: a plane by
-// least squares with Huber weights. The samples are walked through anew for every sum: there is no room to keep them.
+// Slope along the row and value at (y, x) of the surface of (y, x), from the pixels in direction ``step``: a plane by
+// least squares with Huber weights. Samples are read again for every sum, since registers cannot hold them.
 DEVICE void plane_along_row(GLOBAL const float *RESTRICT values, int height, int width, int y, int x, int step,
                             int rows, int reach, int support, real *slope, real *value)
 {
@@ -76,13 +77,13 @@ DEVICE void plane_along_row(GLOBAL const float *RESTRICT values, int height, int
                 column = found;
                 level = row[found];
                 float last = level;
-                int strangers = 0;
+                int n_other = 0;
                 for (int n = 0; n < reach; n++) {
                     int u = found + n * step;
                     if (u < 0 || u >= width)
                         break;
                     if (fabs(row[u] - last) <= 1.0f) {
-                        strangers = 0;
+                        n_other = 0;
                         last = row[u];
                         real across = (real)(u - x), down = (real)(v - y), d = (real)(last - start);
                         real residual = fabs(d - (slope_x * across + slope_y * down + offset));
@@ -97,7 +98,7 @@ DEVICE void plane_along_row(GLOBAL const float *RESTRICT values, int height, int
                         sxd += weight * across * d;
                         syd += weight * down * d;
                         count++;
-                    } else if (++strangers > 3) // another surface, or no value
+                    } else if (++n_other > 3) // another surface, or no value
                         break;
                 }
             }
@@ -120,7 +121,7 @@ DEVICE void plane_along_row(GLOBAL const float *RESTRICT values, int height, int
     *value = (real)start + offset;
 }
 
-// Planes of the pixels beside gaps, (H, W, 4): slope and value seen to the left, then to the right. A thread a pixel.
+// Planes of the pixels beside gaps, (H, W, 4): slope and value from the pixels to the left, then to the right. A thread a pixel.
 KERNEL void surfaces_at_gaps(GLOBAL const float *RESTRICT values, GLOBAL real *RESTRICT planes, int height, int width,
                              int rows, int reach, int support)
 {

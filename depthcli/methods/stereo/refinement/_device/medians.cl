@@ -1,7 +1,7 @@
 // Medians of windows.
 #define SMOOTHED 32
 
-// Of WINDOW x WINDOW values; windows that touch a pixel without one are left alone. Borders are repeated.
+// Median of WINDOW x WINDOW values. Pixels whose window holds a pixel without value keep theirs. Borders are repeated.
 #ifndef WINDOW
 #define WINDOW 3
 #endif
@@ -21,7 +21,7 @@ KERNEL void plain_median(GLOBAL const float *RESTRICT values, GLOBAL const uchar
             sample[n++] = value;
         }
     if (whole) {
-        // The middle one has as many below as above it; equal ones are told apart by their place.
+        // The middle one has as many below as above it; equal values are ordered by their position.
         for (int i = 0; i < WINDOW * WINDOW; i++) {
             int below = 0;
             for (int k = 0; k < WINDOW * WINDOW; k++)
@@ -64,7 +64,7 @@ KERNEL void weighted_median(GLOBAL const uchar *RESTRICT image, GLOBAL const flo
     if (low >= high)
         return;
     int red = image[3 * here], green = image[3 * here + 1], blue = image[3 * here + 2];
-    int middle = 65535; // at first all weights
+    int middle = 65535; // the bin of all weights
     float total = 0;
     while (low < high || total == 0) {
         float below = 0;
@@ -85,7 +85,7 @@ KERNEL void weighted_median(GLOBAL const uchar *RESTRICT image, GLOBAL const flo
             high = middle;
         else
             low = middle + 1;
-        if (total == 0) // nothing is trusted
+        if (total == 0) // no pixel of the window has a weight
             break;
         middle = (low + high) / 2;
     }

@@ -4,7 +4,7 @@
 #define BLOCK 64
 #define PER_PIXEL 8
 
-// Values with 0 where there is none, and 1 where there is one.
+// Splits a map into its values, 0 where there is none, and a trust of 1 where there is one, else 0.
 KERNEL void split_values(GLOBAL const float *RESTRICT values, GLOBAL float *RESTRICT known, GLOBAL float *RESTRICT trust,
                          int count)
 {
@@ -121,7 +121,7 @@ DEVICE float exp_minus_16(float z)
     return power * power;
 }
 
-// Vote and weight of the pixel (v, u) for (y, x), whose value is ``center``; without weight where nothing is known.
+// Vote and weight of the pixel (v, u) for (y, x), whose value is ``center``; its weight is 0 where it has no value.
 #define VOTE \
     float vote = center, weight = 0; \
     if (v >= 0 && v < height && u >= 0 && u < width) { \
