@@ -173,12 +173,12 @@ class EvaluationReport:
 
     @cached_property
     def sections(self) -> list[Section]:
-        """A section for every data set and protocol that has scores."""
+        """Sections of all data sets and protocols that have scores."""
         return self._sections(lambda result: result.data_set)
 
     @cached_property
     def by_protocol(self) -> list[Section]:
-        """A section for every protocol, with the scenes of all data sets."""
+        """Sections of all protocols, each with the scenes of all data sets."""
         return self._sections(lambda result: "all scenes")
 
     def _sections(self, name: Callable[[Result], str]) -> list[Section]:

@@ -140,7 +140,7 @@ def _sparsifications(section: Section) -> Iterator[tuple[tuple[str, str], str]]:
 
 @dataclass(frozen=True)
 class Line:
-    """One line of a plot: a name for the legend, points, and whether it is a bound: drawn grey and dotted."""
+    """One line of a plot: name in the legend, points, and whether it is a bound, drawn grey and dotted."""
 
     name: str
     x: Sequence[float]
@@ -149,7 +149,7 @@ class Line:
 
 
 def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str) -> str:
-    """Lines with axes, grid and legend, as the text of an SVG file.
+    """Return lines with axes, grid and legend, as the text of an SVG file.
 
     Parameters
     ----------
@@ -172,8 +172,8 @@ def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str) -> 
 
 
 def curve_plot(curves: Mapping[str, Sparsification], title: str, of: str) -> str:
-    """Sparsification curves of one region with their bounds, the best first, as the text of an SVG file."""
-    ordered = sorted(curves.items(), key=lambda scene: scene[1].auc)
+    """Return the sparsification curves of one region with their bounds, the best first, as the text of an SVG file."""
+    ordered = sorted(curves.items(), key=lambda named: named[1].auc)
     lines = [Line(f"{name} {c.auc:.4f}", c.percentages, c.errors) for name, c in ordered]
     some = ordered[0][1]
     lines.append(Line(f"optimal {some.optimal:.4f}", some.percentages, some.best, bound=True))
@@ -229,8 +229,8 @@ def _marker(i: int) -> str:
     return _MARKERS[i % len(_MARKERS)]
 
 
-def _plain(text: str, most: int = 40) -> str:
-    """A name, not a formula; short enough to leave room for the plot."""
-    text = text if len(text) <= most else f"{text[: most - 16]}...{text[-12:]}"
+def _plain(text: str, max_length: int = 40) -> str:
+    """A name of limited length that matplotlib does not read as a formula."""
+    text = text if len(text) <= max_length else f"{text[: max_length - 16]}...{text[-12:]}"
     text = "".join(char if char.isprintable() else "?" for char in text).replace("$", r"\$")
     return f"\u200b{text}" if text.startswith("_") else text  # else it is left out of the legend

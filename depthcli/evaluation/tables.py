@@ -244,7 +244,7 @@ def _means(section: Section, key: Key, scene: str, heading: str) -> Column:
 
 
 def _wide(section: Section, title: str, columns: list[Column]) -> Table:
-    """A wide table of these columns, and of the mean seconds a scene, megapixel and billion pixels x disparities."""
+    """Columns as a table, with the mean seconds of a scene, a megapixel, and 10^9 pixels x disparities beside."""
     runs = [section.of(run) for run in section.runs]
     times = {
         "seconds": [mean_of_known(r.seconds for r in results) for results in runs],

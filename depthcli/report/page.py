@@ -194,7 +194,7 @@ def _verdict(section: Section, best: list[str], signed: Mapping[str, list[float]
 
 
 def _scene_data(report: EvaluationReport, saved: _SavedScene) -> dict[str, Any]:
-    """A scene for readers without script: small pictures, and each run's headline in every region."""
+    """What the template shows of a scene: small pictures, and each run's headline in every region."""
     runs = []
     for r in report.results:
         if r.scene == saved.name and r.protocol == saved.protocol.name:
