@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
-from depthcli.methods.fusion.pipeline import Consensus, Fusion, Measure
+from depthcli.methods.fusion.measures import Measure
+from depthcli.methods.fusion.pipeline import Fusion
+from depthcli.methods.fusion.votes import Consensus
 
 __all__ = ["Consensus", "Fusion", "Measure"]

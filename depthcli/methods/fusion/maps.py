@@ -1,4 +1,4 @@
-"""Fusion one level up: finished maps of several methods, each taken where it is right."""
+"""Fusion of finished maps of several methods: each is taken where it is right."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from depthcli.methods.stereo.segments.planes import PlaneFit
 from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
-_FEWEST, _LEAST_SHARE = 20, 0.05  # pixels, and part of a segment, that a plane is fitted to
+_MIN_PIXELS, _MIN_SHARE = 20, 0.05  # pixels, and share of a segment, that a plane is fitted to; chosen by hand
 
 
 class Proposal(BaseModel):
@@ -34,7 +34,7 @@ class Proposal(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    weight: float = Field(1.0, ge=0, le=100, description="what it counts where maps agree; that of the own map is 1")
+    weight: float = Field(1.0, ge=0, le=100, description="what it counts where maps agree; the own map counts 1")
 
 
 class Matcher(Proposal):
@@ -79,7 +79,7 @@ class MapFusion(BaseModel):
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """What makes the proposals, in their order."""
+        """Names of the methods that make the proposals, in their order."""
         return (
             "median",
             "own",
@@ -89,19 +89,19 @@ class MapFusion(BaseModel):
         )
 
     def matched(self, pair: StereoPair, max_disparity: int) -> list[DisparityMap]:
-        """The maps of ``matchers``: computed before the fused costs, they need no memory beside them."""
+        """Compute the maps of ``matchers``, before the fused costs: then they need no memory beside them."""
         return [matcher.matcher(pair, max_disparity).disparity for matcher in self.matchers]
 
     def proposals(
         self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap]
     ) -> Proposals:
-        """``maps`` (the own one, those of ``matched``, those of ``optimizations``) without gaps, and what follows
-        from them: their median, and planes fitted to it.
+        """Return the maps without gaps, their median, and planes fitted to it.
 
         Parameters
         ----------
         volume : the fused costs
         right : (H, W) disparities of the right view
+        maps : the own one, those of ``matched``, those of ``optimizations``
         """
         image, top = pair.color8[0], volume.disparities - 1
         own = [np.nan_to_num(fill_background(one).values).clip(0, top) for one in maps]
@@ -134,11 +134,11 @@ class MapFusion(BaseModel):
         return Mixed(disparity, agreeing, chosen.probability)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Estimate of the peak working memory of the matchers, and of the mixing beside a volume, in bytes."""
+        """Estimate the peak working memory of the matchers for images of ``shape``, bytes."""
         return max((matcher.matcher.peak_bytes(shape, max_disparity) for matcher in self.matchers), default=0)
 
     def bytes_beside(self, shape: tuple[int, int]) -> int:
-        """Estimate of what mixing needs beside the fused costs, in bytes."""
+        """Estimate the memory that mixing needs beside the fused costs, bytes."""
         count = len(self.kinds)
         return shape[0] * shape[1] * (9 * count + self.choice.bytes_a_pixel(count))
 
@@ -152,15 +152,20 @@ class MapFusion(BaseModel):
     ) -> NDArray[np.float32]:
         labels = proposal.segmentation(image)
         count = int(labels.max()) + 1
-        chosen = _most_agreed(agreeing, labels, count)
+        chosen = _largest_agreement(agreeing, labels, count)
         planes = self.planes(values, Members.of(labels, chosen.ravel(), count), np.arange(count))
         return evaluate(planes.coefficients, labels, top)
 
 
 @dataclass(frozen=True)
 class Mixed:
-    """The map; (H, W) float32 in [0, 1]: the weighted share of the proposals that agree with it, and its probability
-    to be right where the choice knows it.
+    """A mix of several maps.
+
+    Attributes
+    ----------
+    disparity : the map
+    agreement : (H, W) float32 in [0, 1], weighted share of the proposals that agree with it
+    probability : (H, W) float32 in [0, 1], to be right; None where the choice does not know it
     """
 
     disparity: DisparityMap
@@ -168,20 +173,20 @@ class Mixed:
     probability: NDArray[np.float32] | None
 
 
-def _most_agreed(agreeing: NDArray[np.int64], labels: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
-    """In every segment the pixels that the most maps agree on, as long as these are not too few."""
-    few = np.maximum(_FEWEST, _LEAST_SHARE * np.bincount(labels.ravel(), minlength=count))
-    least = np.zeros(count, np.int64)
+def _largest_agreement(agreeing: NDArray[np.int64], labels: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
+    # In every segment the pixels on which the largest number of maps agree that still leaves pixels enough.
+    min_pixels = np.maximum(_MIN_PIXELS, _MIN_SHARE * np.bincount(labels.ravel(), minlength=count))
+    threshold = np.zeros(count, np.int64)
     for number in range(1, int(agreeing.max()) + 1):
-        least[np.bincount(labels[agreeing >= number], minlength=count) >= few] = number
-    return agreeing >= least[labels]
+        threshold[np.bincount(labels[agreeing >= number], minlength=count) >= min_pixels] = number
+    return agreeing >= threshold[labels]
 
 
 def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint8]:
-    """Measured where the right view agrees within a pixel; else filled, and hidden from it or mismatched."""
+    # Measured where the right view agrees within a pixel; else filled, and hidden from it or mismatched.
     columns = np.arange(values.shape[1])[None] - np.rint(values).astype(np.int64)
-    there = np.take_along_axis(right, np.clip(columns, 0, None), axis=1).astype(np.float32)
-    hidden = (columns < 0) | (there > values + 1)
+    at_match = np.take_along_axis(right, np.clip(columns, 0, None), axis=1).astype(np.float32)
+    hidden = (columns < 0) | (at_match > values + 1)
     reason = np.where(hidden, Status.OCCLUDED, Status.MISMATCH) | Status.FILLED
-    agrees = (columns >= 0) & (np.abs(there - values) <= 1)
+    agrees = (columns >= 0) & (np.abs(at_match - values) <= 1)
     return np.where(agrees, Status.MEASURED, reason).astype(np.uint8)

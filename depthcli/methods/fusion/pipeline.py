@@ -1,32 +1,30 @@
-"""The data flow of fusion, in order, on one page."""
+"""The data flow of fusion, in order."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
-from depthcli.core.method import Odd
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import MeasureName, confidence_maps, measure_name
 from depthcli.methods.fusion.blend import UNIT, add_weighted, blend, squash
 from depthcli.methods.fusion.maps import MapFusion
-from depthcli.methods.fusion.votes import Ballot, ColorSupport, Support, WindowSupport
-from depthcli.methods.fusion.weights import comparable, measure_weights
+from depthcli.methods.fusion.measures import Measure, comparable, measure_weights
+from depthcli.methods.fusion.votes import Ballot, Consensus
 from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.aggregation import Aggregation
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
-from depthcli.methods.stereo.cost import PartCost, light_weights
+from depthcli.methods.stereo.cost import light_weights
 from depthcli.methods.stereo.matching import AdjustingMatcher
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
@@ -36,75 +34,12 @@ from depthcli.methods.stereo.stages import finish
 from depthcli.methods.stereo.volume import CostVolume, StereoResult
 
 _CONSENSUS, _AGREEMENT, _PROBABILITY = "consensus", "agreement", "probability"
-_OWN = (_CONSENSUS, _AGREEMENT, _PROBABILITY)
-_NEEDED = {
+_OWN_CONFIDENCES = (_CONSENSUS, _AGREEMENT, _PROBABILITY)
+_WANTED_BESIDE = {
     _AGREEMENT: "'agreement' is that of several maps; want 'maps'",
     _PROBABILITY: "'probability' is known where a network chooses among maps; want 'maps' with 'choice: network'",
 }
-_LARGEST = 4080  # of voted costs: the fixed point of aggregated costs, which scanline optimizers can sum
-
-
-class Measure(BaseModel):
-    """One measure that takes part: computed here, or a volume made elsewhere."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    flattened: ClassVar[str] = "cost"  # a measure may be written as its cost alone
-
-    cost: PartCost | None = Field(None, description="a cost measure of the stereo command")
-    volume: str | None = Field(
-        None,
-        description="instead of cost: .npy file of (H, W, D) costs, lower is better, relative to the left image's "
-        "folder; {scene} stands for the scene's name",
-    )
-    scale: float | None = Field(
-        None,
-        gt=0,
-        le=1e9,
-        description="cost that counts as 1 - 1/e, in units of the measure; default: the pair's median cost",
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _name_alone(cls, value: Any) -> Any:
-        if isinstance(value, str) or (isinstance(value, dict) and "method" in value):
-            return {"cost": value}
-        return value
-
-    @model_validator(mode="after")
-    def _one_source(self) -> Measure:
-        if (self.cost is None) == (self.volume is None):
-            raise ValueError("want either cost or volume")
-        return self
-
-
-class Consensus(BaseModel):
-    """Who votes for whom, and what votes are worth."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    support: Literal["color", "window"] = Field(
-        "color", description="color: votes fade with distance and color change; window: all of a square count alike"
-    )
-    window: Odd = Field(
-        65, ge=1, le=255, description="side of the window, odd, pixels; votes across color fade to 1/e at half of it"
-    )
-    softness: float = Field(15.0, gt=0, le=1e4, description="color change at which a vote fades to 1/e, grey levels")
-    tolerance: int = Field(
-        1, ge=0, le=16384, description="how far beside its own disparity a vote still counts, pixels"
-    )
-    vote_cost: float = Field(
-        0.4,
-        ge=0,
-        le=1e3,
-        description="cost of a disparity that no measure votes for, in units of one measure; 0: weights only",
-    )
-    rounds: int = Field(
-        0, ge=0, le=8, description="further rounds: the optimized map votes, instead of the measures, for its costs"
-    )
-    map_vote_cost: float = Field(
-        0.2, gt=0, le=1e3, description="vote_cost of the further rounds, in units of one measure"
-    )
+_MAX_VOTED_COST = 4080  # 16 x 255, the fixed point of aggregated costs, which scanline optimizers can sum
 
 
 class Fusion(AdjustingMatcher):
@@ -149,18 +84,18 @@ class Fusion(AdjustingMatcher):
     maps: MapFusion | None = Field(
         None, description="maps of other methods that the finished map is mixed with; null: none"
     )
-    confidence: tuple[Annotated[str, AfterValidator(lambda n: measure_name(n, *_OWN))], ...] = Field(
+    confidence: tuple[Annotated[str, AfterValidator(lambda n: measure_name(n, *_OWN_CONFIDENCES))], ...] = Field(
         (),
         description="confidence maps to write: measures of the final costs, 'consensus', the share of votes, or, with "
         "maps, 'agreement', the share of maps, and, if a network chooses among them, its 'probability' to be right",
     )
 
     @model_validator(mode="after")
-    def _nothing_in_vain(self) -> Fusion:
-        told = () if self.maps is None else (_AGREEMENT, *self.maps.choice.confidences)
-        untold = [name for name in self.confidence if name in _NEEDED and name not in told]
-        if untold:
-            wrong = PydanticCustomError("in_vain", _NEEDED[untold[0]])
+    def _fields_fit_together(self) -> Fusion:
+        made = () if self.maps is None else (_AGREEMENT, *self.maps.choice.confidences)
+        lacking = [name for name in self.confidence if name in _WANTED_BESIDE and name not in made]
+        if lacking:
+            wrong = PydanticCustomError("in_vain", _WANTED_BESIDE[lacking[0]])
             raise ValidationError.from_exception_data(
                 "Fusion", [{"type": wrong, "loc": ("confidence",), "input": list(self.confidence)}]
             )
@@ -219,10 +154,10 @@ class Fusion(AdjustingMatcher):
         if self.segments is not None:
             result = self.segments.from_volume(pair, fused.volume, max_disparity, clock)
         else:
-            known = [name for name in self.confidence if name not in _OWN]
-            result, found, right = finish(pair, fused.volume, self.optimization, self.refinement, known, clock)
+            known = [name for name in self.confidence if name not in _OWN_CONFIDENCES]
+            result, disparities, right = finish(pair, fused.volume, self.optimization, self.refinement, known, clock)
             if _CONSENSUS in self.confidence:
-                result.confidence[_CONSENSUS] = fused.ballot.shares(found.astype(np.int32)[None])[0]
+                result.confidence[_CONSENSUS] = fused.ballot.shares(disparities.astype(np.int32)[None])[0]
                 clock.stop("confidence")
             if self.maps is not None:
                 self._mix(pair, fused.volume, right, others, result, clock)
@@ -254,11 +189,11 @@ class Fusion(AdjustingMatcher):
     def fuse(
         self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: Clock | None = None
     ) -> Fused:
-        """The fused cost volume: costs -> votes of the measures -> weights -> blend -> aggregation -> votes."""
+        """Compute the fused cost volume: costs -> votes of the measures -> weights -> blend -> aggregation -> votes."""
         clock = clock or Clock()
         depth = max_disparity + 1
         parts = [
-            squash(_costs(measure, pair, depth, volumes), measure.scale, self.outside) for measure in self.measures
+            squash(measure.costs(pair, depth, volumes), measure.scale, self.outside) for measure in self.measures
         ]
         clock.stop("cost")
         chosen, trust = self._voters(self._vote_costs(parts, pair))
@@ -266,7 +201,7 @@ class Fusion(AdjustingMatcher):
         light = light_weights([measure.cost for measure in self.measures], pair)
         if light is not None:
             trust *= light
-        ballot = Ballot(chosen, trust, depth, self.consensus.tolerance, self._support(pair))
+        ballot = Ballot(chosen, trust, depth, self.consensus.tolerance, self.consensus.support_in(pair))
         weights = measure_weights(self.weights, ballot, self.exponent)
         if light is not None:
             weights = weights * light
@@ -275,18 +210,21 @@ class Fusion(AdjustingMatcher):
         base = None if self.weights == "vote" else self._blend(parts, weights, pair)
         clock.stop("aggregation")
         strength = self.consensus.vote_cost
-        volume = ballot.costs(base, 1.0 if base is None else strength, _LARGEST) if strength or base is None else base
+        volume = base
+        if base is None or strength:
+            volume = ballot.costs(base, 1.0 if base is None else strength, _MAX_VOTED_COST)
+        assert volume is not None
         for _ in range(self.consensus.rounds):
-            found, consistent = self._voters([self.optimization(volume, pair)])
-            ballot = Ballot(found, consistent, depth, self.consensus.tolerance, ballot.support)
-            volume = ballot.costs(base, self.consensus.map_vote_cost, _LARGEST)
+            disparities, trust = self._voters([self.optimization(volume, pair)])
+            ballot = Ballot(disparities, trust, depth, self.consensus.tolerance, ballot.support)
+            volume = ballot.costs(base, self.consensus.map_vote_cost, _MAX_VOTED_COST)
         clock.stop("votes")
         means = weights.mean(axis=(1, 2))
         figures = {f"weight_{k}": float(mean) for k, mean in enumerate(means)}
         return Fused(volume, weights, ballot, figures)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Estimate of the peak working memory for images of ``shape``, in bytes."""
+        """Estimate the peak working memory for images of ``shape``, in bytes."""
         pixels = shape[0] * shape[1]
         # A byte a measure; raw, aggregated, voted and optimized costs of two bytes; a vote block of 16 floats.
         a_cell = len(self.measures) + (6 if self.blend == "before" else 10)
@@ -294,11 +232,6 @@ class Fusion(AdjustingMatcher):
         if self.maps is None:
             return need
         return max(need + self.maps.bytes_beside(shape), self.maps.peak_bytes(shape, max_disparity))
-
-    def _support(self, pair: StereoPair) -> Support:
-        if self.consensus.support == "window":
-            return WindowSupport(pair.shape, self.consensus.window)
-        return ColorSupport(pair.color8[0], max(1, self.consensus.window // 2), self.consensus.softness)
 
     def _vote_costs(self, parts: list[CostVolume], pair: StereoPair) -> Iterator[CostVolume]:
         for part in parts:
@@ -337,7 +270,7 @@ class Fusion(AdjustingMatcher):
 
 @dataclass(frozen=True)
 class Fused:
-    """What fusion hands to optimization.
+    """The fused costs, and how they were made.
 
     Attributes
     ----------
@@ -351,23 +284,3 @@ class Fused:
     weights: NDArray[np.float32]
     ballot: Ballot
     figures: dict[str, float]
-
-
-def _costs(measure: Measure, pair: StereoPair, depth: int, volumes: Mapping[str, NDArray[Any]]) -> CostVolume:
-    if measure.cost is not None:
-        return measure.cost(pair, depth)
-    assert measure.volume is not None
-    if measure.volume not in volumes:
-        raise InputError(f"{measure.volume}: no such volume")
-    costs = volumes[measure.volume]
-    if costs.ndim != 3 or costs.shape[:2] != pair.shape or costs.shape[2] < depth:
-        height, width = pair.shape
-        raise InputError(f"{measure.volume}: want shape ({height}, {width}, {depth} or more), got {costs.shape}")
-    if costs.dtype not in (np.uint8, np.uint16):
-        if costs.dtype.kind not in "fiub":
-            raise InputError(f"{measure.volume}: want numbers, got {costs.dtype}")
-        with np.errstate(over="ignore"):
-            costs = costs.astype(np.float32)
-        if not np.isfinite(costs[:, :, :depth]).all():
-            raise InputError(f"{measure.volume}: holds NaN or infinite costs")
-    return CostVolume(np.ascontiguousarray(costs[:, :, :depth]))

@@ -1,4 +1,4 @@
-"""Maps as surfaces: what their disparities cost, how well neighbors fit together, and the best mix of two of them."""
+"""Maps as surfaces: costs of their disparities, misfits of their neighbors, and the best mix of two of them."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from depthcli.algorithms.graph_cut import binary_cut
 from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.fusion.votes import LANES, NOTHING, ColorSupport
+from depthcli.methods.fusion.support import LANES, NOTHING, ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A map without gaps, its slopes, and what choosing it costs at every pixel.
+    """A map without gaps, its slopes, and its cost at every pixel.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Surface:
     cost: NDArray[np.float32]
 
     def mixed(self, other: Surface, chosen: NDArray[np.bool_]) -> Surface:
-        """``other`` where ``chosen`` (H, W), this one elsewhere."""
+        """Return ``other`` where ``chosen`` (H, W), this one elsewhere."""
         return Surface(
             np.where(chosen, other.values, self.values),
             np.where(chosen, other.slopes, self.slopes),
@@ -59,7 +59,7 @@ class Smoothness:
     def of(
         cls, image: NDArray[np.uint8], strength: float, color_scale: float, floor: float, truncation: float
     ) -> Smoothness:
-        """Weights ``strength max(exp(-color / color_scale), floor)``, color the largest difference of the channels."""
+        """Return weights ``strength max(exp(-color / color_scale), floor)``; color: the largest channel difference."""
         levels = image.astype(np.int16)
         weights = np.zeros((2, *image.shape[:2]), np.float32)
         across = np.abs(levels[:, 1:] - levels[:, :-1]).max(axis=2)
@@ -69,24 +69,24 @@ class Smoothness:
         return cls(weights, truncation)
 
     def energy(self, surface: Surface) -> float:
-        """Sum of all costs of a surface."""
+        """Return the sum of all costs of a surface."""
         rows = np.zeros(surface.values.shape[0], np.float64)
         _energy(surface.values, surface.slopes, surface.cost, self.weights, np.float32(self.truncation), rows)
         return float(rows.sum())
 
-    def move(self, current: Surface, proposal: Surface, least: float) -> NDArray[np.bool_] | None:
-        """Pixels (H, W) at which ``current`` becomes ``proposal``: the best mix of both; None where nothing is gained.
+    def move(self, current: Surface, proposal: Surface, min_difference: float) -> NDArray[np.bool_] | None:
+        """Return the pixels (H, W) at which ``proposal`` replaces ``current`` in the best mix; None: nothing is gained.
 
         One minimum cut (fusion moves: Lempitsky et al., PAMI 2010). Pairs that it cannot represent cost more when
         exactly one of the two switches; so the energy is compared at the end.
 
         Parameters
         ----------
-        least : where the two differ by less, ``current`` stays, pixels
+        min_difference : where the two differ by less, ``current`` stays, pixels
         """
         shape = current.values.shape
         index = np.full(shape, -1, np.int64)
-        apart = np.abs(proposal.values - current.values) >= least
+        apart = np.abs(proposal.values - current.values) >= min_difference
         count = int(apart.sum())
         if count == 0:
             return None
@@ -108,7 +108,7 @@ class Smoothness:
 def matching_costs(
     maps: NDArray[np.float32], volume: CostVolume, truncation: float, support: ColorSupport
 ) -> NDArray[np.float32]:
-    """Mean over the support of the cost along every map itself; (N, H, W) float32, in units of the measure.
+    """Compute the mean over the support of the cost along every map; (N, H, W) float32, in units of the measure.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def matching_costs(
 def disagreements(
     maps: NDArray[np.float32], weights: NDArray[np.float32], support: ColorSupport
 ) -> NDArray[np.float32]:
-    """Mean over the support of the weighted share of the other maps that disagree; (N, H, W) float32 in [0, 1].
+    """Compute the mean over the support of the weighted share of the other maps that disagree; (N, H, W) float32.
 
     Maps within half a pixel agree; from there to one and a half their agreement fades.
 
@@ -136,7 +136,7 @@ def disagreements(
 def agreement(
     values: NDArray[np.float32], maps: NDArray[np.float32], weights: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Weighted share of the (N, H, W) ``maps`` that agree with (H, W) ``values``, as :func:`disagreements` says."""
+    """Compute the weighted share of the (N, H, W) ``maps`` that agree with (H, W) ``values``."""
     total = np.zeros(values.shape, np.float32)
     for one, weight in zip(maps, weights, strict=True):
         total += weight * np.clip(np.float32(1.5) - np.abs(one - values), 0, 1)
@@ -146,7 +146,7 @@ def agreement(
 def contradictions(
     maps: NDArray[np.float32], right: NDArray[Any], hidden: float, support: ColorSupport
 ) -> NDArray[np.float32]:
-    """Mean over the support of what the right view says against every map; (N, H, W) float32 in [0, 1].
+    """Compute the mean over the support of how far the right view contradicts every map; (N, H, W) float32 in [0, 1].
 
     In front of what the right view sees a pixel could not be missed there: 1, fading between one and two pixels. Behind
     it, or outside the right image, it is hidden.
@@ -174,7 +174,7 @@ def _smoothed(maps: NDArray[np.float32], support: ColorSupport, fill: Any, *inpu
 
 @jit
 def cost_between(costs: Any, value: Any) -> Any:
-    """Cost of a pixel at a disparity between two whole ones."""
+    """Return the cost of a pixel at a disparity between two whole ones."""
     d = min(int(value), costs.size - 1)
     cost = np.float32(costs[d])
     if d + 1 < costs.size:
@@ -199,7 +199,7 @@ def _along(maps: Any, first: int, costs: Any, unit: Any, truncation: Any, block:
 @parallel_jit
 def _disagree(maps: Any, first: int, weights: Any, others: Any, block: Any) -> None:
     count, height, width = maps.shape
-    zero, one, most = np.float32(0), np.float32(1), np.float32(1.5)
+    zero, one, no_agreement = np.float32(0), np.float32(1), np.float32(1.5)
     for y in prange(height):
         agreement = np.empty(width, np.float32)
         for k in range(min(block.shape[2], count - first)):
@@ -210,7 +210,7 @@ def _disagree(maps: Any, first: int, weights: Any, others: Any, block: Any) -> N
                     continue
                 weight, other = weights[m], maps[m, y]
                 for x in range(own.size):
-                    agreement[x] += weight * min(max(most - abs(own[x] - other[x]), zero), one)
+                    agreement[x] += weight * min(max(no_agreement - abs(own[x] - other[x]), zero), one)
             for x in range(width):
                 block[y, x, k] = one - agreement[x] / others[first + k] if others[first + k] > 0 else zero
 
@@ -236,7 +236,7 @@ def _contradict(maps: Any, first: int, right: Any, hidden: Any, block: Any) -> N
 
 @jit
 def misfit(here: Any, there: Any, slope_here: Any, slope_there: Any, truncation: Any) -> Any:
-    """How far two neighbors miss each other along their slopes, pixels."""
+    """Return by how much the slopes of two neighbors do not lead from one to the other, pixels."""
     step = there - here
     return min(truncation, np.float32(0.5) * (abs(step - slope_here) + abs(step - slope_there)))
 

@@ -23,8 +23,8 @@ from depthcli.methods.fusion.choice import Proposals
 from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE, SHARED, Inputs, input_names
 from depthcli.methods.fusion.choice.network import Network, log_odds_of
 from depthcli.methods.fusion.config import FuseConfig
+from depthcli.methods.fusion.support import ColorSupport
 from depthcli.methods.fusion.surfaces import matching_costs
-from depthcli.methods.fusion.votes import ColorSupport
 from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
 from tests.naive import choice as naive
 

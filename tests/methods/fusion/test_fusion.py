@@ -12,8 +12,9 @@ from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.fusion.blend import add_weighted, blend, squash
-from depthcli.methods.fusion.votes import Ballot, ColorSupport, WindowSupport
-from depthcli.methods.fusion.weights import comparable, measure_weights
+from depthcli.methods.fusion.measures import comparable, measure_weights
+from depthcli.methods.fusion.support import ColorSupport, WindowSupport
+from depthcli.methods.fusion.votes import Ballot
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.volume import CostVolume
 from tests.naive import fusion as naive

@@ -13,7 +13,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.fusion import Fusion
-from depthcli.methods.fusion.maps import _most_agreed
+from depthcli.methods.fusion.maps import _largest_agreement
 from depthcli.methods.fusion.surfaces import (
     Smoothness,
     Surface,
@@ -123,7 +123,7 @@ def test_planes_are_fitted_where_most_maps_agree():
     agreeing[labels == 5] = 0
     agreeing[labels == 4] = 1
     agreeing[np.nonzero(labels == 4)[0][:5], np.nonzero(labels == 4)[1][:5]] = 3  # too few to go by
-    found = _most_agreed(agreeing, labels, 7)
+    found = _largest_agreement(agreeing, labels, 7)
     for k, least in enumerate((3, 3, 3, 1, 1, 0, 0)):
         np.testing.assert_array_equal(found[labels == k], agreeing[labels == k] >= least)
 

@@ -13,19 +13,20 @@ from numpy.typing import NDArray
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
 from depthcli.core.networks import TrainedNetwork
-from depthcli.methods.fusion.votes import ColorSupport
+from depthcli.methods.fusion.support import ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
 
-_FAR, _NEAR, _SOFTNESS = 8.0, 2.0, 15.0  # reaches of supports, pixels, and their softness, grey levels
+# Reaches of the supports, pixels, and their softness, grey levels; networks are trained with these.
+_FAR_REACH, _NEAR_REACH, _SOFTNESS = 8.0, 2.0, 15.0
 
 
 @dataclass(frozen=True)
 class Proposals:
-    """N maps to choose from, and what is known about them.
+    """N maps to choose from, with the data that they are judged by.
 
     Attributes
     ----------
-    kinds : what made each of them
+    kinds : names of the methods that made them
     values : (N, H, W) float32 disparities without gaps, 0 .. D - 1
     filled : (N, H, W) uint8: 0 measured, 1 filled, 2 filled where the right view does not see
     weights : (N,) float32, what a map counts where maps agree
@@ -44,18 +45,18 @@ class Proposals:
 
     @cached_property
     def far(self) -> ColorSupport:
-        """What evidence is averaged over where much of it is wanted."""
-        return ColorSupport(self.pair.color8[0], _FAR, _SOFTNESS)
+        """The wide support that costs are averaged over."""
+        return ColorSupport(self.pair.color8[0], _FAR_REACH, _SOFTNESS)
 
     @cached_property
     def near(self) -> ColorSupport:
-        """What it is averaged over where outlines matter."""
-        return ColorSupport(self.pair.color8[0], _NEAR, _SOFTNESS)
+        """The narrow support that is used where outlines matter."""
+        return ColorSupport(self.pair.color8[0], _NEAR_REACH, _SOFTNESS)
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """The map, and its probability to be right where the method knows it; (H, W) float32."""
+    """The chosen map, (H, W) float32, and its probability to be right, None where the method does not know it."""
 
     values: NDArray[np.float32]
     probability: NDArray[np.float32] | None = None
@@ -84,10 +85,10 @@ class Chooser(Method):
 
     @abstractmethod
     def __call__(self, proposals: Proposals) -> Chosen:
-        """At every pixel one of the proposals."""
+        """Choose one of the proposals at every pixel."""
 
     def bytes_a_pixel(self, count: int) -> int:
-        """Working memory beside ``count`` proposals, bytes a pixel."""
+        """Estimate the working memory beside ``count`` proposals, bytes a pixel."""
         return 0
 
 

@@ -1,4 +1,4 @@
-"""What a network is told of every proposal: costs along it, its company, what both views say, its own shape."""
+"""Inputs of the network: costs along every proposal, other maps, both views, and its own shape."""
 
 from __future__ import annotations
 
@@ -23,14 +23,16 @@ OWN = (
 )  # fmt: skip
 """Planes of every proposal, in their order."""
 RELATIVE = ("cost_far", "cost_near", "decorrelation", "color_near")
-"""Of these the least of all proposals is taken away once more."""
+"""Of these the smallest value of all proposals is subtracted once more."""
 SHARED = ("least_raw", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
 """Planes of the pixel."""
 
-_FARTHEST = np.float32(4.0)
-_COLOR, _NOISE = np.float32(40.0), np.float32(4.0)
-_STEP = np.float32(2.0)  # pixels that a misfit counts at most
-_WINDOW = 7  # side of what is correlated, pixels
+# Networks are trained with these; another value wants another training.
+_MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
+_MAX_COLOR = np.float32(40.0)  # of color differences and deviations, grey levels
+_NOISE = np.float32(4.0)  # added to variances under a correlation, grey levels squared
+_MAX_MISFIT = np.float32(2.0)  # between neighbors, pixels
+_WINDOW = 7  # side of the windows that are correlated, pixels
 _REACH = 9  # half side of the window that slopes are fitted in, pixels
 RELATIVE_PLANES = np.array([OWN.index(name) for name in RELATIVE])
 
@@ -80,7 +82,7 @@ class Inputs:
         unit = np.float32(1 / volume.scale)
         common["least_raw"][:] = volume.costs.min(axis=2) * unit
         for side in (5, 13):
-            common[f"deviation_{side}"][:] = np.minimum(np.sqrt(local_moments(grey[0], side)[1]), _COLOR)
+            common[f"deviation_{side}"][:] = np.minimum(np.sqrt(local_moments(grey[0], side)[1]), _MAX_COLOR)
         common["gradient"][:] = np.minimum(np.abs(cv2.Sobel(grey[0], cv2.CV_32F, 1, 0)) / 8, 30)
         plane["filled"][:] = proposals.filled
         common["filled_share"][:] = (proposals.filled > 0).mean(axis=0)
@@ -147,7 +149,7 @@ def gather(values: Any, own: Any, shared: Any, relative: Any, n: int, first: int
     for m in range(count):
         cells, other = out[at], values[m, first:last]
         for i in range(here.size):
-            cells[i] = min(abs(here[i] - other[i]), _FARTHEST)
+            cells[i] = min(abs(here[i] - other[i]), _MAX_DISTANCE)
         at += 1
     for k in range(shared.shape[0]):
         cells, plane = out[at], shared[k, first:last]
@@ -171,7 +173,7 @@ def _correlation(grey: Any, moments: Any, warped: Any) -> Any:
 
 @parallel_jit
 def _look(
-    values: Any, costs: Any, unit: Any, right: Any, image: Any, other: Any, other_grey: Any, least_raw: Any, raw: Any,
+    values: Any, costs: Any, unit: Any, right: Any, image: Any, other: Any, other_grey: Any, min_raw: Any, raw: Any,
     difference: Any, from_left: Any, overtaken: Any, color: Any, warped: Any,
 ) -> None:  # fmt: skip
     height, width = values.shape
@@ -184,7 +186,7 @@ def _look(
                 nearest[u] = max(nearest[u], values[y, x])
         for x in range(width):
             value = values[y, x]
-            raw[y, x] = cost_between(costs[y, x], value) * unit - least_raw[y, x]
+            raw[y, x] = cost_between(costs[y, x], value) * unit - min_raw[y, x]
             from_left[y, x] = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
             u = int(np.floor(np.float32(x) - value + half))
             if u < 0:
@@ -202,7 +204,7 @@ def _look(
             for c in range(3):
                 a, b = np.float32(other[y, low, c]), np.float32(other[y, high, c])
                 largest = max(largest, abs(np.float32(image[y, x, c]) - (a + rest * (b - a))))
-            color[y, x] = min(largest, _COLOR)
+            color[y, x] = min(largest, _MAX_COLOR)
 
 
 @parallel_jit
@@ -214,11 +216,11 @@ def _roughness(values: Any, slope: Any, rough: Any) -> None:
             total = np.float32(0)
             here, slope_x, slope_y = values[y, x], slope[0, y, x], slope[1, y, x]
             if x > 0:
-                total += misfit(values[y, x - 1], here, slope[0, y, x - 1], slope_x, _STEP)
+                total += misfit(values[y, x - 1], here, slope[0, y, x - 1], slope_x, _MAX_MISFIT)
             if x + 1 < width:
-                total += misfit(here, values[y, x + 1], slope_x, slope[0, y, x + 1], _STEP)
+                total += misfit(here, values[y, x + 1], slope_x, slope[0, y, x + 1], _MAX_MISFIT)
             if y > 0:
-                total += misfit(values[y - 1, x], here, slope[1, y - 1, x], slope_y, _STEP)
+                total += misfit(values[y - 1, x], here, slope[1, y - 1, x], slope_y, _MAX_MISFIT)
             if y + 1 < height:
-                total += misfit(here, values[y + 1, x], slope_y, slope[1, y + 1, x], _STEP)
+                total += misfit(here, values[y + 1, x], slope_y, slope[1, y + 1, x], _MAX_MISFIT)
             rough[y, x] = total

@@ -9,16 +9,16 @@ from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.methods.fusion.choice import Chooser, Chosen, Proposals
 from depthcli.methods.fusion.surfaces import Smoothness, Surface, contradictions, disagreements, matching_costs
 
-_LEAST = 0.25  # maps closer than this are not told apart, pixels
+_MIN_DIFFERENCE = 0.25  # maps that are closer than this count as the same, pixels; chosen by hand
 
 
 class Energy(Chooser):
-    """Each map where costs, the other maps and the right view speak for it.
+    """The mix of the maps of least energy: by costs, by the other maps, by the right view, and smooth.
 
     The energy of a map is the sum over its pixels of ``cost_weight`` times the matching cost along it,
-    ``agreement_weight`` times the weighted share of the other maps that disagree, ``visibility_weight`` times what the
-    right view says against it, each averaged over pixels of similar color, and of a smoothness term that lets slopes
-    pass for nothing. From the map of the largest weight on, every map is offered in turn, their median first, and the
+    ``agreement_weight`` times the weighted share of the other maps that disagree, ``visibility_weight`` times how far
+    the right view contradicts it, each averaged over pixels of similar color, and of a smoothness term in which slopes
+    cost nothing. From the map of the largest weight on, every map is offered in turn, their median first, and the
     best mix of it with the current one is kept (fusion moves: Lempitsky, Rother, Roth and Blake, PAMI 2010).
     """
 
@@ -34,7 +34,7 @@ class Energy(Chooser):
     color_scale: float = Field(
         10.0, gt=0, le=1e4, description="color difference that makes misfits cheaper by 1/e, grey levels"
     )
-    floor: float = Field(0.1, ge=0, le=1, description="they never become cheaper than this part")
+    floor: float = Field(0.1, ge=0, le=1, description="smallest factor by which misfits become cheaper")
 
     def __call__(self, proposals: Proposals) -> Chosen:
         image = proposals.pair.color8[0]
@@ -50,7 +50,7 @@ class Energy(Chooser):
             if k == start:
                 continue
             offered = Surface(values, slopes(values, image), cost)
-            switched = smoothness.move(current, offered, _LEAST)
+            switched = smoothness.move(current, offered, _MIN_DIFFERENCE)
             if switched is not None:
                 current = current.mixed(offered, switched)
         return Chosen(current.values)

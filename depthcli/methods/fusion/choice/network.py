@@ -16,8 +16,8 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import LANES, load, minimum, splat, store
 from depthcli.methods.fusion.choice import Chooser, Chosen, Proposals
 from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE_PLANES, SHARED, Inputs, gather, input_names
-from depthcli.methods.fusion.votes import LANES as MAX_MAPS
-from depthcli.methods.fusion.votes import NOTHING
+from depthcli.methods.fusion.support import LANES as MAX_MAPS
+from depthcli.methods.fusion.support import NOTHING
 
 _INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
 _TILE = 4  # units of a layer that are summed at a time: their sums stay in registers

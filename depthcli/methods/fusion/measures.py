@@ -1,0 +1,105 @@
+"""The measures that are fused, and how much each of them counts at every pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
+from depthcli.methods.fusion.votes import Ballot
+from depthcli.methods.stereo.cost import PartCost
+from depthcli.methods.stereo.volume import CostVolume
+
+_MIN_SCORE = np.float32(1e-4)  # so small that it changes no weight, but pixels without any support get equal ones
+
+
+class Measure(BaseModel):
+    """One measure that takes part: computed here, or a volume made elsewhere."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    flattened: ClassVar[str] = "cost"  # a measure may be written as its cost alone
+
+    cost: PartCost | None = Field(None, description="a cost measure of the stereo command")
+    volume: str | None = Field(
+        None,
+        description="instead of cost: .npy file of (H, W, D) costs, lower is better, relative to the left image's "
+        "folder; {scene} stands for the scene's name",
+    )
+    scale: float | None = Field(
+        None,
+        gt=0,
+        le=1e9,
+        description="cost that counts as 1 - 1/e, in units of the measure; default: the pair's median cost",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_alone(cls, value: Any) -> Any:
+        if isinstance(value, str) or (isinstance(value, dict) and "method" in value):
+            return {"cost": value}
+        return value
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Measure:
+        if (self.cost is None) == (self.volume is None):
+            raise ValueError("want either cost or volume")
+        return self
+
+    def costs(self, pair: StereoPair, depth: int, volumes: Mapping[str, NDArray[Any]]) -> CostVolume:
+        """Return the costs of ``depth`` disparities; InputError where the volume is missing or unusable."""
+        if self.cost is not None:
+            return self.cost(pair, depth)
+        assert self.volume is not None
+        if self.volume not in volumes:
+            raise InputError(f"{self.volume}: no such volume")
+        costs = volumes[self.volume]
+        if costs.ndim != 3 or costs.shape[:2] != pair.shape or costs.shape[2] < depth:
+            height, width = pair.shape
+            raise InputError(f"{self.volume}: want shape ({height}, {width}, {depth} or more), got {costs.shape}")
+        if costs.dtype not in (np.uint8, np.uint16):
+            if costs.dtype.kind not in "fiub":
+                raise InputError(f"{self.volume}: want numbers, got {costs.dtype}")
+            with np.errstate(over="ignore"):
+                costs = costs.astype(np.float32)
+            if not np.isfinite(costs[:, :, :depth]).all():
+                raise InputError(f"{self.volume}: holds NaN or infinite costs")
+        return CostVolume(np.ascontiguousarray(costs[:, :, :depth]))
+
+
+def comparable(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32]:
+    """Bring confidences of several measures to one scale in [0, 1].
+
+    ``lrc`` is in pixels for every measure and becomes 1 / (1 + |difference|). Any other becomes its rank
+    among all measures and pixels together: ranks within a measure would lose which measure is better.
+
+    Parameters
+    ----------
+    confidence : (M, H, W) float32
+    """
+    if name == "lrc":
+        trust: NDArray[np.float32] = (1.0 / (1.0 - confidence)).astype(np.float32)
+        return trust
+    ordered = np.sort(confidence, axis=None)
+    first = np.searchsorted(ordered, confidence, "left")
+    last = np.searchsorted(ordered, confidence, "right")
+    return ((first + last) / (2.0 * ordered.size)).astype(np.float32)
+
+
+def measure_weights(mode: str, ballot: Ballot, exponent: float) -> NDArray[np.float32]:
+    """Compute (M, H, W) float32 weights that sum to 1 over the measures; ``mode`` as in the config of fusion."""
+    if mode in ("equal", "vote"):
+        return np.full(ballot.weights.shape, 1.0 / ballot.weights.shape[0], np.float32)
+    if mode == "select":
+        best = ballot.weights.argmax(axis=0)
+        chosen: NDArray[np.bool_] = np.arange(ballot.weights.shape[0])[:, None, None] == best
+        return chosen.astype(np.float32)
+    score = ballot.shares(ballot.disparities) if mode == "consensus" else ballot.weights
+    powered = np.maximum(score, _MIN_SCORE) ** exponent
+    weights: NDArray[np.float32] = (powered / powered.sum(axis=0, keepdims=True)).astype(np.float32, copy=False)
+    return weights
