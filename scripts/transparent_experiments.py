@@ -11,8 +11,8 @@ figures say how far methods here differ from each other, not from theirs.
 
 ``--cross-modal`` takes stereo pairs with true disparity: the right view is made infrared, a surface in front is made
 glass to the sensor (it sees a plane behind, or nothing; .1 pixel of noise). The matcher's settings
-were chosen with all pairs in view, those of the selection and the suspicion on Teddy and Art; costs (AD, census, ZNCC)
-are compared in 11 x 11 windows without optimization.
+were chosen with all pairs in view, those of the selection and of unreliable regions on Teddy and Art; costs (AD,
+census, ZNCC) are compared in 11 x 11 windows without optimization.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion import Fusion
-from depthcli.methods.transparent.channels import GREY, learned_weights, mixed
 from depthcli.methods.transparent.config import TransparentConfig
+from depthcli.methods.transparent.modality import GREY, learned_weights, mixed
 
 PRESETS = ("nearest", "joint-bilateral", "textbook", "crf", "sparse")
 CASES: dict[str, dict[str, Any]] = {

@@ -30,13 +30,13 @@ def test_files_report_and_evaluation(made, tmp_path, capsys):
     assert main(["transparent", "sparse", "-i", str(made), "-o", str(run), "--evaluate", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     folder = run / "glass_0"
-    names = {"depth.pfm", "depth.png", "sigma.pfm", "status.png", "preview.png", "suspect.png"}
+    names = {"depth.pfm", "depth.png", "sigma.pfm", "status.png", "preview.png", "unreliable.png"}
     assert names <= {path.name for path in folder.iterdir()}
     depth = read_pfm(folder / "depth.pfm")
     np.testing.assert_allclose(read_depth(folder / "depth.png"), depth, atol=0.0006)
     assert np.isfinite(read_pfm(folder / "sigma.pfm")).all()
     row = document["scenes"][0]
-    replaced = np.mean(read_image(folder / "suspect.png") > 0)
+    replaced = np.mean(read_image(folder / "unreliable.png") > 0)
     assert row["replaced"] == pytest.approx(replaced, abs=1e-6)
     assert row["kept"] + row["filled"] + row["replaced"] == pytest.approx(1, abs=1e-5)
     status = read_status(folder / "status.png")
@@ -44,7 +44,7 @@ def test_files_report_and_evaluation(made, tmp_path, capsys):
     assert row["from_stereo"] == pytest.approx(from_stereo.mean(), abs=1e-6)
     assert 0 < from_stereo.mean() < 0.2 * (row["filled"] + row["replaced"])  # a tenth of the pixels has a sample
     assert (run / "legend.png").is_file()
-    assert {"samples", "fit", "suspects"} <= set(row["seconds"])
+    assert {"samples", "fit", "unreliable"} <= set(row["seconds"])
     assert "transparent" in json.dumps(document["evaluation"])
 
 

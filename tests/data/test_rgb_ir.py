@@ -123,7 +123,7 @@ def test_the_command_runs_and_failures_are_rows(tmp_path, capsys):
     assert [row["status"] for row in rows] == ["done", "failed"]
     assert "no calibration" in rows[1]["error"]
     names = {path.name for path in (run / "glass_0").iterdir()}
-    assert {"stereo.png", "confidence_stereo.pfm", "suspect.png", "depth.pfm"} <= names
+    assert {"stereo.png", "confidence_stereo.pfm", "unreliable.png", "depth.pfm"} <= names
     assert {"rectify", "stereo", "crf"} <= set(rows[0]["seconds"])
 
 

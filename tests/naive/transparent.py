@@ -44,7 +44,7 @@ def robust_fit(rows, columns, values, image, at_row, at_column, noise, neighbors
     return plane[0], np.sqrt(noise**2 * variance + (steep * away) ** 2), (w * inside).sum() / w.sum()
 
 
-def quieted(costs, left, right):
+def faded_costs(costs, left, right):
     """Costs drawn towards the pixel's mean by the smaller share of the two pixels they compare; rounded half up."""
     height, width, depth = costs.shape
     out = np.zeros(costs.shape, np.uint16)

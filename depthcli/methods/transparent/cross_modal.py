@@ -1,4 +1,4 @@
-"""Stereo between a color and an infrared camera: sparse depth of what the sensor is blind for (section 5.1.1)."""
+"""Stereo between a color and an infrared camera: sparse depth of surfaces that the sensor misses (section 5.1.1)."""
 
 from __future__ import annotations
 
@@ -19,8 +19,15 @@ from depthcli.methods.fusion import Fusion
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.segments.steps import SegmentSteps
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
-from depthcli.methods.transparent.channels import GREY, learned_weights, mixed
-from depthcli.methods.transparent.structure import cost_at, deviation, mean_cost, quieted
+from depthcli.methods.transparent.modality import (
+    GREY,
+    cost_at,
+    deviation,
+    faded_costs,
+    learned_weights,
+    mean_cost,
+    mixed,
+)  # fmt: skip
 
 _MAX_TILT = 0.3  # vertical over horizontal baseline, beyond which the rectified images would be turned too far
 _MIN_OVERLAP = 0.05  # share of the rectified image that both cameras have to see, to be matched at all
@@ -28,7 +35,7 @@ _SINGLE = {"r": (1.0, 0.0, 0.0), "g": (0.0, 1.0, 0.0), "b": (0.0, 0.0, 1.0), "gr
 
 
 def _structure_measures() -> Fusion:
-    """Measures that survive a change of sensor, never absolute differences; weighted by consensus (section 6.4.9)."""
+    """Return measures that do not depend on the sensor's response, weighted by consensus (section 6.4.9)."""
     return Fusion.model_validate({
         "measures": ["gradient", "rank", "census", "zncc"],
         "exponent": 6,
@@ -37,7 +44,7 @@ def _structure_measures() -> Fusion:
 
 
 def _planes() -> SegmentSteps:
-    """As ``stereo segments``, but less smooth, and uncut: what has no structure is told by its outline."""
+    """Return steps as of ``stereo segments``, but less smooth, and without cutting segments that lack structure."""
     return SegmentSteps.model_validate({
         "window_radius": 0,
         "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
@@ -52,22 +59,25 @@ def _planes() -> SegmentSteps:
 
 
 class Selection(BaseModel):
-    """Which pixels of the map are believed.
+    """Selection of the matches that are reliable.
 
-    What contradicts the sensor, or stands where it is blind, has to be cheaper by some margin: than the sensor's
-    disparity, or than the pixel's mean. What confirms it has to have structure, and the votes around. A pixel that
-    differs from the sensor, but is what the sensor has nearby, says nothing: windows widen the foreground by half
-    their size.
+    A match that contradicts the sensor has to be cheaper by a margin than the sensor's disparity; where the sensor
+    has none, than the pixel's mean. One that confirms it needs structure, and the votes around. Disparities that
+    the sensor has nearby, but not at the pixel, are left out: windows widen the foreground by half their size.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    margin: float = Field(0.15, ge=0, description="how much cheaper than the sensor's, in units of one measure")
-    blind_margin: float = Field(0.1, ge=0, description="how much cheaper than the mean where the sensor is blind")
-    consensus: float = Field(0.3, ge=0, le=1, description="least share of the votes around that confirm the sensor")
-    texture: float = Field(4.0, ge=0, description="least standard deviation of the color in 9 x 9 there, grey levels")
+    margin: float = Field(
+        0.15, ge=0, description="how much cheaper than the sensor's disparity, in units of one measure"
+    )
+    blind_margin: float = Field(0.1, ge=0, description="how much cheaper than the mean where the sensor has no depth")
+    consensus: float = Field(
+        0.3, ge=0, le=1, description="share of the votes around that a match that confirms the sensor needs"
+    )
+    texture: float = Field(4.0, ge=0, description="standard deviation of the color in 9 x 9 that it needs, grey levels")
     speckle: int = Field(50, ge=0, description="smaller regions of like disparity are removed, pixels")
-    widening: int = Field(5, ge=0, le=64, description="how far stereo may have widened a surface, pixels")
+    widening: int = Field(5, ge=0, le=64, description="distance by which stereo may widen a surface, pixels")
     tolerance: float = Field(1.5, ge=0, description="difference from the sensor that still confirms it, pixels")
 
 
@@ -78,7 +88,7 @@ class Matches:
     Attributes
     ----------
     dense : (H, W) float32, disparity of every pixel
-    sparse : (H, W) float32, of those that are believed, NaN elsewhere
+    sparse : (H, W) float32, of reliable matches, NaN elsewhere
     confidence : (H, W) float32 in [0, 1], share of the votes around, or of the margin where that is more
     weights : of the red, green and blue channel; of late fusion 1/3 each
     """
@@ -90,14 +100,16 @@ class Matches:
 
 
 class CrossModal(BaseModel):
-    """Color made like infrared; fused structure measures; planes over color segments; what is beyond doubt is kept."""
+    """Color mixed to resemble infrared, fused structure measures, planes over color segments, reliable matches kept."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     channels: Literal["early", "late", "r", "g", "b", "grey"] = Field(
-        "early", description="early: channels weighted as the sensor's depth teaches; late: matched one by one; or one"
+        "early", description="early: channels weighted by the sensor's depth; late: matched one by one; or one alone"
     )
-    median: Literal[0, 3, 5] = Field(0, description="side of the median that takes speckles off the infrared, pixels")
+    median: Literal[0, 3, 5] = Field(
+        0, description="side of the median that removes speckles from the infrared image, pixels"
+    )
     max_disparity: int | None = Field(
         None, ge=1, le=16383, description="largest disparity, pixels; null: a quarter more than the sensor's largest"
     )
@@ -113,12 +125,12 @@ class CrossModal(BaseModel):
     selection: Selection = Field(default_factory=Selection, description="which matches are kept")
 
     def __call__(self, frame: RgbIrFrame, clock: Clock) -> tuple[SparseFrame, dict[str, float]]:
-        """The frame with sparse depth in the color camera's pixels, and figures for the report.
+        """Return the frame with sparse depth in the color camera's pixels, and figures for the report.
 
         Raises
         ------
         InputError
-            The rig's cameras lie one above the other, or see nothing in common.
+            The rig's cameras lie one above the other, or have no common field of view.
         """
         color, infrared, depth = frame.color, frame.infrared, frame.depth
         fb, mirrored, rectified = frame.fb, False, None
@@ -132,15 +144,15 @@ class CrossModal(BaseModel):
         clock.stop("rectify")
         if mirrored:
             color, infrared, depth = color[:, ::-1], infrared[:, ::-1], depth[:, ::-1]
-        found = self.match(np.ascontiguousarray(color), np.ascontiguousarray(infrared), disparity_of_depth(depth, fb))
-        sparse, dense = (depth_of_disparity(values, fb) for values in (found.sparse, found.dense))
-        confidence = found.confidence
+        matches = self.match(np.ascontiguousarray(color), np.ascontiguousarray(infrared), disparity_of_depth(depth, fb))
+        sparse, dense = (depth_of_disparity(values, fb) for values in (matches.sparse, matches.dense))
+        confidence = matches.confidence
         if mirrored:
             sparse, dense, confidence = (values[:, ::-1] for values in (sparse, dense, confidence))
         if rectified is not None:
             sparse, confidence = rectified.unrectify_depth(sparse, confidence)
             dense, _ = rectified.unrectify_depth(dense, dense)
-        figures = {f"weight_{name}": weight for name, weight in zip("rgb", found.weights, strict=True)}
+        figures = {f"weight_{name}": weight for name, weight in zip("rgb", matches.weights, strict=True)}
         figures["matched"] = float(np.mean(np.isfinite(sparse)))
         clock.stop("stereo")
         result = SparseFrame(frame.color, frame.depth, fb, sparse=np.ascontiguousarray(sparse, np.float32),
@@ -170,9 +182,9 @@ class CrossModal(BaseModel):
         pairs = [StereoPair(mix, infrared) for mix in mixes]
         fused = [self.fusion.fuse(pair, top, {}) for pair in pairs]
         volume = fused[0].volume if len(fused) == 1 else _mean([part.volume for part in fused])
-        volume = quieted(volume, mixes[0], infrared, self.structure)
-        seen = StereoPair(color, np.repeat(infrared[:, :, None], 3, axis=2))
-        dense = self.planes.from_volume(seen, volume, top, Clock()).disparity.values
+        volume = faded_costs(volume, mixes[0], infrared, self.structure)
+        color_pair = StereoPair(color, np.repeat(infrared[:, :, None], 3, axis=2))
+        dense = self.planes.from_volume(color_pair, volume, top, Clock()).disparity.values
         votes = [part.ballot.shares(np.rint(dense).astype(np.int32)[None])[0] for part in fused]
         confidence = np.asarray(np.mean(votes, axis=0), np.float32)
         rule = self.selection
@@ -192,9 +204,9 @@ class CrossModal(BaseModel):
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
         top = self.max_disparity or shape[1] // 4
-        # The quieted costs and two sums of paths; of late fusion also the volumes of three channels.
-        a_cell = 8 + (10 if self.channels == "late" else 0)
-        return self.fusion.peak_bytes(shape, top) + a_cell * shape[0] * shape[1] * (top + 1)
+        # The faded costs and two sums of paths; with late fusion also the volumes of three channels.
+        bytes_a_cell = 8 + (10 if self.channels == "late" else 0)
+        return self.fusion.peak_bytes(shape, top) + bytes_a_cell * shape[0] * shape[1] * (top + 1)
 
     def _range(self, sensor: NDArray[np.float32]) -> int:
         known = sensor[np.isfinite(sensor)]
@@ -202,7 +214,7 @@ class CrossModal(BaseModel):
         return int(np.clip(np.ceil(1.25 * largest) + 2, 16, max(16, sensor.shape[1] // 2)))
 
     def _widened(self, dense: NDArray[np.float32], sensor: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """(H, W) bool: not the sensor's disparity here, but its disparity somewhere in reach."""
+        # Pixels whose disparity the sensor does not have there, but has within ``widening`` pixels.
         reach, tolerance = self.selection.widening, self.selection.tolerance
         height, width = dense.shape
         padded = np.pad(sensor, reach, constant_values=np.nan)
@@ -215,7 +227,7 @@ class CrossModal(BaseModel):
 
 
 def _mean(volumes: list[CostVolume]) -> CostVolume:
-    """Mean of volumes of one scale, each weighted at a pixel by how well its two views agree there."""
+    # Mean of volumes of one scale, weighted at each pixel by the left-right agreement of its winners.
     total: NDArray[Any] = np.zeros(volumes[0].costs.shape, np.float32)
     weights = np.zeros(volumes[0].costs.shape[:2], np.float32)
     for volume in volumes:

@@ -17,8 +17,8 @@ from depthcli.data.generated.arrays.transparent_scenes import glass_of_pair, mak
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
-from depthcli.methods.transparent.channels import GREY, learned_weights, mixed, nonnegative_least_squares
 from depthcli.methods.transparent.cross_modal import CrossModal, Selection
+from depthcli.methods.transparent.modality import GREY, learned_weights, mixed, nonnegative_least_squares
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.scenes import DATA
 

@@ -17,7 +17,7 @@ from depthcli.data.generated.arrays.transparent_scenes import sparse_samples
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.walk import discover_scenes
 from depthcli.methods.transparent.config import TransparentConfig
-from depthcli.methods.transparent.suspects import Suspicion, noise_of
+from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 from tests.methods.stereo._pairs import assert_pure
 from tests.methods.transparent._frames import NOISE, glass
 from tests.scenes import DATA
@@ -45,7 +45,7 @@ def test_every_pixel_has_a_depth_and_a_status_that_fits(name):
     kept = status == DepthStatus.KEPT
     np.testing.assert_array_equal(depth[kept], frame.depth[kept])
     np.testing.assert_array_equal((status & DepthStatus.GAP_FILLED) > 0, np.isnan(frame.depth))
-    np.testing.assert_array_equal(result.pictures["suspect"] > 0, (status & DepthStatus.CORRECTED) > 0)
+    np.testing.assert_array_equal(result.pictures["unreliable"] > 0, (status & DepthStatus.CORRECTED) > 0)
     sampled = (status & DepthStatus.SAMPLED) > 0
     assert sampled.any()
     assert not (sampled & (kept | np.isnan(frame.sparse))).any()
@@ -69,7 +69,7 @@ def test_glass_is_found_and_nothing_else_is_touched(name, seed):
 
 
 @pytest.mark.parametrize("name", ["sparse", "crf"])
-def test_it_beats_the_baselines(name):
+def test_errors_are_below_those_of_the_baselines(name):
     frame, truth, mask = glass(4, outliers=0.3)
     ours, _ = errors(pipeline(name)(frame).depth.values, truth, mask, frame.depth)
     for baseline in ("nearest", "textbook", "joint-bilateral"):
@@ -93,8 +93,8 @@ def test_a_single_sample_and_an_empty_sparse_map(name):
 def test_samples_that_agree_with_the_sensor_leave_it_alone():
     frame, _, mask = glass(6)
     honest = replace(frame, sparse=np.where(mask, np.nan, frame.sparse).astype(np.float32))
-    suspect = pipeline("sparse")(honest).pictures["suspect"] > 0
-    assert suspect.mean() < 0.01
+    unreliable = pipeline("sparse")(honest).pictures["unreliable"] > 0
+    assert unreliable.mean() < 0.01
 
 
 def test_little_confidence_makes_samples_count_less():
@@ -111,13 +111,13 @@ def test_noise_is_that_of_the_good_samples():
     sensor = np.full((80, 90), 1.5, np.float32)
     inverse = sensor + 0.02 * rng.standard_normal(sensor.shape).astype(np.float32)
     inverse[rng.random(sensor.shape) < 0.25] = 3.0
-    assert noise_of(Samples.of(inverse), sensor) == pytest.approx(0.02, rel=0.05)
+    assert sample_noise(Samples.of(inverse), sensor) == pytest.approx(0.02, rel=0.05)
     blind = np.full_like(sensor, np.nan)
-    assert noise_of(Samples.of(inverse), blind) == pytest.approx(0.015, rel=0.05)
+    assert sample_noise(Samples.of(inverse), blind) == pytest.approx(0.015, rel=0.05)
 
 
-def test_a_region_without_contradicting_samples_is_no_suspect():
-    """The fit is wrong over half of the image, but only because it was drawn out from afar."""
+def test_a_region_without_contradicting_samples_is_reliable():
+    """The fit is wrong over half of the image, but only because it is an extrapolation from afar."""
     shape = (40, 60)
     sensor, fit = np.full(shape, 1.0, np.float32), np.full(shape, 1.0, np.float32)
     fit[:, 30:] = 1.5
@@ -126,7 +126,7 @@ def test_a_region_without_contradicting_samples_is_no_suspect():
     maps = (np.full(shape, 0.01, np.float32), np.ones(shape, np.float32))
     image = np.full((*shape, 3), 80, np.uint8)
     maps = (*maps, np.ones(shape, np.float32))
-    rule = Suspicion(reach=10.0)
+    rule = UnreliableRegions(reach=10.0)
     assert not rule(sensor, fit, *maps, samples, 0.01, image).any()
     there = Samples(
         np.append(samples.rows, [9, 20, 31]).astype(np.int32),
@@ -138,10 +138,10 @@ def test_a_region_without_contradicting_samples_is_no_suspect():
     assert not rule(sensor, fit, *maps, alone, 0.01, image).any(), "one sample, where 150 were to be expected"
 
 
-def test_glass_never_brings_the_sensor_nearer():
+def test_a_sensor_that_measures_nearer_surfaces_stays():
     frame, _, mask = glass(9)
     near = np.where(mask, np.float32(0.5), frame.depth)  # the sensor sees something in front of what stereo sees
-    assert not (pipeline("sparse")(replace(frame, depth=near)).pictures["suspect"][mask] > 0).any()
+    assert not (pipeline("sparse")(replace(frame, depth=near)).pictures["unreliable"][mask] > 0).any()
 
 
 class TestRealScenes:

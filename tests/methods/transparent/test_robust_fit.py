@@ -1,4 +1,4 @@
-"""The robust fit and its search for neighbors against their twins, and on planes with outliers."""
+"""The robust fit and its search for neighbors against their references, and on planes with outliers."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_without_samples_there_is_no_value():
 
 
 @pytest.mark.parametrize("leave_own", [False, True])
-def test_the_fit_is_its_twins(leave_own):
+def test_the_fit_agrees_with_the_reference(leave_own):
     shape = (24, 31)
     samples, image = _scattered(3, shape, 90), texture((*shape, 3), 4)
     fit = RobustFit(neighbors=12, color_scale=80, steps=4)
@@ -90,7 +90,7 @@ def test_color_keeps_two_surfaces_apart():
     np.testing.assert_allclose(ours.values, np.where(at[1] < 30, 1.0, 2.0), atol=0.02)
 
 
-def test_it_is_less_sure_far_from_samples():
+def test_sigma_grows_far_from_samples():
     samples = Samples.of(np.where(np.arange(90)[None, :] < 30, np.float32(1.5), np.float32(np.nan)).repeat(20, axis=0))
     at = np.array([10, 10, 10], np.int32), np.array([15, 40, 80], np.int32)
     sigma = RobustFit()(samples, np.full((20, 90, 3), 50, np.uint8), 0.01, at).sigma

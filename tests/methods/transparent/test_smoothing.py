@@ -1,4 +1,4 @@
-"""Smoothing by color against its twin; where it is done."""
+"""Smoothing by color against its reference, and which pixels it changes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _scene(shape, seed):
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 17), (13, 2), (14, 19)])
 @pytest.mark.parametrize("radius", [0, 1, 4])
-def test_it_is_its_twin_far_from_samples(shape, radius):
+def test_smoothing_agrees_with_the_reference_far_from_samples(shape, radius):
     values, image, wanted = _scene(shape, 1)
     samples = _samples(shape, [0], [0])
     ours = Smoothing(radius=radius, color_scale=40, reach=3.5 / shape[1])(values, samples, image, wanted)

@@ -1,4 +1,4 @@
-"""Flat windows say nothing; costs at disparities between whole ones."""
+"""Costs of flat windows, and costs at disparities between whole ones."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.methods.transparent.structure import cost_at, deviation, mean_cost, quieted
+from depthcli.methods.transparent.modality import cost_at, deviation, faded_costs, mean_cost
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import transparent as naive
 
@@ -24,23 +24,23 @@ def half_flat(height, width, seed=0):
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 @pytest.mark.parametrize("shape", [(14, 33, 9), (1, 12, 20), (9, 1, 4), (3, 2, 1)])
-def test_quieted_is_what_the_slow_one_gives(shape, dtype):
+def test_faded_costs_agree_with_the_reference(shape, dtype):
     costs = volume(shape, dtype)
     left, right = half_flat(*shape[:2]), half_flat(*shape[:2], 1)
     shares = [np.minimum(deviation(image) / 30, 1) for image in (left, right)]
-    found = quieted(costs, left, right, 30.0).costs
+    found = faded_costs(costs, left, right, 30.0).costs
     assert found.dtype == np.uint16
-    assert np.abs(found.astype(int) - naive.quieted(costs.costs, *shares)).max() <= 1
-    assert_pure(lambda: quieted(costs, left, right, 30.0).costs, left, right, costs.costs)
+    assert np.abs(found.astype(int) - naive.faded_costs(costs.costs, *shares)).max() <= 1
+    assert_pure(lambda: faded_costs(costs, left, right, 30.0).costs, left, right, costs.costs)
 
 
-def test_flat_pixels_lose_their_opinion_and_others_keep_it():
+def test_costs_of_flat_pixels_fade_and_others_stay():
     costs = volume((20, 40, 8))
     flat, rough = np.full((20, 40), 200, np.uint8), texture((20, 40), 3)
-    np.testing.assert_array_equal(quieted(costs, rough, rough, 1e-3).costs, costs.costs)
-    said = quieted(costs, flat, rough, 4.0).costs.astype(int)
+    np.testing.assert_array_equal(faded_costs(costs, rough, rough, 1e-3).costs, costs.costs)
+    said = faded_costs(costs, flat, rough, 4.0).costs.astype(int)
     assert np.ptp(said, axis=2).max() == 0
-    saturated = quieted(costs, rough, flat, 4.0).costs.astype(int)
+    saturated = faded_costs(costs, rough, flat, 4.0).costs.astype(int)
     assert np.ptp(saturated[:, 8:], axis=2).max() == 0
 
 

@@ -15,12 +15,11 @@ class TransparentPipeline(Method):
 
     @abstractmethod
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
-        """Dense depth of ``frame``.
+        """Compute dense depth of ``frame``.
 
-        Status ``KEPT`` is the sensor's value, ``CORRECTED`` replaces one that is not believed, ``GAP_FILLED`` was
-        unknown to the sensor; either with ``SAMPLED`` where a sample at the pixel says the same, else it is inferred
-        from around. A pixel that nothing reaches is ``EMPTY``. The picture ``suspect`` is 255 where the sensor is not
-        believed.
+        Status ``KEPT`` is the sensor's value, ``CORRECTED`` replaces an unreliable one, ``GAP_FILLED`` was unknown to
+        the sensor; either with ``SAMPLED`` where a sample at the pixel agrees, else it is inferred from around. A pixel
+        that no value reaches is ``EMPTY``. The picture ``unreliable`` is 255 where the sensor is unreliable.
         """
 
     @abstractmethod

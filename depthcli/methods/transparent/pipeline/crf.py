@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -11,85 +13,95 @@ from depthcli.algorithms.dense_crf import GaussianKernel, TruncatedLinear, mean_
 from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, RefinedDepth
-from depthcli.methods.transparent.evidence import Evidence, gather, inverse, outcome
 from depthcli.methods.transparent.fit import RobustFit
+from depthcli.methods.transparent.fitted_frame import FittedFrame, fit_frame, inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
-from depthcli.methods.transparent.suspects import Suspicion
+from depthcli.methods.transparent.unreliable import UnreliableRegions
 
 
 class Crf(TransparentPipeline):
-    """Labels are steps of inverse depth; sensor, samples and the fit to them vote, like pixels pull on each other.
+    """Labels are steps of inverse depth, with costs from sensor, samples and fit, and a smoothness of similar pixels.
 
-    With ``suspicion`` the sensor's votes are dropped where it is not believed, and only what it does not know, or is
-    not believed at, is labelled, with a band around; elsewhere the sensor's value stays. Without it every pixel is
-    labelled from the plain evidence, as the thesis describes it.
+    With ``unreliable`` the sensor's costs are dropped where it is unreliable; only these pixels and its gaps are
+    labelled, with a band around, and elsewhere the sensor's value stays. Without it every pixel is labelled, as the
+    thesis describes it.
     """
 
+    renamed: ClassVar[dict[str, str]] = {"suspicion": "unreliable", "flag": "separation"}
+
     fit: RobustFit = Field(default_factory=RobustFit, description="planes through the samples")
-    suspicion: Suspicion | None = Field(
-        default_factory=Suspicion, description="where the sensor is not believed; null: believed everywhere"
+    unreliable: UnreliableRegions | None = Field(
+        default_factory=UnreliableRegions, description="where the sensor is unreliable; null: nowhere"
     )
     labels: int = Field(64, ge=2, le=512, description="steps of inverse depth")
     sensor_weight: float = Field(1.0, ge=0, description="cost of a label beside the sensor's value, a label")
     sample_weight: float = Field(2.0, ge=0, description="cost of a label beside a sample, a label")
-    fit_weight: float = Field(1.0, ge=0, description="cost of a label beside the fit, a label; wants suspicion")
+    fit_weight: float = Field(1.0, ge=0, description="cost of a label beside the fit, a label; wants unreliable")
     dense_weight: float = Field(
-        1.0, ge=0, description="cost of a label beside what stereo guesses everywhere, a label; where there is such"
+        1.0, ge=0, description="cost of a label beside the dense map of stereo, a label; where there is one"
     )
-    truncation: float = Field(6.0, gt=0, description="largest distance from evidence that costs more, labels")
+    truncation: float = Field(6.0, gt=0, description="largest distance from a value that costs more, labels")
     smooth_truncation: int = Field(8, ge=1, description="largest difference of two pixels that costs more, labels")
-    bilateral_weight: float = Field(1.0, ge=0, description="pull between pixels of like place and color")
-    bilateral_distance: float = Field(20.0, gt=0, description="... distance at which it falls to exp(-1/2), pixels")
-    bilateral_color: float = Field(20.0, gt=0, description="... color difference, grey levels")
-    near_weight: float = Field(0.3, ge=0, description="pull between pixels of like place")
-    near_distance: float = Field(3.0, gt=0, description="... distance at which it falls to exp(-1/2), pixels")
-    flag: float = Field(4.0, ge=0, description="how far apart suspects lie from the others, standard deviations")
-    band: int = Field(8, ge=0, description="pixels around suspects and holes that are labelled with them")
+    bilateral_weight: float = Field(
+        1.0, ge=0, description="weight of smoothness between pixels of similar place and color"
+    )
+    bilateral_distance: float = Field(20.0, gt=0, description="distance at which it falls to exp(-1/2), pixels")
+    bilateral_color: float = Field(
+        20.0, gt=0, description="color difference at which it falls to exp(-1/2), grey levels"
+    )
+    near_weight: float = Field(0.3, ge=0, description="weight of smoothness between pixels of similar place")
+    near_distance: float = Field(3.0, gt=0, description="distance at which it falls to exp(-1/2), pixels")
+    separation: float = Field(
+        4.0, ge=0, description="distance of unreliable pixels from others in the kernels, standard deviations"
+    )
+    band: int = Field(8, ge=0, description="pixels around unreliable ones and holes that are labelled with them")
     iterations: int = Field(2, ge=0, le=100, description="steps of mean field")
 
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
-        if self.suspicion is None:
-            sensor, samples = inverse(frame.depth), Samples.of(inverse(frame.sparse))
+        if self.unreliable is None:
+            sensor, samples = inverse_depth(frame.depth), Samples.of(inverse_depth(frame.sparse))
             blank = np.full(frame.shape, np.nan, np.float32)
-            evidence = Evidence(sensor, samples, 0.0, blank, blank, blank, blank, np.zeros(frame.shape, np.bool_))
+            fitted = FittedFrame(sensor, samples, 0.0, blank, blank, blank, blank, np.zeros(frame.shape, np.bool_))
             region = np.ones(frame.shape, np.bool_)
         else:
-            evidence = gather(frame, self.fit, self.suspicion, clock)
-            region = self._around(evidence)
-        values, sigma = evidence.sensor.astype(np.float64), np.full(frame.shape, evidence.noise)
+            fitted = fit_frame(frame, self.fit, self.unreliable, clock)
+            region = self._around(fitted)
+        values, sigma = fitted.sensor.astype(np.float64), np.full(frame.shape, fitted.noise)
         if region.any():
-            found, deviation = self._label(frame, evidence, region, clock)
-            chosen = np.ones(found.size, np.bool_)
-            if self.suspicion is not None:
-                chosen = (evidence.suspect | np.isnan(evidence.sensor))[region]
+            means, deviation = self._label(frame, fitted, region, clock)
+            chosen = np.ones(means.size, np.bool_)
+            if self.unreliable is not None:
+                chosen = (fitted.unreliable | np.isnan(fitted.sensor))[region]
             at = tuple(axis[chosen] for axis in np.nonzero(region))
-            values[at], sigma[at] = found[chosen], deviation[chosen]
-        figures = {"labelled": float(region.mean()), "samples": float(evidence.samples.values.size)}
+            values[at], sigma[at] = means[chosen], deviation[chosen]
+        figures = {"labelled": float(region.mean()), "samples": float(fitted.samples.values.size)}
         replaced, sampled = region, np.isfinite(frame.sparse)
-        if self.suspicion is not None:
-            replaced, sampled = evidence.suspect, evidence.sampled(values)
-        result = outcome(frame, values, sigma, replaced, sampled, clock, figures)
+        if self.unreliable is not None:
+            replaced, sampled = fitted.unreliable, fitted.sampled(values)
+        result = refined_depth(frame, values, sigma, replaced, sampled, clock, figures)
         clock.stop("decode")
         return result
 
-    def _around(self, evidence: Evidence) -> NDArray[np.bool_]:
-        wanted = (evidence.suspect | np.isnan(evidence.sensor)).astype(np.uint8)
+    def _around(self, fitted: FittedFrame) -> NDArray[np.bool_]:
+        wanted = (fitted.unreliable | np.isnan(fitted.sensor)).astype(np.uint8)
         side = 2 * self.band + 1
         return np.asarray(cv2.dilate(wanted, np.ones((side, side), np.uint8)) > 0, np.bool_)
 
     def _label(
-        self, frame: SparseFrame, evidence: Evidence, region: NDArray[np.bool_], clock: Clock
+        self, frame: SparseFrame, fitted: FittedFrame, region: NDArray[np.bool_], clock: Clock
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Posterior mean and standard deviation of the inverse depth at the region's pixels."""
+        """Compute posterior mean and standard deviation of the inverse depth at the region's pixels."""
         samples = np.full(frame.shape, np.nan, np.float32)
-        samples[evidence.samples.rows, evidence.samples.columns] = evidence.samples.values
-        believed = np.where(evidence.suspect, np.float32(np.nan), evidence.sensor)
-        votes = [(believed, self.sensor_weight), (samples, self.sample_weight), (evidence.fit, self.fit_weight)]
-        if frame.dense is not None and self.suspicion is not None:
-            # A guess is asked for only where the sensor does not answer, or is not believed.
-            guess = np.where(evidence.suspect | np.isnan(evidence.sensor), inverse(frame.dense), np.float32(np.nan))
-            votes.append((guess, self.dense_weight))
+        samples[fitted.samples.rows, fitted.samples.columns] = fitted.samples.values
+        reliable = np.where(fitted.unreliable, np.float32(np.nan), fitted.sensor)
+        votes = [(reliable, self.sensor_weight), (samples, self.sample_weight), (fitted.fit, self.fit_weight)]
+        if frame.dense is not None and self.unreliable is not None:
+            # The dense map counts only where the sensor has no depth, or is unreliable.
+            dense = np.where(
+                fitted.unreliable | np.isnan(fitted.sensor), inverse_depth(frame.dense), np.float32(np.nan)
+            )
+            votes.append((dense, self.dense_weight))
         first, step = self._scale([part for part, _ in votes])
         unary = np.zeros((int(region.sum()), self.labels), np.float32)
         label = np.arange(self.labels, dtype=np.float32)
@@ -99,13 +111,13 @@ class Crf(TransparentPipeline):
             distance = np.abs(label - at[known, None].astype(np.float32))
             unary[known] += np.float32(weight) * np.minimum(distance, np.float32(self.truncation))
         if frame.sparse_confidence is not None:
-            # Samples of little confidence give back what they were counted for above.
+            # Undo the cost of samples above as far as they lack confidence.
             at = ((samples[region] - first) / step).astype(np.float32)
             share = 1 - np.clip(frame.sparse_confidence[region], 0, 1)
             known = np.isfinite(at) & np.isfinite(share)
             distance = np.minimum(np.abs(label - at[known, None]), np.float32(self.truncation))
             unary[known] -= (np.float32(self.sample_weight) * share[known, None] * distance).astype(np.float32)
-        q = mean_field(unary, self._kernels(frame, evidence, region), TruncatedLinear(self.smooth_truncation),
+        q = mean_field(unary, self._kernels(frame, fitted, region), TruncatedLinear(self.smooth_truncation),
                        self.iterations)  # fmt: skip
         mean = (q @ label).astype(np.float64)
         spread = np.sqrt(np.maximum((q @ label**2).astype(np.float64) - mean**2, 0.0))
@@ -114,20 +126,20 @@ class Crf(TransparentPipeline):
         return first + step * mean, deviation
 
     def _scale(self, parts: list[NDArray[np.float32]]) -> tuple[float, float]:
-        """Inverse depth of the first label, and the step between labels."""
+        """Return the inverse depth of the first label, and the step between labels."""
         evidence = np.concatenate([part[np.isfinite(part)] for part in parts])
         low, high = (float(value) for value in np.quantile(evidence, [0.005, 0.995]))
         margin = 0.05 * (high - low) or 0.05 * high
         low = max(low - margin, 0.1 * low)
         return low, (high + margin - low) / (self.labels - 1)
 
-    def _kernels(self, frame: SparseFrame, evidence: Evidence, region: NDArray[np.bool_]) -> list[GaussianKernel]:
+    def _kernels(self, frame: SparseFrame, fitted: FittedFrame, region: NDArray[np.bool_]) -> list[GaussianKernel]:
         rows, columns = (axis.astype(np.float32) for axis in np.nonzero(region))
         place = np.stack([columns, rows], axis=1)
         color = frame.color[region].astype(np.float32) / np.float32(self.bilateral_color)
         flag = np.zeros((rows.size, 0), np.float32)
-        if self.suspicion is not None and self.flag:
-            flag = np.float32(self.flag) * evidence.suspect[region, None].astype(np.float32)
+        if self.unreliable is not None and self.separation:
+            flag = np.float32(self.separation) * fitted.unreliable[region, None].astype(np.float32)
         wide, near = place / np.float32(self.bilateral_distance), place / np.float32(self.near_distance)
         return [
             GaussianKernel(np.concatenate([wide, color, flag], axis=1), self.bilateral_weight),
@@ -135,6 +147,6 @@ class Crf(TransparentPipeline):
         ]
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Energies, marginals and intermediate arrays of all labels; the lattices; the fit."""
+        """Estimate energies, marginals and intermediate arrays of all labels; the lattices; the fit."""
         pixels = shape[0] * shape[1]
         return pixels * (20 * self.labels + 4 * self.fit.neighbors + 1200) + (64 << 20)

@@ -1,4 +1,4 @@
-"""Joint bilateral filling from sensor and samples, as a peer."""
+"""Joint bilateral filling from sensor and samples, for comparison."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
 from depthcli.core.frames import SparseFrame
 from depthcli.core.method import Odd
 from depthcli.core.result import Clock, RefinedDepth
-from depthcli.methods.transparent.evidence import inverse, outcome
+from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.pipeline.nearest import Nearest, disagrees, nearest_depth
 
 
 class JointBilateral(TransparentPipeline):
-    """Where the sensor is unknown or far from the nearest sample: a mean of what is around, by distance and color."""
+    """Where the sensor is unknown or far from the nearest sample: a mean of values around, by distance and color."""
 
     window: Odd = Field(21, ge=3, le=101, description="side of the window, pixels, odd")
     sigma_space: float = Field(5.0, gt=0, description="standard deviation of the weight by distance, pixels")
@@ -24,14 +24,16 @@ class JointBilateral(TransparentPipeline):
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
         rule = Nearest()
-        suspect = disagrees(frame, nearest_depth(frame), rule.tolerance, rule.relative_tolerance, rule.reach)
-        believed = np.where(suspect, np.float32(np.nan), frame.depth)
-        known = inverse(np.where(np.isfinite(believed), believed, frame.sparse))
+        unreliable = disagrees(frame, nearest_depth(frame), rule.tolerance, rule.relative_tolerance, rule.reach)
+        reliable = np.where(unreliable, np.float32(np.nan), frame.depth)
+        known = inverse_depth(np.where(np.isfinite(reliable), reliable, frame.sparse))
         filled = joint_bilateral_fill(frame.color, known, self.window, self.sigma_space, self.sigma_color)
-        result = outcome(frame, filled, np.full(frame.shape, np.nan), suspect, np.isfinite(frame.sparse), clock)
+        result = refined_depth(
+            frame, filled, np.full(frame.shape, np.nan), unreliable, np.isfinite(frame.sparse), clock
+        )
         clock.stop("fill")
         return result
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """A few maps."""
+        """Estimate the memory of a few maps."""
         return 160 * shape[0] * shape[1] + (16 << 20)

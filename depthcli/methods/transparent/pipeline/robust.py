@@ -1,37 +1,43 @@
-"""The sensor where it can be believed, planes through the samples that agree elsewhere."""
+"""The sensor where it is reliable, planes through the samples that agree elsewhere."""
 
 from __future__ import annotations
+
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, RefinedDepth
-from depthcli.methods.transparent.evidence import gather, outcome
 from depthcli.methods.transparent.fit import RobustFit, Smoothing
+from depthcli.methods.transparent.fitted_frame import fit_frame, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
-from depthcli.methods.transparent.suspects import Suspicion
+from depthcli.methods.transparent.unreliable import UnreliableRegions
 
 
 class Robust(TransparentPipeline):
     """Samples are cleaned by their neighbors and fitted; a cut finds where the sensor contradicts the fit."""
 
+    renamed: ClassVar[dict[str, str]] = {"suspicion": "unreliable"}
+
     fit: RobustFit = Field(default_factory=RobustFit, description="planes through the samples")
-    suspicion: Suspicion = Field(default_factory=Suspicion, description="where the sensor is not believed")
+    unreliable: UnreliableRegions = Field(
+        default_factory=UnreliableRegions, description="where the sensor is unreliable"
+    )
     smoothing: Smoothing = Field(default_factory=Smoothing, description="of the planes, where they replace the sensor")
 
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
-        evidence = gather(frame, self.fit, self.suspicion, clock)
-        kept = np.isfinite(evidence.sensor) & ~evidence.suspect
-        smooth = self.smoothing(evidence.fit, evidence.samples, frame.color, ~kept)
-        values = np.where(kept, evidence.sensor, smooth)
-        sigma = np.where(kept, np.float32(evidence.noise), evidence.sigma)
-        figures = {"samples": float(evidence.samples.values.size), "noise": evidence.noise}
-        result = outcome(frame, values, sigma, evidence.suspect, evidence.sampled(values), clock, figures)
+        fitted = fit_frame(frame, self.fit, self.unreliable, clock)
+        kept = np.isfinite(fitted.sensor) & ~fitted.unreliable
+        smooth = self.smoothing(fitted.fit, fitted.samples, frame.color, ~kept)
+        values = np.where(kept, fitted.sensor, smooth)
+        sigma = np.where(kept, np.float32(fitted.noise), fitted.sigma)
+        figures = {"samples": float(fitted.samples.values.size), "noise": fitted.noise}
+        result = refined_depth(frame, values, sigma, fitted.unreliable, fitted.sampled(values), clock, figures)
         clock.stop("decode")
         return result
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Neighbors of every pixel, and the graph of the cut."""
+        """Estimate neighbors of every pixel, and the graph of the cut."""
         return shape[0] * shape[1] * (4 * self.fit.neighbors + 700) + (64 << 20)

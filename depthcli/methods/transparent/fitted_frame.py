@@ -1,0 +1,114 @@
+"""Samples of a frame cleaned and fitted, the regions where the sensor is unreliable, and results from inverse depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.plane_fitting.sample_planes import Samples
+from depthcli.core.frames import SparseFrame
+from depthcli.core.maps import DepthMap, DepthStatus
+from depthcli.core.result import Clock, RefinedDepth
+from depthcli.methods.transparent.fit import RobustFit
+from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
+
+_FIT_TOLERANCE = 3.0  # standard deviations within which a sample agrees with its neighbors
+_SENSOR_TOLERANCE = 2.5  # standard deviations within which a sample agrees with the sensor
+
+
+@dataclass(frozen=True)
+class FittedFrame:
+    """A frame in inverse depth, 1 / m, NaN = unknown, with planes through its samples.
+
+    Attributes
+    ----------
+    sensor : (H, W) float32
+    samples : those that agree with their neighbors or with the sensor
+    noise : their standard deviation
+    fit, sigma, confidence : (H, W) float32, planes through the samples, their standard deviation and confidence
+    contradiction : (H, W) float32 in [0, 1], how far the samples of the fit contradict the sensor at their own pixels
+    unreliable : (H, W) bool, the sensor knows the pixel and contradicts the samples
+    """
+
+    sensor: NDArray[np.float32]
+    samples: Samples
+    noise: float
+    fit: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    contradiction: NDArray[np.float32]
+    unreliable: NDArray[np.bool_]
+
+    def sampled(self, values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+        """Select the pixels, (H, W) bool, where a sample at the pixel itself agrees with ``values`` (H, W)."""
+        agrees = np.zeros(self.sensor.shape, np.bool_)
+        at = self.samples.rows, self.samples.columns
+        agrees[at] = np.abs(values[at] - self.samples.values) <= _FIT_TOLERANCE * self.noise
+        return agrees
+
+
+def fit_frame(frame: SparseFrame, fit: RobustFit, rule: UnreliableRegions, clock: Clock) -> FittedFrame:
+    """Clean the samples by a fit that leaves each of them out, fit the others everywhere, compare with the sensor."""
+    sensor = inverse_depth(frame.depth)
+    samples = Samples.of(inverse_depth(frame.sparse))
+    noise = sample_noise(samples, sensor)
+    own = fit(samples, frame.color, noise, (samples.rows, samples.columns), leave_own=True)
+    measured = sensor[samples.rows, samples.columns]
+    agrees = np.abs(samples.values - own.values) <= _FIT_TOLERANCE * noise
+    agrees |= np.abs(samples.values - measured) <= _SENSOR_TOLERANCE * noise
+    samples, measured = samples.chosen(agrees), measured[agrees]
+    # Through glass the sensor measures a farther surface. Where it knows none, a sample is half a contradiction.
+    nearer = rule.beyond((samples.values - measured) / noise) / _SENSOR_TOLERANCE
+    marks = np.clip(np.nan_to_num(nearer, nan=0.5), 0, 1)
+    clock.stop("samples")
+    rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: frame.shape[0], : frame.shape[1]])
+    planes = fit(samples, frame.color, noise, (rows, columns), marks=marks.astype(np.float32))
+    values, sigma, confidence, contradiction = (
+        part.reshape(frame.shape) for part in (planes.values, planes.sigma, planes.confidence, planes.mark)
+    )
+    clock.stop("fit")
+    unreliable = rule(sensor, values, sigma, confidence, contradiction, samples, noise, frame.color)
+    clock.stop("unreliable")
+    return FittedFrame(sensor, samples, noise, values, sigma, confidence, contradiction, unreliable)
+
+
+def inverse_depth(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return 1 / depth, in which planes are affine in pixel coordinates."""
+    return (np.float32(1.0) / depth).astype(np.float32)
+
+
+def refined_depth(
+    frame: SparseFrame,
+    values: NDArray[np.floating[Any]],
+    sigma: NDArray[np.floating[Any]],
+    replaced: NDArray[np.bool_],
+    sampled: NDArray[np.bool_],
+    clock: Clock,
+    figures: dict[str, float] | None = None,
+) -> RefinedDepth:
+    """Convert inverse depth to the result of a pipeline.
+
+    Parameters
+    ----------
+    values, sigma : (H, W) inverse depths and their standard deviations, 1 / m
+    replaced : (H, W) bool, pixels where the sensor is unreliable
+    sampled : (H, W) bool, a sample at the pixel agrees
+    figures : numbers for the report
+    """
+    known = np.isfinite(frame.depth)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(values > 0, 1.0 / values, np.nan).astype(np.float32)
+        depth = np.where(known & (values == inverse_depth(frame.depth)), frame.depth, depth)
+        deviation = (sigma * depth.astype(np.float64) ** 2).astype(np.float32)
+    status = np.zeros(frame.shape, np.uint8)
+    status[~known] = DepthStatus.GAP_FILLED
+    status[known & replaced] = DepthStatus.CORRECTED
+    status[(status != DepthStatus.KEPT) & sampled] |= np.uint8(DepthStatus.SAMPLED)
+    status[np.isnan(depth)] = DepthStatus.EMPTY
+    pictures = {"unreliable": np.where(replaced & known, np.uint8(255), np.uint8(0))}
+    return RefinedDepth(
+        DepthMap(depth, status), deviation, seconds=clock.seconds, pictures=pictures, figures=figures or {}
+    )

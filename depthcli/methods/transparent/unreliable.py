@@ -1,0 +1,180 @@
+"""Regions where the sensor is unreliable: its depth contradicts the samples, over a region that color edges bound."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
+from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
+from depthcli.algorithms.plane_fitting.sample_planes import Samples
+
+# Chosen by experiment: scripts/transparent_experiments.py.
+_MAX_SAMPLE_EVIDENCE = 4.0  # of one sample for a region, standard deviations
+_MIN_EXPECTED_SAMPLES = 4.0  # a piece of a region whose area should hold as many is dropped if it holds one or none
+_SCORE_RANGE = -2, 4  # half squared deviations
+_OUTLIER = 2.5  # standard deviations beyond which samples do not count for the noise
+_TRUNCATION_LOSS = 0.97  # deviation of a normal distribution without what lies beyond 2.5, over the whole one's
+
+
+def sample_noise(samples: Samples, sensor: NDArray[np.float32]) -> float:
+    """Estimate the standard deviation of good samples about a sensor that is right at most of them.
+
+    1.4826 times the median of the absolute differences, then the deviation of those within 2.5 of it, five times.
+    Where the sensor knows none of the samples' pixels, a hundredth of their median.
+
+    Parameters
+    ----------
+    sensor : (H, W), in the unit of the samples' values, NaN = unknown
+    """
+    difference = samples.values - sensor[samples.rows, samples.columns]
+    difference = difference[np.isfinite(difference)]
+    if difference.size == 0:
+        return 0.01 * float(np.median(samples.values)) if samples.values.size else 1.0
+    noise = MAD_TO_SIGMA * float(np.median(np.abs(difference)))
+    for _ in range(5):
+        near = difference[np.abs(difference) <= _OUTLIER * noise]
+        noise = float(np.sqrt(np.mean(near**2.0))) / _TRUNCATION_LOSS if near.size else noise
+    return max(noise, 1e-6 * float(np.median(np.abs(samples.values))))
+
+
+class UnreliableRegions(BaseModel):
+    """Regions where samples contradict the sensor, found by one minimum cut.
+
+    Every pixel is scored by how far the sensor lies from the fit to the samples, in standard deviations of both;
+    outlines of regions cost less along color edges. Regions whose own samples do not contradict the sensor are
+    dropped: there the fit is an extrapolation.
+    """
+
+    renamed: ClassVar[dict[str, str]] = {
+        "doubt": "score_threshold", "outline_least": "min_outline_share", "region_evidence": "min_region_evidence",
+        "least_area": "min_area", "sample_evidence": "min_sample_evidence",
+    }  # fmt: skip
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    score_threshold: float = Field(0.5, ge=0, description="of a pixel's evidence, half squared standard deviations")
+    model_error: float = Field(
+        0.5, ge=0, description="share of the fit's own standard deviation that is added to the noise"
+    )
+    systematic: float = Field(
+        0.0,
+        ge=0,
+        description="error that neighboring samples may share, standard deviations: smaller ones are no evidence",
+    )
+    contradiction: float = Field(
+        0.2,
+        gt=0,
+        le=0.5,
+        description="mean contradiction of the fit's samples from which on scores count; in full from twice of it",
+    )
+    reach: float = Field(
+        0.011,
+        gt=0,
+        description="distance from a sample at which its evidence falls by exp(-1/2), over the image's width",
+    )
+    outline: float = Field(5.0, ge=0, description="cost of a pixel of outline in a region of one color")
+    min_outline_share: float = Field(0.1, ge=0, le=1, description="share of this cost along a strong color edge")
+    color_scale: float = Field(12.0, gt=0, description="color difference at which it falls by exp(-1/2), grey levels")
+    min_region_evidence: float = Field(
+        2.0, ge=0, description="evidence that a region's samples need together, standard deviations of their mean"
+    )
+    min_area: float = Field(0.0, ge=0, le=1, description="smaller regions are dropped, share of the image")
+    min_sample_evidence: float = Field(
+        0.5, ge=0, description="mean evidence that a region's samples need, standard deviations"
+    )
+
+    def __call__(
+        self,
+        sensor: NDArray[np.float32],
+        fit: NDArray[np.float32],
+        sigma: NDArray[np.float32],
+        confidence: NDArray[np.float32],
+        contradiction: NDArray[np.float32],
+        samples: Samples,
+        noise: float,
+        image: NDArray[np.uint8],
+    ) -> NDArray[np.bool_]:
+        """Select the pixels that the sensor knows and is unreliable at.
+
+        Parameters
+        ----------
+        sensor : (H, W) inverse depth, NaN = unknown
+        fit, sigma, confidence : (H, W) planes through the samples, as in
+            :class:`~depthcli.algorithms.plane_fitting.sample_planes.SamplePlanes`
+        contradiction : (H, W) in [0, 1], how far these samples contradict the sensor at their own pixels
+        samples : those that were fitted
+        noise : their standard deviation
+        image : (H, W, 3) uint8
+
+        Returns
+        -------
+        (H, W) bool
+        """
+        if samples.values.size == 0:
+            return np.zeros(sensor.shape, np.bool_)
+        score = self._score(sensor, fit, sigma, confidence, contradiction, samples, noise)
+        region = grid_cut(score, self._weights(image))
+        region = self._contradicted(region, sensor, samples, noise) & np.isfinite(sensor)
+        return _with_samples(region, samples)
+
+    def beyond(self, deviations: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+        """Subtract the error that samples may share from differences, in standard deviations."""
+        rest: NDArray[np.floating[Any]] = np.sign(deviations) * np.maximum(np.abs(deviations) - self.systematic, 0)
+        return rest
+
+    def _score(
+        self, sensor: Any, fit: Any, sigma: Any, confidence: Any, contradiction: Any, samples: Samples, noise: float
+    ) -> NDArray[np.float64]:
+        away = samples.distance(sensor.shape)
+        fading = np.exp(-(away**2.0) / (2 * (self.reach * sensor.shape[1]) ** 2))
+        off = self.beyond((sensor - fit) / np.sqrt(noise**2 + (self.model_error * sigma) ** 2.0))
+        score = np.clip(confidence * off * off / 2 - self.score_threshold, *_SCORE_RANGE) * fading
+        # Samples that agree with the sensor are no evidence beside their surface, however far the fit is continued.
+        gain = np.clip((contradiction - self.contradiction) / self.contradiction, 0, 1)
+        score = np.where(score > 0, score * gain, score)
+        # Through glass the sensor measures a farther surface, never a nearer one.
+        score = np.where(off > 0, np.minimum(score, -self.score_threshold), score)
+        known: NDArray[np.float64] = np.where(np.isfinite(off), score, 0.0)
+        return known
+
+    def _weights(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.float64], ...]:
+        color = image.astype(np.float64)
+        weights = []
+        for step in STEPS:
+            here, there = edge_ends((image.shape[0], image.shape[1]), step)
+            change = ((color[here] - color[there]) ** 2).sum(axis=2)
+            similarity = np.exp(-change / (2 * self.color_scale**2))
+            share = self.min_outline_share + (1 - self.min_outline_share) * similarity
+            weights.append(self.outline * share / np.hypot(*step))
+        return tuple(weights)
+
+    def _contradicted(self, region: Any, sensor: Any, samples: Samples, noise: float) -> NDArray[np.bool_]:
+        count, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+        nearer = self.beyond((samples.values - sensor[samples.rows, samples.columns]) / noise)
+        known = np.isfinite(nearer)
+        at = labels[samples.rows, samples.columns][known]
+        total = np.bincount(at, np.clip(nearer[known], -_MAX_SAMPLE_EVIDENCE, _MAX_SAMPLE_EVIDENCE), count)
+        number = np.bincount(at, minlength=count)
+        keep = (number > 0) & (total >= self.min_region_evidence * np.sqrt(number))
+        keep &= total >= self.min_sample_evidence * number
+        keep &= statistics[:, cv2.CC_STAT_AREA] >= self.min_area * region.size
+        keep[0] = False
+        kept: NDArray[np.bool_] = keep[labels]
+        return kept
+
+
+def _with_samples(region: NDArray[np.bool_], samples: Samples) -> NDArray[np.bool_]:
+    # Drop the pieces that hold one sample or none where their area should hold several: pixels that the sensor does
+    # not know join such a piece to others; its own evidence may be a single wrong sample.
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+    number = np.bincount(labels[samples.rows, samples.columns], minlength=count)
+    expected = statistics[:, cv2.CC_STAT_AREA] * (samples.values.size / region.size)
+    keep = (number > 1) | (expected < _MIN_EXPECTED_SAMPLES)
+    keep[0] = False
+    kept: NDArray[np.bool_] = keep[labels]
+    return kept
