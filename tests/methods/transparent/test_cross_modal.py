@@ -73,10 +73,10 @@ def test_a_wall_is_measured_through_two_different_cameras(shift):
 
 
 def test_depth_is_turned_and_turned_back():
-    rectified = rig().rectified()
+    rectified = rig().rectified(SIZE, SMALL, -1, mirrored=True)
     depth = np.fromfunction(lambda y, x: 1 + 0.001 * x + 0.0005 * y, SIZE[::-1]).astype(np.float32)
-    turned = rectified.depth(depth)
-    back, beside = rectified.back(turned, turned)
+    turned = rectified.rectify_depth(depth)
+    back, beside = rectified.unrectify_depth(turned, turned)
     known = np.isfinite(back)
     assert known.mean() > 0.7
     np.testing.assert_allclose(back[known], depth[known], atol=0.004)
