@@ -11,14 +11,14 @@ from depthcli.methods.stereo.volume import CostVolume
 
 
 class Aggregator(Method):
-    """Averages the costs of a support window, disparity by disparity."""
+    """A mean of costs over a support window, disparity by disparity."""
 
     @abstractmethod
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
-        """A new volume of the same shape; the input is not modified."""
+        """Return a new volume of the same shape; the input is not modified."""
 
     def halo(self) -> int | None:
-        """Pixels around a pixel that its means depend on; None: the whole image."""
+        """Return the radius of the window that a pixel's means depend on, pixels; None: the whole image."""
         return None
 
 

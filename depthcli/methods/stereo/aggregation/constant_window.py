@@ -1,4 +1,4 @@
-"""Mean over a square window, at a cost that does not depend on its size."""
+"""Mean over a square window, in a time that does not depend on its size."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ConstantWindow(Aggregator):
 @parallel_jit
 def _box_means(costs: Any, means: Any, radius: int, factor: Any, bands: int) -> None:
     # One band of rows a task: a running sum of rows (columns), then along x a running sum of columns.
-    # Each band starts its column sums anew, so the result does not depend on the number of bands.
+    # Every band begins with new column sums, so the result does not depend on the number of bands.
     height, width, depth = costs.shape
     for band in prange(bands):
         first = band * height // bands

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.aggregation._intersection import intersected_means
 from depthcli.methods.stereo.cross_support import cross_arms
@@ -19,7 +19,7 @@ from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_poin
 
 
 class Cross(Aggregator):
-    """Mean over a support that follows color edges: the horizontal arms of every pixel on the vertical arm.
+    """Mean over a support bounded by color edges: the horizontal arms of all pixels on the vertical arm.
 
     Iterations alternate between horizontal-first and vertical-first supports. By default only the reference
     view's support counts. Intersecting it with the target's makes the arms depend on the disparity, which
@@ -33,14 +33,14 @@ class Cross(Aggregator):
     threshold: int = Field(20, ge=0, le=255, description="color difference tau1 that ends an arm, grey levels")
     inner_length: int = Field(17, ge=0, le=255, description="arm length L2 from which inner_threshold holds, pixels")
     inner_threshold: int = Field(6, ge=0, le=255, description="stricter color difference tau2, grey levels")
-    iterations: int = Field(4, ge=1, le=16, description="number of aggregations, each over the last one's means")
+    iterations: int = Field(4, ge=1, le=16, description="number of aggregations, each of the means of the one before")
     support: Literal["reference", "intersection"] = Field(
         "reference", description="arms of the left view alone, or cut to those of the matched pixel as well"
     )
     smoothing: bool = Field(True, description="median-filter the image (3 x 3) before arms are grown")
 
     def arms(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """(4, H, W) uint8 arms of a (H, W, C) image."""
+        """Return the (4, H, W) uint8 arms of an (H, W, C) image."""
         if self.smoothing:
             image = np.asarray(cv2.medianBlur(image, 3), np.uint8)
         return cross_arms(image, self.length, self.threshold, self.inner_length, self.inner_threshold)
@@ -50,18 +50,17 @@ class Cross(Aggregator):
         return (self.iterations + 1) * self.length + 2
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
-        given = volume.costs
+        input_costs = volume.costs
         volume = as_fixed_point(volume)
         arms = self.arms(pair.color8[0])
         source = volume.costs
         if self.support == "intersection":
             target = self.arms(pair.color8[1])
             for iteration in range(self.iterations):
-                out = None if source is given else source  # our own copy is overwritten: volumes are large
+                out = None if source is input_costs else source  # a copy is overwritten, to save memory
                 source = intersected_means(source, arms, target, iteration % 2 == 0, out)
             return CostVolume(source, volume.scale)
-        sums = memory.empty(source.shape, np.uint16)
-        means = memory.empty(source.shape, np.uint16)
+        sums, means = (memory.empty(source.shape, np.uint16) for _ in range(2))
         # The sum of an arm is kept in 16 bits, rounded: cut off, small costs would come out too low.
         shift = max(0, (FixedPoint.LARGEST * (2 * self.length + 1)).bit_length() - 16)
         for iteration in range(self.iterations):
@@ -78,7 +77,7 @@ class Cross(Aggregator):
 
 
 def _inverse_areas(arms: NDArray[np.uint8], horizontal_first: bool) -> NDArray[np.float32]:
-    """1 / number of pixels of every support, (H, W)."""
+    # 1 / number of pixels of every support, (H, W).
     first, second = (arms[:2], arms[2:]) if horizontal_first else (arms[2:], arms[:2])
     spans = first[0].astype(np.int64) + first[1] + 1
     axis = 0 if horizontal_first else 1
@@ -86,8 +85,20 @@ def _inverse_areas(arms: NDArray[np.uint8], horizontal_first: bool) -> NDArray[n
     index = np.arange(spans.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
     ends = np.take_along_axis(prefix, index + second[1] + 1, axis)
     areas = ends - np.take_along_axis(prefix, index - second[0].astype(np.int64), axis)
-    inverse: NDArray[np.float32] = (1.0 / areas).astype(np.float32)
-    return inverse
+    return np.asarray(1.0 / areas, np.float32)
+
+
+@jit
+def _write(low: Any, high: Any, inverse: Any, out: Any, shift: int, last: bool) -> None:
+    # The differences of prefix sums: the last ones become means, the others keep their upper 16 bits.
+    if last:
+        factor = inverse * np.float32(1 << shift)
+        for i in range(out.size):
+            out[i] = np.uint16(np.int32(np.float32(np.int32(high[i] - low[i])) * factor + np.float32(0.5)))
+    else:
+        amount, half = np.uint32(shift), np.uint32((1 << shift) >> 1)
+        for i in range(out.size):
+            out[i] = np.uint16(np.uint32(high[i] - low[i] + half) >> amount)
 
 
 @parallel_jit
@@ -98,23 +109,13 @@ def _row_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, shif
         prefix[0] = 0
         for x in range(width):
             costs = source[y, x]
-            here = prefix[x]
-            there = prefix[x + 1]
-            for i in range(there.size):
-                there[i] = here[i] + np.uint32(costs[i])
+            sums, next_sums = prefix[x], prefix[x + 1]
+            for i in range(next_sums.size):
+                next_sums[i] = sums[i] + np.uint32(costs[i])
         for x in range(width):
             low = prefix[x - before[y, x]]
             high = prefix[x + after[y, x] + 1]
-            target = out[y, x]
-            if last:
-                factor = inverse[y, x] * np.float32(1 << shift)
-                for i in range(target.size):
-                    mean = np.float32(np.int32(high[i] - low[i])) * factor + np.float32(0.5)
-                    target[i] = np.uint16(np.int32(mean))
-            else:
-                amount, half = np.uint32(shift), np.uint32((1 << shift) >> 1)
-                for i in range(target.size):
-                    target[i] = np.uint16(np.uint32(high[i] - low[i] + half) >> amount)
+            _write(low, high, inverse[y, x], out[y, x], shift, last)
 
 
 @parallel_jit
@@ -130,22 +131,12 @@ def _column_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, s
         prefix[0] = 0
         for y in range(height):
             costs = source[y, x0:x1].reshape(run)
-            here = prefix[y]
-            there = prefix[y + 1]
-            for i in range(there.size):
-                there[i] = here[i] + np.uint32(costs[i])
+            sums, next_sums = prefix[y], prefix[y + 1]
+            for i in range(next_sums.size):
+                next_sums[i] = sums[i] + np.uint32(costs[i])
         for y in range(height):
             for x in range(x0, x1):
                 offset = (x - x0) * depth
                 low = prefix[y - before[y, x], offset : offset + depth]
                 high = prefix[y + after[y, x] + 1, offset : offset + depth]
-                target = out[y, x]
-                if last:
-                    factor = inverse[y, x] * np.float32(1 << shift)
-                    for i in range(target.size):
-                        mean = np.float32(np.int32(high[i] - low[i])) * factor + np.float32(0.5)
-                        target[i] = np.uint16(np.int32(mean))
-                else:
-                    amount, half = np.uint32(shift), np.uint32((1 << shift) >> 1)
-                    for i in range(target.size):
-                        target[i] = np.uint16(np.uint32(high[i] - low[i] + half) >> amount)
+                _write(low, high, inverse[y, x], out[y, x], shift, last)

@@ -1,10 +1,10 @@
-"""Cost measures: how unlike two pixels are. One file a measure."""
+"""Cost measures: the dissimilarity of two pixels. One file a measure."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,52 +16,58 @@ from depthcli.methods.stereo.volume import CostVolume
 
 
 class CostMeasure(Method):
-    """A similarity measure of two pixels, turned into costs."""
+    """A measure of the dissimilarity of two pixels."""
 
     @abstractmethod
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
-        """Cost volume of disparities 0 .. ``disparities`` - 1."""
+        """Return the cost volume of disparities 0 .. ``disparities`` - 1."""
 
     def halo(self) -> int | None:
-        """Pixels around a pixel that its costs depend on; None: the whole image."""
+        """Return the radius of the window that a pixel's costs depend on, pixels; None: the whole image."""
         return None
 
     compares_levels: ClassVar[bool] = False
-    """Grey levels or their differences are compared: costs of right matches rise where the light differs."""
+    """Whether it compares grey levels or their differences, so that costs of matches rise where the light differs."""
 
 
-_SHIFTED = 0.4  # share of what measures of grey levels lose that the others gain
+_TRANSFERRED_WEIGHT = 0.4  # part of the weight lost by measures of grey levels that the others gain; chosen here
 
 
 def light_weights(measures: Sequence[CostMeasure | None], pair: StereoPair) -> NDArray[np.float32] | None:
-    """What measures that are summed count at every pixel, given how far its light can be trusted.
+    """Return the weights of measures in a sum at every pixel, given its light trust.
 
     Returns
     -------
     (M, H, W) float32, or None
-        Of each measure: below 1 where it compares grey levels that are not the same light's, above 1 of the
-        others there; all together never more than their number. None: all count 1, everywhere.
+        Where the light differs, measures that compare grey levels have weights below 1 and the others above 1; all
+        weights together are at most M. None: all weights are 1.
     """
     levels = [measure is not None and measure.compares_levels for measure in measures]
-    many, others = sum(levels), len(levels) - sum(levels)
-    if pair.light_trust is None or not many or not others:
+    n_levels, n_others = sum(levels), len(levels) - sum(levels)
+    if pair.light_trust is None or not n_levels or not n_others:
         return None
     trust = pair.light_trust * np.float32(1 / 255)
-    gain = np.float32(1) + np.float32(_SHIFTED * many / others) * (np.float32(1) - trust)
-    return np.stack([trust if own else gain for own in levels])
+    gain = np.float32(1) + np.float32(_TRANSFERRED_WEIGHT * n_levels / n_others) * (np.float32(1) - trust)
+    return np.stack([trust if compares else gain for compares in levels])
 
 
 Cost = Annotated[CostMeasure, *method_of("depthcli.methods.stereo.cost")]
+Sampling = Annotated[
+    Literal["exact", "tolerant"],
+    Field(description="tolerant: insensitive to the sampling between pixels (Birchfield and Tomasi)"),
+]
+"""How the values of matching pixels are compared."""
+
 Side = Annotated[int, Field(ge=1, le=255), *get_args(Odd)[1:]]
 """Side of a measure's window, pixels."""
 
 
-def _without_outside(cost: CostMeasure) -> CostMeasure:
+def _check_outside(cost: CostMeasure) -> CostMeasure:
     outside = type(cost).model_fields.get("outside")
     if outside is not None and getattr(cost, "outside") != outside.default:  # noqa: B009  (not every measure has one)
         raise ValueError("'outside' is one for all measures that are combined: leave it out here")
     return cost
 
 
-PartCost = Annotated[Cost, AfterValidator(_without_outside)]
-"""A measure whose costs are combined with others, by what then fills the cells outside the right image."""
+PartCost = Annotated[Cost, AfterValidator(_check_outside)]
+"""A measure in a combination, which itself fills the cells outside the right image."""

@@ -1,8 +1,7 @@
-"""Fill a cost volume from two per-pixel feature images.
+"""Kernels that fill a cost volume from two images of features.
 
-All volumes are (H, W, D) with D innermost. Along d the right image is read backwards; a reversed copy of
-its row makes both streams contiguous, so that the compiler can use SIMD. What is written where the match
-lies outside the right image means nothing: ``fill_outside`` comes after.
+Along d the right image is read backwards; with a reversed copy of its row both streams are contiguous and the compiler
+uses SIMD. Cells whose match lies outside the right image are filled by ``fill_outside`` afterwards.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def popcount(typingctx: Any, value: Any) -> Any:
 
 @parallel_jit
 def hamming_volume(left: Any, right: Any, costs: Any) -> None:
-    """Hamming distance of (H, W) uint64 bit strings into (H, W, D) uint8."""
+    """Write the Hamming distance of (H, W) uint64 bit strings into (H, W, D) uint8."""
     height, width = left.shape
     depth = costs.shape[2]
     for y in prange(height):
@@ -49,7 +48,7 @@ def hamming_volume(left: Any, right: Any, costs: Any) -> None:
 
 @parallel_jit
 def difference_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
-    """Sum over channels of |left - right|, at most ``limit``, of (C, H, W) uint8 into (H, W, D) uint8."""
+    """Write the sum over channels of |left - right|, at most ``limit``, of (C, H, W) uint8 into (H, W, D) uint8."""
     channels, height, width = left.shape
     depth = costs.shape[2]
     for y in prange(height):
@@ -59,9 +58,7 @@ def difference_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
             start = width - 1 - x
             out = costs[y, x]
             if channels == 3:
-                a = np.int16(left[0, y, x])
-                b = np.int16(left[1, y, x])
-                c = np.int16(left[2, y, x])
+                a, b, c = np.int16(left[0, y, x]), np.int16(left[1, y, x]), np.int16(left[2, y, x])
                 row_a = mirror[0, start : start + depth]
                 row_b = mirror[1, start : start + depth]
                 row_c = mirror[2, start : start + depth]
@@ -83,27 +80,27 @@ def difference_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
 
 
 @parallel_jit
-def half_pixel_ranges(features: Any, low: Any, high: Any) -> None:
-    """Least and largest value of (C, H, W) ``features`` within half a pixel along the row, linear between pixels."""
+def _half_pixel_ranges(features: Any, low: Any, high: Any) -> None:
+    # Smallest and largest value of (C, H, W) ``features`` within half a pixel along the row, linear between pixels.
     channels, height, width = features.shape
     kind = features.dtype.type
     for y in prange(height):
         for c in range(channels):
             for x in range(width):
-                here = np.int32(features[c, y, x])
-                before = (here + np.int32(features[c, y, max(x - 1, 0)])) >> 1
-                after = (here + np.int32(features[c, y, min(x + 1, width - 1)])) >> 1
-                low[c, y, x] = kind(min(here, before, after))
-                high[c, y, x] = kind(max(here, before, after))
+                center = np.int32(features[c, y, x])
+                left = (center + np.int32(features[c, y, max(x - 1, 0)])) >> 1
+                right = (center + np.int32(features[c, y, min(x + 1, width - 1)])) >> 1
+                low[c, y, x] = kind(min(center, left, right))
+                high[c, y, x] = kind(max(center, left, right))
 
 
 def tolerant_volume(
     left: NDArray[Any], right: NDArray[Any], costs: NDArray[np.uint8], shift: int, limit: np.int16
 ) -> None:
-    """Sum over channels of the dissimilarity of Birchfield and Tomasi (PAMI 1998), blind to where pixels sample.
+    """Write the sum over channels of the sampling-insensitive dissimilarity of Birchfield and Tomasi (PAMI 1998).
 
-    The difference of a pixel from the nearest value that the other image has within half a pixel of its match, the
-    smaller one of the two ways round.
+    It is the difference of a pixel from the nearest value that the other image has within half a pixel of its match;
+    the smaller one of left to right and right to left.
 
     Parameters
     ----------
@@ -111,9 +108,9 @@ def tolerant_volume(
     costs : (H, W, D), written: the sum divided by 2^``shift`` (rounded half up), at most ``limit``
     """
     left_low, left_high = np.empty_like(left), np.empty_like(left)
-    half_pixel_ranges(left, left_low, left_high)
+    _half_pixel_ranges(left, left_low, left_high)
     right_low, right_high = np.empty_like(right), np.empty_like(right)
-    half_pixel_ranges(right, right_low, right_high)
+    _half_pixel_ranges(right, right_low, right_high)
     _tolerant_volume(
         left, left_low, left_high, right, right_low, right_high, costs, np.int16(shift), np.int16(limit)
     )  # fmt: skip
@@ -139,20 +136,20 @@ def _tolerant_volume(
             start = width - 1 - x
             total[:] = half
             for c in range(channels):
-                here = np.int16(left[c, y, x])
+                value = np.int16(left[c, y, x])
                 low, high = np.int16(left_low[c, y, x]), np.int16(left_high[c, y, x])
-                there = mirror[3 * c, start : start + depth]
-                there_low = mirror[3 * c + 1, start : start + depth]
-                there_high = mirror[3 * c + 2, start : start + depth]
+                other = mirror[3 * c, start : start + depth]
+                other_low = mirror[3 * c + 1, start : start + depth]
+                other_high = mirror[3 * c + 2, start : start + depth]
                 for i in range(total.size):
-                    one = max(np.int16(here - there_high[i]), np.int16(there_low[i] - here))
-                    other = max(np.int16(there[i] - high), np.int16(low - there[i]))
-                    total[i] = np.int16(total[i] + max(min(one, other), zero))
+                    forth = max(np.int16(value - other_high[i]), np.int16(other_low[i] - value))
+                    back = max(np.int16(other[i] - high), np.int16(low - other[i]))
+                    total[i] = np.int16(total[i] + max(min(forth, back), zero))
             out = costs[y, x]
             for i in range(out.size):
                 out[i] = np.uint8(min(np.int16(total[i] >> shift), limit))
 
 
 def empty_volume(shape: tuple[int, int], disparities: int) -> NDArray[np.uint8]:
-    """An uninitialised (H, W, D) uint8 volume; every kernel here writes every cell."""
+    """Return an uninitialized (H, W, D) uint8 volume."""
     return memory.empty((*shape, disparities), np.uint8)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from depthcli.core.frames import StereoPair
-from depthcli.methods.stereo.cost import CostMeasure
+from depthcli.methods.stereo.cost import CostMeasure, Sampling
 from depthcli.methods.stereo.cost._fill import difference_volume, empty_volume, tolerant_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
@@ -16,20 +16,14 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 class AbsoluteDifference(CostMeasure):
     """Mean over the channels of ``|I(y, x) - I'(y, x - d)|``, truncated.
 
-    The thesis sums over the channels; the mean is the same measure in units of grey levels, the unit of
-    Mei et al.'s lambda. Three channels are stored as their sum (scale 3), which is exact.
+    The thesis sums over the channels; the mean has the unit of Mei et al.'s lambda, grey levels. Three channels are
+    stored as their exact sum (scale 3).
     """
 
-    aliases = (
-        "AD",
-        "SAD",
-    )
+    aliases = ("AD", "SAD")
 
     truncation: float = Field(60.0, gt=0, le=255, description="largest cost, grey levels")
-    sampling: Literal["exact", "tolerant"] = Field(
-        "exact",
-        description="tolerant: blind to where between two pixels the other camera has sampled (Birchfield and Tomasi)",
-    )
+    sampling: Sampling = "exact"
     outside: float = Field(20.0, ge=0, le=255, description="cost of a match outside the right image, grey levels")
 
     MAX_STORED: ClassVar[int] = 255

@@ -17,7 +17,7 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
 class Census(CostMeasure):
-    """Hamming distance of census bit strings: bit k is set where neighbor k is brighter than the center."""
+    """Hamming distance of census bit strings, whose bit k is set where neighbor k is brighter than the center."""
 
     window: tuple[Side, Side] = Field((9, 7), description="window width and height, odd, at most 64 neighbors, pixels")
     outside: float = Field(16.0, ge=0, le=64, description="cost of a match outside the right image, bits")
@@ -41,7 +41,7 @@ class Census(CostMeasure):
 
 
 def census_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint64]:
-    """Census bit strings.
+    """Compute census bit strings.
 
     Parameters
     ----------

@@ -17,24 +17,22 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
 class Part(BaseModel):
-    """One measure of the combination."""
+    """One measure of a combination."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
 
     cost: PartCost = Field(description="the measure")
-    lambda_: float = Field(alias="lambda", gt=0, le=1e6, description="cost at which the part has risen to 1 - 1/e")
+    lambda_: float = Field(alias="lambda", gt=0, le=1e6, description="cost at which the part is 1 - 1/e")
 
 
 class Combined(CostMeasure):
-    """Sum over the parts of ``1 - exp(-C_m / lambda_m)``: every part lies in [0, 1), none can dominate.
+    """Sum over the parts of ``1 - exp(-C_m / lambda_m)``: every part lies in [0, 1), so that none dominates.
 
-    Where the pair says that its light cannot be trusted, parts that compare grey levels count less, the others more.
+    Where the pair's ``light_trust`` is low, parts that compare grey levels count less, the others more.
     """
 
     parts: tuple[Part, ...] = Field(min_length=1, max_length=16, description="measures and their lambdas")
-    outside: float = Field(
-        1.0, ge=0, le=16, description="cost of a match outside the right image, in units of one part"
-    )
+    outside: float = Field(1.0, ge=0, le=16, description="cost of a match outside the right image, units of one part")
 
     def halo(self) -> int | None:
         halos = [part.cost.halo() for part in self.parts]
@@ -58,7 +56,7 @@ class Combined(CostMeasure):
 
 
 def part_shares(lambda_: float) -> NDArray[np.float32]:
-    """(256,) float32 in [0, 1]: what each stored cost adds to the sum, ``lambda_`` in stored units."""
+    """Return the (256,) float32 terms in [0, 1) of all stored costs in the sum, for ``lambda_`` in stored units."""
     shares = np.empty(256, np.float32)
     _share(_rate(lambda_), shares)
     return shares
@@ -89,7 +87,7 @@ def _add_exponential(costs: Any, rate: Any, unit: Any, total: Any) -> None:
 
 @parallel_jit
 def _add_weighted(costs: Any, rate: Any, units: Any, total: Any) -> None:
-    # As above, with a unit of every pixel.
+    # As above, with a unit for every pixel.
     height, width, _ = costs.shape
     half, one = np.float32(0.5), np.float32(1.0)
     for y in prange(height):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -11,26 +11,22 @@ from pydantic import Field
 
 from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.cost import CostMeasure
+from depthcli.methods.stereo.cost import CostMeasure, Sampling
 from depthcli.methods.stereo.cost._fill import empty_volume, tolerant_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
 class Gradient(CostMeasure):
-    """``|dI/dx - dI'/dx| + |dI/dy - dI'/dy|`` of the grey images, truncated; blind to a change of brightness.
+    """``|dI/dx - dI'/dx| + |dI/dy - dI'/dy|`` of the grey images, truncated; invariant to added constants.
 
-    Derivatives are those of a Gaussian, 5 x 5, normalized so that a ramp of 1 grey level a pixel has
-    the derivative 1.
+    Derivatives are those of a Gaussian, 5 x 5, normalized so that a ramp of 1 grey level a pixel has the derivative 1.
     """
 
     aliases = ("GRAD",)
 
     sigma: float = Field(1.0, ge=0.3, le=2, description="standard deviation of the derivative filter, pixels")
     truncation: float = Field(40.0, gt=0, le=63, description="largest cost, grey levels a pixel")
-    sampling: Literal["exact", "tolerant"] = Field(
-        "exact",
-        description="tolerant: blind to where between two pixels the other camera has sampled (Birchfield and Tomasi)",
-    )
+    sampling: Sampling = "exact"
     outside: float = Field(4.0, ge=0, le=63, description="cost of a match outside the right image, grey levels a pixel")
 
     SCALE: ClassVar[int] = 4
@@ -52,7 +48,7 @@ class Gradient(CostMeasure):
 
 
 def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
-    """Derivatives along x and y by a 5 x 5 derivative-of-Gaussian filter.
+    """Compute derivatives along x and y by a 5 x 5 derivative-of-Gaussian filter.
 
     Parameters
     ----------
@@ -66,16 +62,13 @@ def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
     smooth, slope = derivative_filters(sigma)
     grey = image.astype(np.float32) * np.float32(16 if image.dtype == np.uint8 else 16 / 257)
     border = cv2.BORDER_REPLICATE
-    return np.stack(
-        [
-            np.rint(cv2.sepFilter2D(grey, cv2.CV_32F, kernel_x, kernel_y, borderType=border)).astype(np.int16)
-            for kernel_x, kernel_y in ((slope, smooth), (smooth, slope))
-        ]
-    )
+    pairs = ((slope, smooth), (smooth, slope))
+    derivatives = [cv2.sepFilter2D(grey, cv2.CV_32F, *kernels, borderType=border) for kernels in pairs]
+    return np.rint(derivatives).astype(np.int16)
 
 
 def derivative_filters(sigma: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The five taps of a Gaussian and of its derivative, which of a ramp of 1 a pixel is 1."""
+    """Return the five taps of a Gaussian and of its derivative, whose response to a ramp of 1 a pixel is 1."""
     offsets = np.arange(-2, 3)
     smooth = np.exp(-(offsets**2) / (2 * sigma**2))
     smooth = smooth / smooth.sum()
@@ -85,7 +78,7 @@ def derivative_filters(sigma: float) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 @parallel_jit
 def _gradient_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
-    """(2, H, W) int16 sixteenths into (H, W, D) uint8 quarters, rounded half up."""
+    # (2, H, W) int16 sixteenths into (H, W, D) uint8 quarters, rounded half up.
     height, width, depth = costs.shape
     for y in prange(height):
         mirror = np.zeros((2, width + depth), np.int16)

@@ -16,7 +16,7 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
 class Rank(CostMeasure):
-    """``|RT(y, x) - RT'(y, x - d)|``, where RT counts the window's pixels that are darker than its center."""
+    """``|RT(y, x) - RT'(y, x - d)|``, where RT is the number of pixels of a window darker than its center."""
 
     window: tuple[Side, Side] = Field((9, 9), description="window width and height, odd, at most 255 pixels, pixels")
     outside: float = Field(16.0, ge=0, le=255, description="cost of a match outside the right image, ranks")
@@ -40,7 +40,7 @@ class Rank(CostMeasure):
 
 
 def rank_transform(image: Image, window: tuple[int, int]) -> NDArray[np.uint8]:
-    """Number of pixels in each pixel's window that are darker than it.
+    """Count the pixels in each pixel's window that are darker than it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Zero-mean normalized cross-correlation of two windows: blind to a local change of brightness and contrast."""
+"""Zero-mean normalized cross-correlation of two windows, invariant to a local change of brightness and contrast."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from depthcli.core.frames import StereoPair
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.cost import CostMeasure, Side
 from depthcli.methods.stereo.cost._fill import empty_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
-_BAND = 16  # rows that one task slides its window over
+_BAND = 16  # rows whose windows one task slides over; any number gives the same costs
 
 
 class Zncc(CostMeasure):
     """``1 - (cov + n^2) / sqrt((var + n^2) (var' + n^2))`` of the grey levels in two windows, at most 1.
 
-    The noise n keeps windows without texture from correlating by chance: they neither match nor mismatch.
+    Because of the noise n, windows without texture do not correlate by chance.
     """
 
     window: tuple[Side, Side] = Field((9, 9), description="window width and height, odd, at most 1023 pixels, pixels")
@@ -54,7 +54,7 @@ class Zncc(CostMeasure):
 def _moments(
     padded: NDArray[np.uint8], window: tuple[int, int], noise: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Mean of every window, and 1 / sqrt(variance + noise^2); of an image that is padded by half a window."""
+    # Mean of every window, and 1 / sqrt(variance + noise^2), of an image that is padded by half a window.
     ry, rx = window[1] // 2, window[0] // 2
     inner = slice(ry, padded.shape[0] - ry), slice(rx, padded.shape[1] - rx)
     area = window[0] * window[1]
@@ -64,12 +64,23 @@ def _moments(
     return sums / area, (1.0 / np.sqrt(variance + noise**2)).astype(np.float32)
 
 
+@jit
+def _add_products(left: Any, right: Any, sign: Any, mirror: Any, sums: Any) -> None:
+    columns, depth = sums.shape
+    mirror[:columns] = right[::-1]
+    for x in range(columns):
+        a = sign * np.int32(left[x])
+        column, other = sums[x], mirror[columns - 1 - x : columns - 1 - x + depth]
+        for i in range(column.size):
+            column[i] += a * other[i]
+
+
 @parallel_jit
 def _zncc_volume(
     left: Any, right: Any, left_mean: Any, left_factor: Any, right_mean: Any, right_factor: Any, scale: Any,
     floor: Any, costs: Any,
 ) -> None:  # fmt: skip
-    """Sums of products: a column's follow from those of the row above, a window's from the window before."""
+    # Sums of products of columns are updated from row to row, those of windows from column to column.
     height, width, depth = costs.shape
     rows, columns = left.shape
     tall, wide = rows - height + 1, columns - width + 1
@@ -85,12 +96,7 @@ def _zncc_volume(
             # Rows y .. y + tall - 1 of the padded images; the first row of a band starts from nothing.
             start = y if y == first else y + tall - 1
             for row in range(start, y + tall):
-                mirror[:columns] = right[row, ::-1]
-                for x in range(columns):
-                    a = np.int32(left[row, x])
-                    column, other = sums[x], mirror[columns - 1 - x : columns - 1 - x + depth]
-                    for i in range(column.size):
-                        column[i] += a * other[i]
+                _add_products(left[row], right[row], np.int32(1), mirror, sums)
             mean[:width] = right_mean[y, ::-1]
             factor[:width] = right_factor[y, ::-1]
             total[:] = 0
@@ -115,9 +121,4 @@ def _zncc_volume(
                 for i in range(total.size):
                     total[i] -= column[i]
             if y + 1 < min(height, first + _BAND):
-                mirror[:columns] = right[y, ::-1]
-                for x in range(columns):
-                    a = np.int32(left[y, x])
-                    column, other = sums[x], mirror[columns - 1 - x : columns - 1 - x + depth]
-                    for i in range(column.size):
-                        column[i] -= a * other[i]
+                _add_products(left[y], right[y], np.int32(-1), mirror, sums)
