@@ -1,4 +1,4 @@
-"""Single-precision exponentials that vectorize (the C library's does not), from exact to fast."""
+"""Single-precision exponentials that vectorize (that of the C library does not), from accurate to fast."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from depthcli.kernels.jit import intrinsic, jit, types
 
 
 def _bits_as(source: Any, target: Any) -> Any:
-    """Intrinsic that takes the bits of a ``source`` for a ``target``."""
+    # An intrinsic that reinterprets the bits of a ``source`` as a ``target``.
 
     def cast(typingctx: Any, value: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -27,7 +27,7 @@ bits_float = _bits_as(types.int32, types.float32)
 
 @jit
 def exp_minus(x: Any) -> Any:
-    """exp(-x) of a float32 x >= 0, relative error below 1e-6; x above 80 counts as 80."""
+    """Return exp(-x) of a float32 x >= 0, relative error below 1e-6; x above 80 counts as 80."""
     x = min(x, np.float32(80.0)) * np.float32(-1.4426950408889634)
     whole = np.int32(x)
     t = (x - np.float32(whole)) * np.float32(0.6931471805599453)
@@ -45,10 +45,10 @@ def exp_minus(x: Any) -> Any:
 
 @jit
 def exp2_minus(z: Any) -> Any:
-    """2 ** -z of a float32 z >= 0, relative error 2e-7; z above 125 counts as 125.
+    """Return 2 ** -z of a float32 z >= 0, relative error 2e-7; z above 125 counts as 125.
 
     2 ** -z = 2 ** -n * 2 ** -0.5 * exp(u) with n = int(z), u = ln 2 * (0.5 - (z - n)), |u| < 0.35: the first
-    factor is an exponent's bits, the last six terms of a series.
+    factor is set as the bits of an exponent, the last is a series of six terms.
     """
     half, ln2, root = np.float32(0.5), np.float32(0.6931472), np.float32(0.70710678)
     c2, c3, c4, c5, c6 = (
@@ -64,7 +64,7 @@ def exp2_minus(z: Any) -> Any:
 
 @jit
 def exp_minus_16(z: Any) -> Any:
-    """exp(-16 z) of a float32 z >= 0 as the 16th power of a cubic in z: right to 1e-4, and the fastest."""
+    """Return exp(-16 z) of a float32 z >= 0 as the 16th power of a cubic in z, with an error of 1e-4."""
     half, sixth, one = np.float32(0.5), np.float32(1.0 / 6.0), np.float32(1.0)
     z = z if z < one else one
     power = one - z * (one - z * (half - z * sixth))

@@ -16,7 +16,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 def cross_arms(
     image: NDArray[np.uint8], length: int, threshold: int, inner_length: int, inner_threshold: int
 ) -> NDArray[np.uint8]:
-    """Arm lengths of every pixel.
+    """Return the arm lengths of every pixel.
 
     An arm grows while (1) the next pixel differs from the center by at most ``threshold`` and, from the
     second step on, from the pixel before it as well, (2) it is no longer than ``length``, (3) beyond
@@ -46,7 +46,7 @@ def cross_arms(
 
 @jit
 def _step(center: Any, neighbor: Any, previous: Any, alive: Any, arm: Any, limit: Any, threshold: Any) -> None:
-    """Let arms grow to ``neighbor`` where it is like ``center`` (within limit) and ``previous`` (threshold)."""
+    # Arms grow to ``neighbor`` where it differs from ``center`` by at most limit, from ``previous`` by threshold.
     for k in range(center.shape[0]):
         a, b, c = center[k], neighbor[k], previous[k]
         for i in range(alive.size):
@@ -99,6 +99,6 @@ def _grow_vertical(
                 limit = np.int16(threshold if step <= inner_length else inner_threshold)
                 v = y + direction * step
                 _step(planes[:, y], planes[:, v], planes[:, v - direction], alive, arm, limit, np.int16(threshold))
-            least = np.uint8(min(1, room))
+            shortest = np.uint8(min(1, room))
             for x in range(width):
-                arm[x] = max(arm[x], least)
+                arm[x] = max(arm[x], shortest)

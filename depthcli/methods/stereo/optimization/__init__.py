@@ -1,4 +1,4 @@
-"""Optimization: costs that also know about smoothness. One file a method."""
+"""Optimization: costs that include smoothness over the image. One file a method."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from depthcli.methods.stereo.volume import CostVolume
 
 
 class Optimizer(Method):
-    """Turns a cost volume into one whose cheapest cells are the answer."""
+    """A method that adds the cost of smoothness to a cost volume."""
 
     @abstractmethod
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
-        """A volume of the same shape, to be read by winner-takes-all."""
+        """Return a volume of the same shape, from which winner-takes-all selects disparities."""
 
 
 Optimization = Annotated[Optimizer, *method_of("depthcli.methods.stereo.optimization")]

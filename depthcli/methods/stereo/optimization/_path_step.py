@@ -1,8 +1,7 @@
-"""One pixel of several scanline paths, written in vector instructions.
+"""One pixel of several scanline paths, in explicit vectors of LLVM IR.
 
-The loop over disparities reads and writes too many arrays for the compiler to prove that they do not
-overlap, so it would not vectorize it; here the vectors are spelled out as LLVM IR, which every processor's
-back end turns into its own instructions.
+The loop over disparities reads and writes so many arrays that the compiler cannot prove that they do not overlap, and
+would not vectorize it.
 """
 
 from __future__ import annotations
@@ -14,22 +13,22 @@ from llvmlite import ir
 from depthcli.kernels.jit import cgutils, intrinsic, types
 
 LANES = 16
-"""16-bit numbers in a vector; no volume may have fewer disparities."""
+"""Number of 16-bit values in a vector; a volume needs at least as many disparities."""
 
 
 @intrinsic
 def path_step(
     typingctx: Any, costs: Any, cost_at: Any, state: Any, before: Any, after: Any,
-    least: Any, least_before: Any, least_after: Any, p1: Any, p2: Any, total: Any, total_at: Any, depth: Any,
+    minima: Any, minima_before: Any, minima_after: Any, p1: Any, p2: Any, total: Any, total_at: Any, depth: Any,
 ) -> Any:  # fmt: skip
-    """``L(d) = C(d) + min(B(d), B(d +- 1) + P1, min B + P2) - min B`` for K paths at once.
+    """Compute ``L(d) = C(d) + min(B(d), B(d +- 1) + P1, min B + P2) - min B`` for K paths.
 
     Parameters
     ----------
     costs : flat uint8 or uint16; the pixel's D costs start at ``cost_at``
-    state : flat uint16 path costs. ``before`` and ``after`` (K offsets each) point at D + 2 cells: a guard
-        cell, D path costs, a guard cell
-    least : flat uint16 minima of the path costs, read at ``least_before``, written at ``least_after``
+    state : flat uint16 path costs. ``before`` and ``after`` (K offsets each) point at D + 2 cells: D path costs
+        between two guard cells
+    minima : flat uint16 minima of the path costs, read at ``minima_before``, written at ``minima_after``
     p1, p2 : K penalties
     total : flat uint16; the pixel's D sums over the K paths are written from ``total_at`` on
     depth : D, at least LANES
@@ -37,7 +36,7 @@ def path_step(
     paths = len(before)
     signature = types.void(
         costs, types.intp, state, types.UniTuple(types.intp, paths), types.UniTuple(types.intp, paths),
-        least, types.UniTuple(types.intp, paths), types.UniTuple(types.intp, paths),
+        minima, types.UniTuple(types.intp, paths), types.UniTuple(types.intp, paths),
         types.UniTuple(types.uint16, paths), types.UniTuple(types.uint16, paths), total, types.intp, types.intp,
     )  # fmt: skip
 
@@ -59,18 +58,18 @@ def path_step(
             mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
             return builder.shuffle_vector(single, ir.Constant(vector, ir.Undefined), mask)
 
-        def smaller(a: Any, b: Any) -> Any:
+        def minimum(a: Any, b: Any) -> Any:
             return builder.select(builder.icmp_unsigned("<", a, b), a, b)
 
-        cost_data, state_data, least_data, total_data = data(0), data(2), data(5), data(10)
+        cost_data, state_data, minima_data, total_data = data(0), data(2), data(5), data(10)
         depth_value = args[12]
         lanes = ir.Constant(word, LANES)
-        minima = [builder.load(builder.gep(least_data, [member(6, k)])) for k in range(paths)]
-        offsets = [splat(value) for value in minima]
+        path_minima = [builder.load(builder.gep(minima_data, [member(6, k)])) for k in range(paths)]
+        offsets = [splat(value) for value in path_minima]
         steps = [splat(member(8, k)) for k in range(paths)]
-        jumps = [splat(builder.add(minima[k], member(9, k))) for k in range(paths)]
-        found = [cgutils.alloca_once(builder, vector) for _ in range(paths)]
-        for slot in found:
+        jumps = [splat(builder.add(path_minima[k], member(9, k))) for k in range(paths)]
+        lowest = [cgutils.alloca_once(builder, vector) for _ in range(paths)]
+        for slot in lowest:
             builder.store(ir.Constant(vector, [0xFFFF] * LANES), slot)
         chunks = builder.sdiv(builder.add(depth_value, ir.Constant(word, LANES - 1)), lanes)
         last = builder.sub(depth_value, lanes)
@@ -91,20 +90,20 @@ def path_step(
                     builder.load(at(state_data, builder.add(origin, ir.Constant(word, n)), vector), align=2)
                     for n in range(3)
                 )
-                best = smaller(builder.add(smaller(lower, upper), steps[k]), jumps[k])
-                best = smaller(best, same)
+                best = minimum(builder.add(minimum(lower, upper), steps[k]), jumps[k])
+                best = minimum(best, same)
                 value = builder.add(builder.sub(best, offsets[k]), cost)
                 target = builder.add(builder.add(member(4, k), start), ir.Constant(word, 1))
                 builder.store(value, at(state_data, target, vector), align=2)
-                builder.store(smaller(builder.load(found[k]), value), found[k])
+                builder.store(minimum(builder.load(lowest[k]), value), lowest[k])
                 summed = value if summed is None else builder.add(summed, value)
             builder.store(summed, at(total_data, builder.add(args[11], start), vector), align=2)
         reduce = cgutils.get_or_insert_function(
             builder.module, ir.FunctionType(half, [vector]), f"llvm.vector.reduce.umin.v{LANES}i16"
         )
         for k in range(paths):
-            smallest = builder.call(reduce, [builder.load(found[k])])
-            builder.store(smallest, builder.gep(least_data, [member(7, k)]))
+            smallest = builder.call(reduce, [builder.load(lowest[k])])
+            builder.store(smallest, builder.gep(minima_data, [member(7, k)]))
         return context.get_dummy_value()
 
     return signature, codegen

@@ -15,20 +15,17 @@ from depthcli.methods.stereo.optimization import Optimizer
 from depthcli.methods.stereo.optimization._path_step import LANES, path_step
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
-_TOO_DEAR = 20000
+_PADDING_COST = 20000  # of disparities added to fill a vector: above every cost, so that no path selects them
 
 
 class Scanline(Optimizer):
-    """Mean of the cheapest path costs that end at a cell, over paths from 4 or 8 directions.
+    """Mean of the smallest costs of paths that end at a cell, from 4 or 8 directions.
 
     ``L(p, d) = C(p, d) + min(L(q, d), L(q, d +- 1) + P1, min L(q) + P2) - min L(q)`` with q the pixel before
-    p on the path. Where the left image has an edge between q and p both penalties are reduced.
+    p on the path. Both penalties are reduced where the left image has an edge between q and p.
     """
 
-    aliases = (
-        "SGM",
-        "SO",
-    )
+    aliases = ("SGM", "SO")
 
     p1: float = Field(0.5, gt=0, le=1e6, description="penalty of a disparity change by 1, in units of the cost")
     p2: float = Field(2.0, gt=0, le=1e6, description="penalty of a larger change, in units of the cost")
@@ -41,9 +38,9 @@ class Scanline(Optimizer):
             volume = as_fixed_point(volume)
         costs = volume.costs
         disparities = volume.disparities
-        if disparities < LANES:  # too dear to ever win; cut off again below
+        if disparities < LANES:  # the added ones are removed below
             padding = ((0, 0), (0, 0), (0, LANES - disparities))
-            costs = np.pad(costs.astype(np.uint16), padding, constant_values=_TOO_DEAR)
+            costs = np.pad(costs.astype(np.uint16), padding, constant_values=_PADDING_COST)
         table = self.penalties(volume.scale, volume.costs.dtype == np.uint8)
         edges = _path_edges(pair.color8[0], self.edge_threshold)
         sums = [memory.empty(costs.shape, np.uint16) for _ in range(2)]
@@ -53,7 +50,7 @@ class Scanline(Optimizer):
         return CostVolume(total, volume.scale * self.paths)
 
     def penalties(self, scale: float, raw: bool) -> NDArray[np.uint16]:
-        """(2, 2): P1 and P2 in stored units, then both across an edge; ``raw``: costs are uint8, else fixed point."""
+        """Return (2, 2) uint16: P1 and P2 in stored units, then both across an edge; ``raw``: costs are uint8."""
         # Sums of all paths have to fit into 16 bits; a path cost is at most the cost plus P2.
         largest = 65535 // self.paths - (255 if raw else FixedPoint.LARGEST)
         p1, p2 = (round(min(p * scale, largest)) for p in (self.p1, self.p2))
@@ -63,7 +60,7 @@ class Scanline(Optimizer):
 
 
 def _path_edges(image: NDArray[np.uint8], threshold: int) -> NDArray[np.uint8]:
-    """(4, H, W) uint8: 1 where the pixel to the left, upper left, above, upper right differs in color."""
+    # (4, H, W) uint8: 1 where the pixel to the left, upper left, above, upper right differs in color.
     height, width = image.shape[:2]
     edges = np.zeros((4, height, width), np.uint8)
     _mark_edges(np.ascontiguousarray(image.transpose(2, 0, 1)), edges, threshold)
@@ -82,19 +79,19 @@ def _mark_edges(planes: Any, edges: Any, threshold: int) -> None:
             x0, x1 = max(0, -dx), min(width, width - dx)
             out = edges[k, y, x0:x1]
             for c in range(channels):
-                here = planes[c, y, x0:x1]
-                there = planes[c, y - dy, x0 + dx : x1 + dx]
+                color = planes[c, y, x0:x1]
+                neighbor = planes[c, y - dy, x0 + dx : x1 + dx]
                 for i in range(out.size):
-                    difference = np.int16(abs(np.int16(np.int16(here[i]) - np.int16(there[i]))))
+                    difference = np.int16(abs(np.int16(np.int16(color[i]) - np.int16(neighbor[i]))))
                     out[i] = np.uint8(out[i] | np.uint8(difference > threshold))
 
 
 @parallel_jit
-def _add(total: Any, more: Any) -> None:
+def _add(total: Any, other: Any) -> None:
     height, width, depth = total.shape
     for y in prange(height):
         out = total[y].reshape(width * depth)
-        source = more[y].reshape(width * depth)
+        source = other[y].reshape(width * depth)
         for i in range(out.size):
             out[i] = np.uint16(out[i] + source[i])
 
@@ -110,11 +107,9 @@ def _sweep_both(costs: Any, down: Any, up: Any, edges: Any, table: Any, diagonal
 
 @jit
 def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upwards: bool) -> None:
-    """Paths from the left, above, upper left and upper right; upwards: their opposites.
-
-    ``state`` holds the path costs, D + 2 cells a pixel: two pixels of the row path, then for each of the
-    three directions from above two rows of W + 2 pixels in turn. Margin pixels start paths anew.
-    """
+    # Paths from the left, above, upper left and upper right; upwards: from the opposite directions. ``state`` holds the
+    # path costs, D + 2 cells a pixel: two pixels of the row path, then for each of the three directions from above two
+    # rows of W + 2 pixels that alternate. New paths begin at margin pixels.
     height, width, depth = costs.shape
     cells = depth + 2
     row_cells = (width + 2) * cells
@@ -122,15 +117,15 @@ def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upward
     for pixel in range(2 + 6 * (width + 2)):
         for i in range(pixel * cells + 1, pixel * cells + 1 + depth):
             state[i] = 0
-    least = np.zeros(2 + 6 * (width + 2), np.uint16)
+    minima = np.zeros(2 + 6 * (width + 2), np.uint16)
     flat_costs = costs.reshape(height * width * depth)
     flat_sums = sums.reshape(height * width * depth)
     step = -1 if upwards else 1
     for row in range(height):
         y = height - 1 - row if upwards else row
-        from_row = y + 1 if upwards else y  # the row of ``edges`` that looks across to the row before
+        edge_row = y + 1 if upwards else y  # the row of ``edges`` towards the row before
         old, new = 2 + (row & 1) * 3 * (width + 2), 2 + (1 - (row & 1)) * 3 * (width + 2)
-        least[:2] = 0
+        minima[:2] = 0
         for i in range(depth):
             state[1 + i] = 0
         for column in range(width):
@@ -142,11 +137,11 @@ def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upward
             if column > 0:
                 e = edges[0, y, x + 1] if upwards else edges[0, y, x]
             if row > 0:
-                f = edges[2, from_row, x]
+                f = edges[2, edge_row, x]
             if not diagonal:
                 path_step(
                     flat_costs, at, state, (back * cells, above_old * cells), (front * cells, above_new * cells),
-                    least, (back, above_old), (front, above_new),
+                    minima, (back, above_old), (front, above_new),
                     (table[e, 0], table[f, 0]), (table[e, 1], table[f, 1]), flat_sums, at, depth,
                 )  # fmt: skip
                 continue
@@ -155,14 +150,14 @@ def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upward
             right_old, right_new = old + 2 * (width + 2) + v + 1, new + 2 * (width + 2) + x + 1
             g = h = 0
             if row > 0 and 0 <= u < width:
-                g = edges[1, from_row, u if upwards else x]
+                g = edges[1, edge_row, u if upwards else x]
             if row > 0 and 0 <= v < width:
-                h = edges[3, from_row, v if upwards else x]
+                h = edges[3, edge_row, v if upwards else x]
             path_step(
                 flat_costs, at, state,
                 (back * cells, above_old * cells, left_old * cells, right_old * cells),
                 (front * cells, above_new * cells, left_new * cells, right_new * cells),
-                least, (back, above_old, left_old, right_old), (front, above_new, left_new, right_new),
+                minima, (back, above_old, left_old, right_old), (front, above_new, left_new, right_new),
                 (table[e, 0], table[f, 0], table[g, 0], table[h, 0]),
                 (table[e, 1], table[f, 1], table[g, 1], table[h, 1]), flat_sums, at, depth,
             )  # fmt: skip

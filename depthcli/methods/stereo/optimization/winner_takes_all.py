@@ -1,4 +1,4 @@
-"""No optimization: every pixel decides alone."""
+"""No optimization: the disparity of every pixel is selected by itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from depthcli.methods.stereo.volume import CostVolume
 
 
 class WinnerTakesAll(Optimizer):
-    """The aggregated costs themselves; their minimum is the answer."""
+    """Leave the aggregated costs as they are; each pixel takes the disparity of its smallest cost."""
 
     aliases = ("WTA",)
 

@@ -1,31 +1,41 @@
-"""Refinement: what is done to a disparity map after it was selected. One file a step."""
+"""Refinement of a disparity map after its selection. One file a step."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from typing import Annotated, ClassVar
 
-from depthcli.core.maps import DisparityMap
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.method import Method, method_of
 from depthcli.methods.stereo.volume import RefinementContext
 
 
 class Refinement(Method):
-    """One step of the refinement list."""
+    """A step of refinement."""
 
     needs_costs: ClassVar[bool] = True
-    """Whether it looks at costs. Steps that do not run once on the map of an image that was matched in tiles."""
+    """Whether it uses costs. Steps without costs run once on the whole map of an image that was matched in tiles."""
 
     fills: ClassVar[bool] = False
-    """Whether it gives values to pixels that have none."""
+    """Whether it sets values of pixels that have none."""
 
     def halo(self) -> int | None:
-        """Rows above and below a pixel that its result depends on; None: the whole map."""
+        """Return the number of rows above and below a pixel that its result depends on; None: the whole map."""
         return None
 
     @abstractmethod
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
-        """A new map; the input is not modified."""
+        """Return a new map; the input is not modified."""
+
+
+def marked(
+    disparity: DisparityMap, values: NDArray[np.float32], pixels: NDArray[np.bool_], status: Status
+) -> DisparityMap:
+    """Return the map with new ``values``, and ``status`` added to the status of ``pixels`` (H, W)."""
+    return DisparityMap(values, disparity.status | np.where(pixels, np.uint8(status), np.uint8(0)))
 
 
 RefinementStep = Annotated[Refinement, *method_of("depthcli.methods.stereo.refinement")]

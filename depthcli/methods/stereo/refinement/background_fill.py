@@ -8,15 +8,15 @@ import numpy as np
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.refinement import Refinement, marked
 from depthcli.methods.stereo.volume import RefinementContext
 
 
 class BackgroundFill(Refinement):
     """Give every empty pixel the smaller of the nearest values left and right of it on its row.
 
-    What is occluded lies behind what occludes it, so the smaller disparity is the likely one. Rows without any
-    value are filled from the rows above and below. A map without any value stays empty.
+    An occluded surface lies behind the occluding one, so the smaller disparity is more likely. Rows without any value
+    are filled from the rows above and below. A map without any value stays empty.
     """
 
     needs_costs: ClassVar[bool] = False
@@ -27,12 +27,11 @@ class BackgroundFill(Refinement):
 
 
 def fill_background(disparity: DisparityMap) -> DisparityMap:
-    """What :class:`BackgroundFill` does: it needs no context."""
+    """Return the map filled as by :class:`BackgroundFill`."""
     values = disparity.values.copy()
     _fill_rows(values)
     _fill_columns(values)
-    filled = np.where(~disparity.valid & ~np.isnan(values), np.uint8(Status.FILLED), np.uint8(0))
-    return DisparityMap(values, disparity.status | filled)
+    return marked(disparity, values, ~disparity.valid & ~np.isnan(values), Status.FILLED)
 
 
 @parallel_jit
@@ -48,15 +47,10 @@ def _fill_rows(values: Any) -> None:
             end = x
             while end < width and np.isnan(row[end]):
                 end += 1
-            if x > 0 and end < width:
-                value = min(row[x - 1], row[end])
-            elif x > 0:
-                value = row[x - 1]
-            elif end < width:
-                value = row[end]
-            else:
-                value = np.float32(np.nan)
-            row[x:end] = value
+            value = row[x - 1] if x > 0 else np.float32(np.inf)
+            if end < width:
+                value = min(value, row[end])
+            row[x:end] = value if value < np.inf else np.float32(np.nan)
             x = end
 
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.refinement import Refinement, marked
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
 
 class DiscontinuityAdjustment(Refinement):
-    """Where disparity jumps, let the two pixels beside a pixel offer theirs; the cheapest of the three stays."""
+    """Replace a disparity at a jump by that of a neighbor where this has a lower cost at the pixel."""
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = disparity.values
@@ -23,7 +23,7 @@ class DiscontinuityAdjustment(Refinement):
             _adjust(values, context.volume.costs, axis, adjusted)
             values = adjusted
         changed = disparity.valid & (values != disparity.values)
-        return DisparityMap(values, disparity.status | np.where(changed, np.uint8(Status.SMOOTHED), np.uint8(0)))
+        return marked(disparity, values, changed, Status.SMOOTHED)
 
 
 @parallel_jit
@@ -32,14 +32,14 @@ def _adjust(values: Any, costs: Any, axis: int, adjusted: Any) -> None:
     dy, dx = (0, 1) if axis == 1 else (1, 0)
     for y in prange(dy, height - dy):
         for x in range(dx, width - dx):
-            here = values[y, x]
+            current = values[y, x]
             one, two = values[y - dy, x - dx], values[y + dy, x + dx]
-            if np.isnan(here) or np.isnan(one) or np.isnan(two):
+            if np.isnan(current) or np.isnan(one) or np.isnan(two):
                 continue
-            if abs(here - one) <= 1.0 and abs(here - two) <= 1.0:
+            if abs(current - one) <= 1.0 and abs(current - two) <= 1.0:
                 continue
-            best = here
-            k = int(here + np.float32(0.5))
+            best = current
+            k = int(current + np.float32(0.5))
             lowest = np.float32(np.inf)
             if k <= x and k < depth:
                 lowest = np.float32(costs[y, x, k])

@@ -1,4 +1,4 @@
-"""Proper interpolation of empty pixels (Mei et al. 2011)."""
+"""Interpolation of empty pixels from values around them (Mei et al. 2011)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.refinement import Refinement, marked
 from depthcli.methods.stereo.volume import RefinementContext
 
-# The nearest value is looked for in 16 directions: (dy, dx) per step
+# The 16 directions in which the nearest value is searched: (dy, dx) of a step.
 _DIRECTIONS: NDArray[np.int64] = np.array(
     [(0, 1), (1, 2), (1, 1), (2, 1), (1, 0), (2, -1), (1, -1), (1, -2),
      (0, -1), (-1, -2), (-1, -1), (-2, -1), (-1, 0), (-2, 1), (-1, 1), (-1, 2)]
@@ -20,9 +20,9 @@ _DIRECTIONS: NDArray[np.int64] = np.array(
 
 
 class Interpolation(Refinement):
-    """Fill an occluded pixel with the lowest, a mismatched one with the most similarly colored, near value.
+    """Fill occluded pixels with the lowest of the values around, mismatched ones with that of the most similar color.
 
-    The candidates are the nearest values in 16 directions. A pixel that sees no value in any stays empty.
+    The candidates are the nearest values in 16 directions. A pixel without any candidate stays empty.
     """
 
     needs_costs: ClassVar[bool] = False
@@ -33,7 +33,7 @@ class Interpolation(Refinement):
         occluded = (disparity.status & np.uint8(Status.OCCLUDED)) != 0
         _interpolate(disparity.values, occluded, context.pair.color8[0], _DIRECTIONS, values)
         filled = np.isnan(disparity.values) & ~np.isnan(values)
-        return DisparityMap(values, disparity.status | np.where(filled, np.uint8(Status.FILLED), np.uint8(0)))
+        return marked(disparity, values, filled, Status.FILLED)
 
 
 @parallel_jit

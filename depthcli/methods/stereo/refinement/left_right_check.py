@@ -1,4 +1,4 @@
-"""Left-right consistency: a match must be mutual."""
+"""Left-right check: matches of the two views must agree."""
 
 from __future__ import annotations
 
@@ -15,20 +15,17 @@ from depthcli.methods.stereo.volume import RefinementContext
 
 
 class LeftRightCheck(Refinement):
-    """Remove pixels whose match in the right view does not point back to them.
+    """Remove pixels whose disparity differs from that of the right view at their match.
 
-    The right view's map is read from the same volume, which is many times faster than matching again.
-    A removed pixel is an occlusion if no disparity at all points back (its epipolar line misses the right
-    surface), else a mismatch (Hirschmueller 2008).
+    The right view's map is read from the same volume, which is many times faster than matching again. A removed pixel
+    is occluded if no pixel of the right view at all is matched to it, else mismatched (Hirschmueller 2008).
     """
 
     needs_costs: ClassVar[bool] = False
 
     aliases = ("LRC",)
 
-    tolerance: float = Field(
-        1.0, ge=0, le=16384, description="largest accepted difference of the two disparities, pixels"
-    )
+    tolerance: float = Field(1.0, ge=0, le=16384, description="largest accepted difference of the views, pixels")
 
     def halo(self) -> int | None:
         return 0

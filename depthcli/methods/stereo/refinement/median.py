@@ -9,12 +9,12 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.refinement import Refinement, marked
 from depthcli.methods.stereo.volume import RefinementContext
 
 
 class Median(Refinement):
-    """Median of a square window. Pixels without a value stay so; windows that touch one are left alone."""
+    """Median of a square window. Where a window has a pixel without a value, its center is not changed."""
 
     needs_costs: ClassVar[bool] = False
 
@@ -25,10 +25,8 @@ class Median(Refinement):
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         valid = disparity.valid
-        # A window is filtered only if it holds values alone: a median of stand-ins would be an invention.
         whole = cv2.erode(valid.astype(np.uint8), np.ones((self.window, self.window), np.uint8)).astype(bool)
         filtered = cv2.medianBlur(np.where(valid, disparity.values, np.float32(0)), self.window)
         values = np.where(whole, filtered, disparity.values).astype(np.float32)
         changed = whole & (values != disparity.values)
-        status = disparity.status | np.where(changed, np.uint8(Status.SMOOTHED), np.uint8(0))
-        return DisparityMap(values, status)
+        return marked(disparity, values, changed, Status.SMOOTHED)

@@ -1,4 +1,4 @@
-"""Iterative region voting (Mei et al. 2011): empty pixels take the disparity that their support agrees on."""
+"""Iterative region voting (Mei et al. 2011): empty pixels take the most frequent disparity of their support."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import Field
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.cross_support import cross_arms
-from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.refinement import Refinement, marked
 from depthcli.methods.stereo.volume import RefinementContext
 
 
@@ -24,9 +24,9 @@ class RegionVoting(Refinement):
     threshold: int = Field(20, ge=0, le=255, description="color difference that ends an arm, grey levels")
     inner_length: int = Field(17, ge=0, le=255, description="arm length from which inner_threshold holds, pixels")
     inner_threshold: int = Field(6, ge=0, le=255, description="stricter color difference, grey levels")
-    votes: int = Field(20, ge=1, le=10**6, description="a support needs more votes than this")
-    majority: float = Field(0.4, ge=0, le=1, description="the winner needs a larger share of the votes than this")
-    iterations: int = Field(5, ge=1, le=32, description="rounds; each uses what the last one filled")
+    votes: int = Field(20, ge=1, le=10**6, description="a support needs more pixels with values than this")
+    majority: float = Field(0.4, ge=0, le=1, description="the most frequent disparity needs a larger share than this")
+    iterations: int = Field(5, ge=1, le=32, description="number of rounds; each uses the values filled before")
 
     def halo(self) -> int | None:
         return self.length * self.iterations
@@ -42,7 +42,7 @@ class RegionVoting(Refinement):
             if settled:
                 break
         filled = np.isnan(disparity.values) & ~np.isnan(values)
-        return DisparityMap(values, disparity.status | np.where(filled, np.uint8(Status.FILLED), np.uint8(0)))
+        return marked(disparity, values, filled, Status.FILLED)
 
 
 @parallel_jit

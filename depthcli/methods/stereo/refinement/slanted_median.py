@@ -1,4 +1,4 @@
-"""Weighted median of votes that are extrapolated along the slope of the surface they come from."""
+"""Weighted median of values extrapolated along the slopes of their surfaces."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from depthcli.algorithms.plane_fitting.window_slopes import BLOCK, color_planes,
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.exponential import exp_minus_16
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.refinement import Refinement, marked
 from depthcli.methods.stereo.volume import RefinementContext
 
-_PER_PIXEL = 8  # values of a result; finer ones would only be noise
+_STEPS_PER_PIXEL = 8  # resolution of results; finer differences would be noise
 
 
 class SlantedMedian(Refinement):
-    """As ``weighted_median``, but pixels vote for what their surface has at the center, not for their own value.
+    """Weighted median as in ``weighted_median``, of values extrapolated to the center of the window.
 
-    A plain median flattens a slope wherever colors leave it one side of its window. The vote of q for p is
-    ``d_q + g_q . (p - q)`` with the slope g_q of a plane fitted around q, the weight
-    ``exp(-color / color_scale - distance / distance_scale)``. The result is a multiple of 1/8 pixel. Pixels without
-    a value stay so.
+    A plain median flattens slopes where colors restrict it to one side of its window. The value of q for p is
+    ``d_q + g_q . (p - q)`` with the slope g_q of a plane fitted around q, its weight
+    ``exp(-color / color_scale - distance / distance_scale)``. The result is a multiple of 1/8 pixel. Pixels without a
+    value stay so.
     """
 
     needs_costs: ClassVar[bool] = False
@@ -43,10 +43,12 @@ class SlantedMedian(Refinement):
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = self.filtered(disparity.values, context.pair.color8[0], context.volume.disparities - 1)
         changed = disparity.valid & (values != disparity.values)
-        return DisparityMap(values, disparity.status | np.where(changed, np.uint8(Status.SMOOTHED), np.uint8(0)))
+        return marked(disparity, values, changed, Status.SMOOTHED)
 
-    def filtered(self, values: NDArray[np.float32], image: NDArray[np.uint8], most: float) -> NDArray[np.float32]:
-        """(H, W) float32 ``values`` guided by (H, W, 3) uint8 ``image``, within 0 .. ``most``."""
+    def filtered(
+        self, values: NDArray[np.float32], image: NDArray[np.uint8], max_disparity: float
+    ) -> NDArray[np.float32]:
+        """Return the filtered (H, W) ``values``, guided by an (H, W, 3) ``image``, within 0 .. ``max_disparity``."""
         radius = self.radius
         valid = ~np.isnan(values)
         planes, trust = color_planes(image, radius), framed(valid.astype(np.float32), radius)
@@ -56,12 +58,12 @@ class SlantedMedian(Refinement):
         for _ in range(self.passes):
             out = framed(known, 0)
             _filter(planes, framed(known, radius), gradient, trust, distance, rate, out)
-            known = np.round(out[:, : values.shape[1]] * np.float32(_PER_PIXEL)) / np.float32(_PER_PIXEL)
-            known = np.clip(known, np.float32(0), np.float32(most))
+            known = np.round(out[:, : values.shape[1]] * np.float32(_STEPS_PER_PIXEL)) / np.float32(_STEPS_PER_PIXEL)
+            known = np.clip(known, np.float32(0), np.float32(max_disparity))
         return np.where(valid, known, np.float32(np.nan))
 
     def weights(self) -> tuple[NDArray[np.float32], np.float32]:
-        """Sixteenths of a weight's exponent: of each place in the window, and of a difference in color by 1."""
+        """Return sixteenths of the weights' exponents: by place in the window, and for a color difference of 1."""
         offsets = np.arange(-self.radius, self.radius + 1)
         distance = (np.hypot(offsets[:, None], offsets[None, :]) / (16 * self.distance_scale)).astype(np.float32)
         return distance, np.float32(1 / (16 * 3 * self.color_scale))
@@ -69,18 +71,15 @@ class SlantedMedian(Refinement):
 
 @parallel_jit
 def _filter(planes: Any, values: Any, gradient: Any, trust: Any, distance: Any, color_rate: Any, out: Any) -> None:
-    # Inputs but ``distance`` have a margin without trust. The median is found by halving intervals: all lanes of a
-    # block do so together, without a histogram.
+    # Inputs but ``distance`` have a margin without trust. The medians of a block of pixels are found together, by
+    # halving intervals.
     height, width = out.shape
     size = distance.shape[0]
     for y in prange(height):
         votes = np.empty((size * size, BLOCK), np.float32)
         weights = np.empty((size * size, BLOCK), np.float32)
-        low = np.empty(BLOCK, np.float32)
-        high = np.empty(BLOCK, np.float32)
-        half = np.empty(BLOCK, np.float32)
-        below = np.empty(BLOCK, np.float32)
-        middle = np.empty(BLOCK, np.float32)
+        low, high, half = (np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32))
+        below, middle = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
         for x in range(0, width, BLOCK):
             _vote(planes, values, gradient, trust, distance, color_rate, y, x, votes, weights)
             low[:] = np.inf
@@ -97,7 +96,7 @@ def _filter(planes: Any, values: Any, gradient: Any, trust: Any, distance: Any, 
             widest = np.float32(0)
             for i in range(BLOCK):
                 widest = max(widest, high[i] - low[i])
-            while widest > np.float32(0.5 / _PER_PIXEL):
+            while widest > np.float32(0.5 / _STEPS_PER_PIXEL):
                 for i in range(BLOCK):
                     middle[i] = np.float32(0.5) * (low[i] + high[i])
                 below[:] = 0
@@ -142,6 +141,6 @@ def _vote(
             vote = votes[dy * size + dx]
             back_x, back_y = np.float32(radius - dx), np.float32(radius - dy)
             for i in range(BLOCK):
-                # Where nothing is known, a vote without weight must not widen the interval.
+                # A vote without a value has no weight, and must not widen the interval either.
                 extrapolated = value[i] + across[i] * back_x + down[i] * back_y
                 vote[i] = extrapolated if known[i] > np.float32(0) else center[i]

@@ -1,4 +1,4 @@
-"""Remove small islands of disparity."""
+"""Removal of small regions of disparity."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.refinement import Refinement, marked
 from depthcli.methods.stereo.volume import RefinementContext
 
-_STEPS = 16  # OpenCV filters 16-bit numbers: sixteenths of a pixel, coarser above 2000 disparities
+_MAX_STEPS = 16  # of a pixel, as in OpenCV's 16-bit disparities; fewer above 2000 disparities
 
 
 class SpeckleFilter(Refinement):
@@ -31,9 +31,9 @@ class SpeckleFilter(Refinement):
         cv2.filterSpeckles(fixed, none, self.size, self.step * steps)
         removed = valid & (fixed == none)
         values = np.where(removed, np.float32(np.nan), disparity.values)
-        return DisparityMap(values, disparity.status | np.where(removed, np.uint8(Status.MISMATCH), np.uint8(0)))
+        return marked(disparity, values, removed, Status.MISMATCH)
 
 
 def steps_of(disparities: int) -> int:
-    """Steps of a pixel that are told apart."""
-    return max(1, min(_STEPS, 32767 // disparities))
+    """Return the number of steps into which a pixel of disparity is divided."""
+    return max(1, min(_MAX_STEPS, 32767 // disparities))

@@ -13,10 +13,10 @@ from depthcli.methods.stereo.volume import CostMinima, RefinementContext
 
 
 class Subpixel(Refinement):
-    """Move every whole-pixel disparity to the minimum of the parabola through its cost and its neighbors'.
+    """Move every whole-pixel disparity to the minimum of the parabola through its cost and the two beside it.
 
-    Pixels whose value is not a whole number, or whose cost is no local minimum of the curve (a filled value,
-    say), or lies at the end of the range, stay as they are.
+    Values that are not whole numbers, whose cost is no local minimum (filled ones, for example), or at an end of the
+    range are not changed.
     """
 
     needs_costs: ClassVar[bool] = False
@@ -25,18 +25,18 @@ class Subpixel(Refinement):
         return 0
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
-        known = context.volume
-        if isinstance(known, CostMinima):
-            values = np.where(disparity.values == known.left, known.minima, disparity.values)
+        volume = context.volume
+        if isinstance(volume, CostMinima):
+            values = np.where(disparity.values == volume.left, volume.minima, disparity.values)
         else:
             values = disparity.values.copy()
-            move_to_minimum(known.costs, values)
+            move_to_minimum(volume.costs, values)
         return DisparityMap(values, disparity.status)
 
 
 @parallel_jit
 def move_to_minimum(costs: Any, values: Any) -> None:
-    """Do so for (H, W) float32 ``values``, in place."""
+    """Move (H, W) float32 ``values`` to the minima of parabolas, in place."""
     height, width, depth = costs.shape
     for y in prange(height):
         for x in range(width):
@@ -45,9 +45,7 @@ def move_to_minimum(costs: Any, values: Any) -> None:
             d = int(values[y, x])
             if values[y, x] != d or d < 1 or d + 1 >= min(depth, x + 1):
                 continue
-            below = float(costs[y, x, d - 1])
-            here = float(costs[y, x, d])
-            above = float(costs[y, x, d + 1])
-            curvature = below + above - 2.0 * here
-            if below >= here and above >= here and curvature > 0.0:
+            below, lowest, above = float(costs[y, x, d - 1]), float(costs[y, x, d]), float(costs[y, x, d + 1])
+            curvature = below + above - 2.0 * lowest
+            if below >= lowest and above >= lowest and curvature > 0.0:
                 values[y, x] = np.float32(d + 0.5 * (below - above) / curvature)

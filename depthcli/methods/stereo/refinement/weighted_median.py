@@ -11,15 +11,15 @@ from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.refinement import Refinement, marked
 from depthcli.methods.stereo.volume import RefinementContext
 
-_PER_PIXEL = 8  # bins
-_BLOCK = 16
+_BINS_PER_PIXEL = 8
+_BLOCK = 16  # pixels whose weights are computed together
 
 
 class WeightedMedian(Refinement):
-    """Median of a window in which pixels of the center's color count more, and filled ones less.
+    """Weighted median of a window; pixels of the center's color count more, and filled ones less.
 
     A neighbor's weight is ``exp(-color / color_scale - distance / distance_scale)``, times ``filled_weight``
     where its value was filled. Values are sorted into bins of 1/8 pixel; the result is the center of the
@@ -52,7 +52,7 @@ class WeightedMedian(Refinement):
         trust = np.pad(trust, frame)
         values = disparity.values
         for _ in range(self.passes):
-            bins = np.where(valid, values * np.float32(_PER_PIXEL) + np.float32(0.5), 0).astype(np.uint16)
+            bins = np.where(valid, values * np.float32(_BINS_PER_PIXEL) + np.float32(0.5), 0).astype(np.uint16)
             window = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
             lowest = cv2.erode(np.where(valid, bins, np.uint16(0xFFFF)), window)
             highest = cv2.dilate(bins, window)
@@ -60,10 +60,10 @@ class WeightedMedian(Refinement):
             _filter(planes, np.pad(bins, frame), trust, by_color, by_distance, lowest, highest, filtered)
             values = filtered
         changed = valid & (values != disparity.values)
-        return DisparityMap(values, disparity.status | np.where(changed, np.uint8(Status.SMOOTHED), np.uint8(0)))
+        return marked(disparity, values, changed, Status.SMOOTHED)
 
     def tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Factors of a weight: (766,) by the sum of the channels' differences, (2 radius + 1)^2 by the place."""
+        """Return the factors of weights by the sum of channel differences, (766,), and by place, (2 radius + 1)^2."""
         by_color = np.exp(-np.arange(766) / (3.0 * self.color_scale)).astype(np.float32)
         offsets = np.arange(-self.radius, self.radius + 1)
         distance = np.hypot(offsets[:, None], offsets[None, :])
@@ -125,7 +125,7 @@ def _filter(
                 for k in range(low, high + 1):
                     below += histogram[k]
                     if np.float32(2) * below >= total:
-                        filtered[y, x] = np.float32(k) / np.float32(_PER_PIXEL)
+                        filtered[y, x] = np.float32(k) / np.float32(_BINS_PER_PIXEL)
                         break
                 for k in range(low, high + 1):
                     histogram[k] = 0
