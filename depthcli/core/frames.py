@@ -49,7 +49,7 @@ class StereoPair:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(H, W)."""
+        """Height and width, pixels."""
         return self.left.shape[0], self.left.shape[1]
 
     @cached_property
@@ -111,7 +111,7 @@ def _eight_bit(image: Image) -> NDArray[np.uint8]:
 
 
 def color8(image: Image) -> NDArray[np.uint8]:
-    """Any image as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey ones repeated."""
+    """Return any image as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey ones repeated."""
     image = _eight_bit(image)
     return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
 
@@ -145,7 +145,7 @@ class RgbdFrame:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(H, W)."""
+        """Height and width, pixels."""
         return self.color.shape[0], self.color.shape[1]
 
     @cached_property

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-_SMALLEST = 1 << 20  # below this, malloc itself recycles
-_KEPT = 256 << 20  # free bytes held back at most; the blocks of very large images are not worth it
+_MIN_BYTES = 1 << 20  # of an array from the pool; below, malloc itself recycles
+_MAX_FREE_BYTES = 256 << 20  # held back; the blocks of very large images are not worth it
 
 _lock = threading.RLock()  # re-entrant: a finalizer may run inside ``empty``
 _free: list[NDArray[np.uint8]] = []
@@ -47,10 +47,10 @@ _trim = _find_trim()
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """Like :func:`numpy.empty`; the memory goes back to a pool when the last view of the array is gone."""
+    """Return an array as :func:`numpy.empty` does; its memory goes back to a pool after the last view of it."""
     kind = np.dtype(dtype)
     size = int(np.prod(shape, dtype=np.int64)) * kind.itemsize
-    if size < _SMALLEST:
+    if size < _MIN_BYTES:
         return np.empty(shape, kind)
     block = _take(size)
     # Views of an array hold on to what lies under it, so the lease lives as long as the last view.
@@ -71,7 +71,7 @@ def _take(size: int) -> NDArray[np.uint8]:
 def _give(block: NDArray[np.uint8]) -> None:
     with _lock:
         _free.append(block)
-        while sum(b.size for b in _free) > _KEPT:
+        while sum(b.size for b in _free) > _MAX_FREE_BYTES:
             _free.pop(0)
 
 

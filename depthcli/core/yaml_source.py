@@ -1,4 +1,4 @@
-"""YAML as plain data with a memory of where every value stands; and back."""
+"""YAML as plain data, with the place in the file of every value; and back."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class ConfigData:
 
     Attributes
     ----------
-    name : what messages call the file
+    name : of the file, for messages
     data : the root mapping
-    places : location of a key or scene -> ``file:line``, or the option that set it
-    problems : what was wrong so far, ready to be shown
+    places : location of a key or list entry -> ``file:line``, or the option that set it
+    problems : lines for the user about what is wrong
     """
 
     name: str
@@ -54,7 +54,7 @@ class ConfigData:
     problems: list[str] = field(default_factory=list)
 
     def place(self, location: Location) -> str:
-        """Where the value at ``location`` was written: an option below it that changed it, else the nearest around."""
+        """Return where the value at ``location`` stands: an option below it that set it, else the nearest around."""
         if location not in self.places or not self.places[location].startswith("--"):
             below = [place for at, place in self.places.items() if at[: len(location)] == location]
             changed = [place for place in below if place.startswith("--")]
@@ -112,7 +112,7 @@ def to_yaml(value: Any) -> str:
 
 class _Dumper(yaml.SafeDumper):
     def represent_sequence(self, tag: str, sequence: Any, flow_style: bool | None = None) -> yaml.SequenceNode:
-        short = all(not isinstance(scene, dict | list) for scene in sequence)
+        short = all(not isinstance(entry, dict | list) for entry in sequence)
         return super().represent_sequence(tag, sequence, flow_style=short)
 
     def represent_float(self, data: float) -> yaml.ScalarNode:
@@ -236,12 +236,12 @@ class Builder:
 
 
 def dotted(location: Iterable[str | int]) -> str:
-    """As a user writes it."""
+    """Return a location as a user writes it: its parts with dots between."""
     return ".".join(str(part) for part in location)
 
 
 def short(value: Any) -> str:
-    """A value in a message, on one line of at most 64 characters."""
+    """Return a value as text for a message, on one line of at most 64 characters."""
     try:
         text = value if isinstance(value, BaseModel) else json.dumps(value, ensure_ascii=False)
         text = str(text)

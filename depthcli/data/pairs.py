@@ -16,7 +16,7 @@ from depthcli.data.formats.files import naming, read_bytes
 TABLE_SUFFIXES = (".csv", ".tsv")
 
 _WILD = re.compile(r"[*?\[]")
-_MOST_BYTES = 1 << 28
+_MAX_BYTES = 1 << 28  # of a table
 # Words of a file's name that say which view it is; a file without the other's word has no partner.
 _SIDES = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 _COLUMNS = ("left", "right", "name", "calibration", "max_disparity", "min_disparity")
@@ -40,12 +40,12 @@ class NamedPair:
 
 
 def is_many(path: Path) -> bool:
-    """A pattern or a folder: more than one file."""
+    """Return whether a path is a pattern or a folder: more than one file."""
     return path.is_dir() or (bool(_WILD.search(str(path))) and not os.path.lexists(path))
 
 
 def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[NamedPair]:
-    """Pairs of two patterns such as ``left/*.png`` and ``right/*.png``, or of two folders.
+    """Return the pairs of two patterns such as ``left/*.png`` and ``right/*.png``, or of two folders.
 
     Files belong together whose names are the same where the patterns have wildcards, but for words that say which
     view it is (``left_0001`` and ``right_0001``); where that pairs none, the whole names count, then their last number.
@@ -53,7 +53,7 @@ def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[Nam
     Raises
     ------
     ConfigError
-        Nothing matches a pattern, no two files belong together, or it cannot be told which.
+        Nothing matches a pattern, or no two files belong together beyond doubt.
     """
     suffixes = tuple(suffixes)
     found = [_matching(pattern, suffixes) for pattern in (left, right)]
@@ -69,7 +69,7 @@ def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[Nam
 
 
 def read_table(path: Path) -> list[NamedPair]:
-    """Pairs of a CSV (or tab-separated) file with a line each, paths relative to the file's folder.
+    """Return the pairs of a CSV (or tab-separated) file with a line each, paths relative to the file's folder.
 
     A first line with ``left`` and ``right`` names the columns, of which also ``name``, ``calibration``,
     ``max_disparity`` and ``min_disparity`` are known; without it the first two are left and right, the third is the
@@ -82,7 +82,7 @@ def read_table(path: Path) -> list[NamedPair]:
         Not readable, an unknown column, a line without two files, or two lines of one name.
     """
     with naming(path):
-        text = read_bytes(path, _MOST_BYTES).decode("utf-8-sig", "surrogateescape")
+        text = read_bytes(path, _MAX_BYTES).decode("utf-8-sig", "surrogateescape")
         lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
         try:
             rows = list(csv.reader(lines, delimiter="\t" if path.suffix.lower() == ".tsv" else ","))

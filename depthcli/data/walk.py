@@ -1,4 +1,4 @@
-"""From a folder to its scenes: the one place that walks, names, matches and keeps what is broken apart."""
+"""From a folder to its scenes: which layouts are tried and where, how scenes are named, what becomes of broken ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def discover_scenes(
     patterns: Sequence[str] = ("*",),
     warn: Callable[[str], None] = lambda line: None,
 ) -> list[Scene]:
-    """The scenes of a folder, sorted by name; no image is opened.
+    """Return the scenes of a folder, sorted by name; no image is opened.
 
     ``folder`` may be one scene, a folder of scenes, or a folder of such folders (names are then
     ``<data set>/<scene>``). Folders that hold none are passed over.
@@ -29,39 +29,94 @@ def discover_scenes(
     kinds : kinds of scene that are wanted; None: all
     layout : name of a layout; None recognizes it, for every folder by itself
     patterns : shell patterns, one of which the name, or its last part, must match
-    warn : told about folders that hold scenes too deep to be looked at
+    warn : called with a line about folders that hold scenes on deeper levels, which are not used
 
     Raises
     ------
     InputError
-        No such folder, no scene, no match for a pattern; or ``folder`` is itself an scene that fits two layouts, has
-        a broken meta.json or the like. An scene below it with such a problem is listed with its ``problem``.
+        No such folder, no scene, no match for a pattern; or ``folder`` is itself a scene that fits two layouts, has
+        a broken meta.json or the like. A scene below it with such a problem is listed with its ``problem``.
     """
     folder = Path(folder)
     wanted = _wanted(None if kinds is None else tuple(kinds), layout)
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    asked = wanted[0].name if layout else ""
-    found = _scenes_of(Folder(folder, folder.resolve().name, "", asked), wanted)
+    requested = wanted[0].name if layout else ""
+    found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)
     if not found:
         for child in _subfolders(folder):
-            here = _scenes_or_problem(child, child.name, wanted, asked)
-            if not here:
-                for grandchild in _subfolders(child):
-                    name = f"{child.name}/{grandchild.name}"
-                    inside = _scenes_or_problem(grandchild, name, wanted, asked)
-                    if not inside:
-                        _look_deeper(grandchild, wanted, warn)
-                    here += inside
-            found += here
+            found += _scenes_or_problem(child, child.name, wanted, requested) or _scenes_below(
+                child, wanted, requested, warn
+            )
     if not found:
         files = "; ".join(f"{each.name}: {each.wants.replace('`', '').partition(';')[0]}" for each in wanted)
         raise InputError(f"{folder}: no scenes found in it or two levels below (looked for {files})")
     return chosen_scenes(found, patterns, folder)
 
 
+def _wanted(kinds: tuple[type[Scene], ...] | None, layout: str | None) -> tuple[Layout, ...]:
+    """The layouts that give scenes of these kinds; the named one alone, where one is named."""
+    fitting = tuple(each for each in layouts() if kinds is None or issubclass(each.kind, kinds))
+    if layout is None:
+        return fitting
+    name = layout.lower().replace("_", "-")
+    chosen = tuple(each for each in fitting if each.name == name)
+    if not chosen:
+        raise InputError(f"no layout called {layout!r}; one of: {', '.join(each.name for each in fitting)}")
+    return chosen
+
+
+def _scenes_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Scene]:
+    """Scenes that ``folder`` itself holds: one by its own files, or many as a KITTI root."""
+    found = {each.name: scenes for each in wanted if (scenes := each.scenes(folder))}
+    if len(found) > 1:
+        raise InputError(f"{folder.path}: fits the layouts {' and '.join(sorted(found))}; say which with --layout")
+    return next(iter(found.values()), [])
+
+
+def _scenes_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], requested: str = "") -> list[Scene]:
+    """As ``_scenes_of``; a folder that cannot be used is one scene with its problem, and spoils no other."""
+    try:
+        return _scenes_of(Folder(path, name, name + "/", requested), wanted)
+    except InputError as error:
+        return [BrokenScene(name=name, folder=path, problem=str(error))]
+
+
+def _scenes_below(folder: Path, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]) -> list[Scene]:
+    """Scenes in the folders of a data set, and a warning where there are some one level below the last that counts."""
+    found: list[Scene] = []
+    for child in _subfolders(folder):
+        scenes = _scenes_or_problem(child, f"{folder.name}/{child.name}", wanted, requested)
+        found += scenes
+        for deeper in () if scenes else _subfolders(child):
+            if any(not scene.problem for scene in _scenes_or_problem(deeper, deeper.name, wanted)):
+                warn(f"{deeper}: lies too deep, not used; to use it, give {child} or {child.parent} as the folder")
+                break
+    return found
+
+
+def _subfolders(folder: Path) -> list[Path]:
+    try:
+        return sorted(entry for entry in folder.iterdir() if not entry.name.startswith(".") and entry.is_dir())
+    except OSError:
+        return []
+
+
+class BrokenScene(Scene):
+    """A folder that is meant to be a scene but cannot be used."""
+
+    @property
+    def input_files(self) -> dict[str, Path]:
+        """No file: none can be named."""
+        return {}
+
+    def load(self) -> None:
+        """Raise the scene's problem."""
+        self.check()
+
+
 def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path | str) -> list[Scene]:
-    """Those whose name matches one of the patterns, sorted by name.
+    """Return the scenes whose name matches one of the patterns, sorted by name.
 
     Raises
     ------
@@ -80,12 +135,12 @@ def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path 
 
 
 def scene_with_file(file: Path) -> Scene | None:
-    """The scene that ``file`` belongs to by the layout of its folder or of the one above (KITTI); None for none."""
+    """Return the scene that ``file`` belongs to by the layout of its folder or of the one above it (KITTI), or None."""
     return next(iter(scenes_with_files([file]).values()), None)
 
 
 def scenes_with_files(files: Iterable[Path]) -> dict[Path, Scene]:
-    """File -> the scene that it belongs to, as :func:`scene_with_file`, of those that belong to one."""
+    """Return file -> the scene that it belongs to, as :func:`scene_with_file`, of those that belong to one."""
     known: dict[Path, dict[Path, Scene]] = {}
     found: dict[Path, Scene] = {}
     for file in files:
@@ -113,62 +168,7 @@ def _files_in(place: Path) -> dict[Path, Scene]:
     return found
 
 
-def _wanted(kinds: tuple[type[Scene], ...] | None, layout: str | None) -> tuple[Layout, ...]:
-    fitting = tuple(each for each in layouts() if kinds is None or issubclass(each.kind, kinds))
-    if layout is None:
-        return fitting
-    name = layout.lower().replace("_", "-")
-    chosen = tuple(each for each in fitting if each.name == name)
-    if not chosen:
-        raise InputError(f"no layout called {layout!r}; one of: {', '.join(each.name for each in fitting)}")
-    return chosen
-
-
-def _scenes_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Scene]:
-    """Scenes that ``folder`` itself holds: one by its own files, or many as a KITTI root."""
-    found = {each.name: scenes for each in wanted if (scenes := each.scenes(folder))}
-    if len(found) > 1:
-        raise InputError(f"{folder.path}: fits the layouts {' and '.join(sorted(found))}; say which with --layout")
-    return next(iter(found.values()), [])
-
-
-def _scenes_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], asked: str = "") -> list[Scene]:
-    """As ``_scenes_of``; a folder that cannot be used is one scene with its problem, and spoils no other."""
-    try:
-        return _scenes_of(Folder(path, name, name + "/", asked), wanted)
-    except InputError as error:
-        return [BrokenScene(name=name, folder=path, problem=str(error))]
-
-
-def _look_deeper(folder: Path, wanted: tuple[Layout, ...], warn: Callable[[str], None]) -> None:
-    """Warn of scenes one level below the deepest that is looked at."""
-    for child in _subfolders(folder):
-        if any(not scene.problem for scene in _scenes_or_problem(child, child.name, wanted)):
-            warn(f"{child}: lies too deep, not used; to use it, give {folder} or {folder.parent} as the folder")
-            return
-
-
-def _subfolders(folder: Path) -> list[Path]:
-    try:
-        return sorted(entry for entry in folder.iterdir() if not entry.name.startswith(".") and entry.is_dir())
-    except OSError:
-        return []
-
-
 def matches_any(name: str, patterns: Sequence[str]) -> bool:
-    """One of the shell patterns matches the name or its last part."""
+    """Return whether one of the shell patterns matches the name or its last part."""
     last = name.rpartition("/")[2]
     return any(fnmatch.fnmatchcase(name, each) or fnmatch.fnmatchcase(last, each) for each in patterns)
-
-
-class BrokenScene(Scene):
-    """A folder that is meant to be an scene but cannot be used."""
-
-    @property
-    def input_files(self) -> dict[str, Path]:
-        """None that could be told."""
-        return {}
-
-    def load(self) -> None:
-        """Always the problem."""
-        self.check()

@@ -75,7 +75,7 @@ def test_what_is_kept_is_bounded_and_can_be_given_back():
     for _ in range(2):
         arrays = [memory.empty((48 * MEBI,), np.uint8) for _ in range(12)]
         del arrays
-    assert 0 < sum(block.size for block in memory._free) <= memory._KEPT
+    assert 0 < sum(block.size for block in memory._free) <= memory._MAX_FREE_BYTES
     memory.release()
     assert not memory._free
 

@@ -23,7 +23,7 @@ def read_codes(path: Path | str, rotate: int = 0, swapped: bool = False) -> NDAr
 
     Parameters
     ----------
-    path : PNG, PGM, TIFF or integer npy; its kind is told by the content
+    path : PNG, PGM, TIFF or integer npy; its kind is found by its content
     rotate : every code is rotated right by so many bits (SUN RGB-D: 3)
     swapped : the two bytes of every code are the wrong way round (raw dumps of NYU Depth v2)
 
@@ -51,7 +51,7 @@ def read_depth(
 
     Parameters
     ----------
-    path : the file; its kind is told by the content
+    path : the file; its kind is found by its content
     scale : codes per meter; None: 1000 for 16-bit codes, 1 for floats
     rotate, swapped : as in :func:`read_codes`
 

@@ -25,14 +25,14 @@ KITTI_SCALE = 256.0
 def read_disparity(
     path: Path | str, scale: float | None = None, scale_8bit: float | None = None
 ) -> NDArray[np.float32]:
-    """Read a disparity map in pixels.
+    """Return a disparity map in pixels.
 
     PFM, float npy and float TIFF hold pixels (+-inf and NaN: unknown). Integer codes (PNG, PGM, integer npy) are
     divided by ``scale``; a code of 0 or less is unknown.
 
     Parameters
     ----------
-    path : the file; its kind is told by the content
+    path : the file; its kind is found by its content
     scale : codes per pixel; None: 1 for PFM, float npy and float TIFF, 256 for 16-bit codes (KITTI)
     scale_8bit : codes per pixel of 8-bit files where ``scale`` is None; such a file has no scale of its own
 
@@ -66,7 +66,7 @@ def read_disparity(
 
 
 def read_pfm(path: Path | str) -> NDArray[np.float32]:
-    """Read a one-channel PFM file of either byte order, top row first.
+    """Return the values of a one-channel PFM file of either byte order, top row first.
 
     Rows are stored bottom to top; a negative scale in the header means little endian, its size is
     ignored, as by the Middlebury SDK. A colour PFM is accepted where its channels are equal.
@@ -86,7 +86,7 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
 
 
 def read_plane(path: Path | str) -> NDArray[Any]:
-    """Read one channel of numbers as stored: a map (PFM, npy, float TIFF) or codes; the kind is told by the content.
+    """Return one channel of numbers as stored: a map (PFM, npy, float TIFF) or codes; the content says which.
 
     Returns
     -------
@@ -134,7 +134,7 @@ def write_pfm(path: Path | str, values: NDArray[np.floating[Any]]) -> None:
 
 
 def encode_pfm(values: NDArray[np.floating[Any]]) -> bytes:
-    """The bytes that :func:`write_pfm` writes."""
+    """Return the bytes that :func:`write_pfm` writes."""
     if values.ndim != 2:
         raise ValueError(f"want (H, W), got {values.shape}")
     plane = values.astype("<f4")
@@ -163,7 +163,7 @@ def write_disparity_png(path: Path | str, disparity: NDArray[np.floating[Any]]) 
 
 
 def encode_disparity_png(disparity: NDArray[np.floating[Any]]) -> bytes | None:
-    """The bytes that :func:`write_disparity_png` writes; None where they cannot be made."""
+    """Return the bytes that :func:`write_disparity_png` writes; None where they cannot be made."""
     if disparity.ndim != 2:
         raise ValueError(f"want (H, W), got {disparity.shape}")
     known = np.isfinite(disparity)

@@ -37,10 +37,10 @@ READINGS = {
 }
 """What the numbers of a field may mean."""
 
-_CLEARLY = 1.1  # mutual information of the better reading over that of the named one
-_AT_LEAST = 0.02  # nats
-_SAMPLES = 60_000
-_BINS = 24
+_MIN_RATIO = 1.1  # mutual information of the better reading over that of the named one, to refuse the named one
+_MIN_GAIN = 0.02  # and by how much it must be more, nats
+_N_SAMPLES = 60_000  # voxels that the readings of a field are compared at
+_N_BINS = 24  # of the histogram of each volume
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Field:
 
 
 def read_field(path: Path, fixed: Grid) -> Field:
-    """Read a field.
+    """Return the field of a file, whose kind is found by its ending and header.
 
     Raises
     ------
@@ -101,7 +101,6 @@ def _npz(path: Path) -> NDArray[Any]:
 
 
 def _bare(values: NDArray[Any], fixed: Grid) -> Field:
-    """A field without a grid of its own: it has the fixed volume's."""
     if values.shape[:3] != fixed.shape:
         have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
         raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
@@ -109,7 +108,7 @@ def _bare(values: NDArray[Any], fixed: Grid) -> Field:
 
 
 def in_millimeters(field: Field, reading: str) -> NDArray[np.float64]:
-    """(Z, Y, X, 3) displacement in mm, LPS, of the field read as a key of READINGS."""
+    """Return the displacement, (Z, Y, X, 3) mm, LPS, of a field read as a key of READINGS."""
     values: NDArray[np.float64] = field.values.astype(np.float64)
     ras = np.array([-1.0, -1.0, 1.0])
     if reading == "voxels":
@@ -130,7 +129,7 @@ def in_millimeters(field: Field, reading: str) -> NDArray[np.float64]:
 def read_moving_transform(
     transform: Path | None, displacement: Path | None, convention: str, fixed: Volume, moving: Volume | None
 ) -> Any:
-    """The SimpleITK transform that maps a point of the fixed volume to the moving one.
+    """Return the SimpleITK transform that maps a point of the fixed volume to the moving one.
 
     With both files, the displacement comes first and the transform after it (ANTs: ``1Warp``, ``0GenericAffine``).
 
@@ -181,7 +180,7 @@ def _as_transform(displacement: NDArray[np.float64], grid: Grid) -> Any:
 def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, after: Any) -> None:
     """Refuse a field that warps the moving volume clearly better under another reading than the named one."""
     count = int(np.prod(field.grid.shape))
-    chosen = np.arange(0, count, max(1, count // _SAMPLES))
+    chosen = np.arange(0, count, max(1, count // _N_SAMPLES))
     z, y, x = np.unravel_index(chosen, field.grid.shape)
     places = np.stack([z, y, x], axis=1).astype(np.float64)
     points = field.grid.to_point(places)
@@ -195,7 +194,7 @@ def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, afte
             moved = np.array([after.TransformPoint(point) for point in moved.tolist()])
         scores[reading] = _information(target, nearest(moving.values, moving.grid.to_index(moved)))
     best = max(scores, key=lambda reading: scores[reading])
-    if best != named and scores[best] > max(_CLEARLY * scores[named], scores[named] + _AT_LEAST):
+    if best != named and scores[best] > max(_MIN_RATIO * scores[named], scores[named] + _MIN_GAIN):
         option = "niftyreg" if best == "positions" else best
         raise InputError(
             f"its header says {READINGS[named]}, but read as {READINGS[best]} it fits the volumes clearly better "
@@ -208,10 +207,11 @@ def _information(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
     """Mutual information, nats; what falls outside the moving volume is a value of its own."""
     low, high = (float(np.nanmin(other)), float(np.nanmax(other))) if np.isfinite(other).any() else (0.0, 1.0)
     outside = np.isnan(other)
-    second = np.where(outside, 0, (other - low) / max(high - low, 1e-12) * (_BINS - 2) + 1).astype(np.int64)
+    second = np.where(outside, 0, (other - low) / max(high - low, 1e-12) * (_N_BINS - 2) + 1).astype(np.int64)
     span = max(float(one.max() - one.min()), 1e-12)
-    first = np.clip((one - one.min()) / span * _BINS, 0, _BINS - 1).astype(np.int64)
-    joint = np.bincount(first * _BINS + np.clip(second, 0, _BINS - 1), minlength=_BINS * _BINS).reshape(_BINS, _BINS)
+    first = np.clip((one - one.min()) / span * _N_BINS, 0, _N_BINS - 1).astype(np.int64)
+    cells = first * _N_BINS + np.clip(second, 0, _N_BINS - 1)
+    joint = np.bincount(cells, minlength=_N_BINS**2).reshape(_N_BINS, _N_BINS)
     p = joint / joint.sum()
     a, b = p.sum(axis=1, keepdims=True), p.sum(axis=0, keepdims=True)
     known = p > 0

@@ -35,10 +35,10 @@ _PNM_HEADER = re.compile(rb"P\d(?:\s|#[^\n]*\n)+" + rb"(\d{1,9})(?:\s|#[^\n]*\n)
 _PFM_GAP = rb"\s+(?:#[^\n]*\n\s*)*"
 _PFM_HEADER = re.compile(rb"(P[fF])" + (_PFM_GAP + rb"(\d{1,9})") * 2 + _PFM_GAP + rb"([-+0-9.eE]{1,40})(?:\r\n|\s)")
 
-_MOST_DECODED = 1 << 31
-_PEEKED = 1 << 14
-# The densest codes: 12 bits of LZW stand for up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
-_DENSEST = 3000
+_MAX_DECODED_BYTES = 1 << 31
+_HEADER_BYTES = 1 << 14  # first part of a file, which nearly always holds the size of the image
+# Decoded bytes a stored one: 12 bits of LZW stand for up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
+_MAX_EXPANSION = 3000
 _SIZE_TAGS, _BITS_TAG, _SAMPLES_TAG, _TILE_TAGS = (256, 257), 258, 277, (322, 323)
 _PHOTOMETRIC_TAG, _PALETTE, _FORMAT_TAG, _FLOATS = 262, 3, 339, 3
 
@@ -80,7 +80,7 @@ class PfmHeader(NamedTuple):
 
 
 def image_kind(data: bytes) -> ImageKind:
-    """The kind of file that begins with ``data``; InputError where it is none that is read."""
+    """Return the kind of file that begins with ``data``; InputError where it is none that is read."""
     kinds: tuple[tuple[ImageKind, tuple[bytes, ...]], ...] = (
         ("png", (PNG_MAGIC,)),
         ("jpeg", (b"\xff\xd8",)),
@@ -103,7 +103,7 @@ def image_kind(data: bytes) -> ImageKind:
 
 
 def image_size(source: Path | str | bytes) -> ImageSize:
-    """Size of an image or map from its header alone; nothing is decoded.
+    """Return the size of an image or map from its header alone; nothing is decoded.
 
     Parameters
     ----------
@@ -125,10 +125,10 @@ def image_size(source: Path | str | bytes) -> ImageSize:
 
 
 def peeked_size(path: Path) -> ImageSize | None:
-    """Size of an image or map from the first bytes of its file; None where they do not tell."""
+    """Return the size of an image or map by the first bytes of its file; None where they do not hold it."""
     try:
         with open_regular(path) as file:
-            return image_size(file.read(_PEEKED))
+            return image_size(file.read(_HEADER_BYTES))
     except InputError:
         return None
 
@@ -143,23 +143,23 @@ def check_size(size: ImageSize, stored: int, max_bytes: int | None) -> None:
     """
     decoded = size.height * size.width * size.channels * size.bits // 8
     announced = f"{size.width} x {size.height} pixels, {size.channels} x {size.bits} bit"
-    if decoded > _DENSEST * stored:
+    if decoded > _MAX_EXPANSION * stored:
         raise InputError(f"damaged image (claims {announced} in {stored} bytes)")
-    most = _MOST_DECODED if max_bytes is None else max_bytes
-    if 2 * decoded > most:  # what the decoder gives, and the copy of it in our order of channels
+    limit = _MAX_DECODED_BYTES if max_bytes is None else max_bytes
+    if 2 * decoded > limit:  # what the decoder gives, and the copy of it in our order of channels
         raise InputError(
             f"too large: {announced} take {2 * decoded / 2**20:.0f} MiB of memory to read, "
-            f"{most / 2**20:.0f} MiB may be used"
+            f"{limit / 2**20:.0f} MiB may be used"
         )
 
 
 def check_png(data: bytes) -> bytes:
-    """The file reduced to the chunks that carry pixels; InputError where it is truncated or a checksum differs."""
+    """Return the file with the chunks that carry pixels alone; InputError where it is truncated or damaged."""
     return PNG_MAGIC + b"".join(chunk for name, chunk in png_chunks(data) if name in _PNG_NEEDED)
 
 
 def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Name and bytes (length and checksum included) of every chunk up to the end mark, verified."""
+    """Yield name and bytes (length and checksum included) of every chunk up to the end mark, verified."""
     at, name = len(PNG_MAGIC), b""
     while name != b"IEND":
         if at + 12 > len(data):
@@ -175,7 +175,7 @@ def png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def pnm_header(data: bytes) -> PnmHeader:
-    """Header of a grey or colour Netpbm image; InputError where there is none."""
+    """Return the header of a grey or color Netpbm image; InputError where there is none."""
     header = _PNM_HEADER.match(data)
     if header is None:
         raise InputError("bad PGM/PPM header")
@@ -186,7 +186,7 @@ def pnm_header(data: bytes) -> PnmHeader:
 
 
 def pfm_header(data: bytes) -> PfmHeader:
-    """Header of a PFM map; a negative scale means little endian, its size is ignored. InputError where it is bad."""
+    """Return the header of a PFM map, whose scale says the byte order by its sign; InputError where it is bad."""
     header = _PFM_HEADER.match(data)
     if header is None:
         raise InputError("not a PFM file (bad header)")
@@ -201,7 +201,7 @@ def pfm_header(data: bytes) -> PfmHeader:
 
 
 def open_with_pillow(data: bytes) -> ImageFile:
-    """The header of a PNG, JPEG, TIFF or BMP file as Pillow reads it; pixels are decoded when they are asked for.
+    """Return a PNG, JPEG, TIFF or BMP file as Pillow opens it; its pixels are not decoded yet.
 
     Its classes are called directly: ``Image.open`` has a limit of its own for the number of pixels.
     """
@@ -271,7 +271,7 @@ def _tiff_size(data: bytes) -> ImageSize:
 
 
 def holds_floats(data: bytes) -> bool:
-    """Whether a TIFF says that its samples are numbers of floating point."""
+    """Return whether the file is a TIFF whose samples are numbers of floating point."""
     if image_kind(data) != "tiff":
         return False
     formats = _tiff_tags(data).get(_FORMAT_TAG, (1,))

@@ -33,14 +33,14 @@ from depthcli.data.formats.headers import (
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".pnm", ".tif", ".tiff", ".bmp")
 """File name endings that scene folders are searched for, best known first."""
 
-_MOST_PLAIN = 1 << 25  # every number takes 50 bytes while it is read
+_MAX_TEXT_BYTES = 1 << 25  # every number takes 50 bytes while it is read
 _JPEG_MARKER = re.compile(rb"\xff+([^\x00\xff])")  # a coded 0xff is followed by 0, and markers by fill bytes of 0xff
 _ARITHMETIC = (0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF)
 _OTHER_BITS = bytes(range(7, 247, 5)) * 2
 
 
 def read_image(path: Path | str, max_bytes: int | None = None) -> Image:
-    """Read a PNG, JPEG, PGM, PPM, TIFF or BMP file; the kind is told by the content.
+    """Return the pixels of a PNG, JPEG, PGM, PPM, TIFF or BMP file, whose kind is found by its content.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def read_image(path: Path | str, max_bytes: int | None = None) -> Image:
 
 
 def read_grey(path: Path | str, max_bytes: int | None = None) -> Image:
-    """Read an image of codes (disparities, a mask) that may be stored with three equal channels.
+    """Return an image of codes (disparities, a mask) that may be stored with three equal channels.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def read_grey(path: Path | str, max_bytes: int | None = None) -> Image:
 
 
 def decode_grey(data: bytes, max_bytes: int | None = None) -> Image:
-    """As :func:`read_grey`, from the bytes of a file."""
+    """Return what :func:`read_grey` does, from the bytes of a file."""
     pixels = decode_image(data, max_bytes)
     if pixels.ndim == 3:
         first = pixels[..., 0]
@@ -88,7 +88,7 @@ def decode_grey(data: bytes, max_bytes: int | None = None) -> Image:
 
 
 def decode_floats(data: bytes) -> NDArray[np.float32] | None:
-    """(H, W) numbers of a TIFF with samples of floating point, from its bytes; None for any other file.
+    """Return the (H, W) numbers of a TIFF with samples of floating point, by its bytes; None for any other file.
 
     Numbers of 64 bit become the nearest of 32 bit, infinite beyond their range.
     """
@@ -127,7 +127,7 @@ def write_png(path: Path | str, array: NDArray[Any]) -> None:
 
 
 def decode_image(data: bytes, max_bytes: int | None = None) -> Image:
-    """As :func:`read_image`, from the bytes of a file."""
+    """Return what :func:`read_image` does, from the bytes of a file."""
     kind = image_kind(data)
     if kind in ("pfm", "npy"):
         raise InputError(f"a map of numbers ({kind}), want an image")
@@ -160,9 +160,7 @@ def _decode_with_pillow(data: bytes, kind: str) -> Image:
 
 
 def _jpeg_scan_ends(data: bytes) -> list[int]:
-    """Where the Huffman codes of every scan and restart interval end; nowhere for arithmetic codes, which may end
-    before their last pixel. InputError where the image has no end.
-    """
+    # Where the Huffman codes of every scan and restart interval end; none for arithmetic codes, which may end early.
     ends = []
     at, coded, restarts = 2, False, 0
     while (found := _JPEG_MARKER.search(data, at)) is not None:
@@ -188,7 +186,7 @@ def _jpeg_scan_ends(data: bytes) -> list[int]:
 def _decode_jpeg(data: bytes) -> Image:
     ends = _jpeg_scan_ends(data)
     pixels = _decode_with_pillow(data, "jpeg")
-    # A scan that ends early is filled up with grey, and nothing tells. With other bits after it, it is filled with
+    # A scan that ends early is filled up with grey without a warning. With other bits after it, it is filled with
     # something else; bits after a complete scan are passed over.
     parts = [data[a:b] for a, b in zip([0, *ends], [*ends, len(data)], strict=True)]
     if not np.array_equal(pixels, _decode_with_pillow(_OTHER_BITS.join(parts), "jpeg")):
@@ -219,7 +217,7 @@ def _decode_pnm(data: bytes) -> Image:
     count = height * width * channels
     samples: NDArray[Any]
     if data[:2] in (b"P2", b"P3"):
-        if len(data) > _MOST_PLAIN:
+        if len(data) > _MAX_TEXT_BYTES:
             raise InputError("too large for a plain PGM/PPM; store it as a binary one (P5, P6)")
         words = data[start:].split(maxsplit=count)[:count]
         if len(words) < count:

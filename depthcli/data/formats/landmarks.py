@@ -17,7 +17,7 @@ _COLUMNS = re.compile(r"(?:^|_)([xyz])(?:_|$)")
 
 
 def read_landmarks(path: Path, grid: Grid, raw: bool = False) -> NDArray[np.float64]:
-    """(N, 3) positions x, y, z in mm, LPS.
+    """Return (N, 3) positions x, y, z in mm, LPS, of a list of points.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""NumPy's ``.npy`` files, read by a strict parser: damage in a header is told as such, whatever it is."""
+"""NumPy's ``.npy`` files, read by a strict parser, which names any damage of the header."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class _Layout(NamedTuple):
 
 
 def decode_npy(data: bytes) -> NDArray[Any]:
-    """The (H, W) array of numbers in the bytes of a ``.npy`` file, never empty.
+    """Return the (H, W) array of numbers in the bytes of a ``.npy`` file, never empty.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def decode_npy(data: bytes) -> NDArray[Any]:
 
 
 def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
-    """The array of a ``.npy`` file, mapped into memory: only what is used of it is read.
+    """Return the array of a ``.npy`` file, mapped into memory: only what is used of it is read.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
 
 
 def npy_shape(data: bytes, size: int) -> tuple[tuple[int, ...], int]:
-    """Shape and bits a value, from the first bytes of a file of ``size`` bytes; InputError where it is damaged."""
+    """Return shape and bits a value, by the first bytes of a file of ``size`` bytes; InputError for a damaged one."""
     layout = _layout(data, size, None)
     return layout.shape, 8 * layout.dtype.itemsize
 

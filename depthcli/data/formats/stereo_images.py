@@ -12,7 +12,7 @@ from depthcli.data.formats.images import decode_image
 
 
 def read_pair(left: Path | str, right: Path | str, max_bytes: int | None = None) -> StereoPair:
-    """Read a rectified pair; the range of 10- and 12-bit samples in 16-bit files is declared or found.
+    """Return a rectified pair; the range of 10- and 12-bit samples in 16-bit files is declared or found.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def read_pair(left: Path | str, right: Path | str, max_bytes: int | None = None)
 
 
 def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int | None = None) -> StereoPair:
-    """Two images as a pair; where one is grey and the other color, both become grey.
+    """Return two images as a pair; where one is grey and the other color, both become grey.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int |
 
 
 def sample_bits(*images: Image, declared: int | None = None) -> int:
-    """Bits of the samples of images that share one scale: 8, 16, or what 16-bit files hold.
+    """Return the bits of the samples of images that share one scale: 8, 16, or what 16-bit files hold.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def sample_bits(*images: Image, declared: int | None = None) -> int:
     top = max(int(image.max()) for image in images)
     if declared is not None and declared <= bits and top < 1 << declared:
         return declared if bits == 16 else bits
-    return next((few for few in (10, 12) if top < 1 << few), bits) if bits == 16 else bits
+    return next((used for used in (10, 12) if top < 1 << used), bits) if bits == 16 else bits
 
 
 def _declared_bits(data: bytes) -> int | None:

@@ -33,12 +33,12 @@ Slab = Callable[[int, int], NDArray[np.float32]]
 
 
 def suffix_of(path: Path) -> str:
-    """Ending of a file, with both parts of ``.nii.gz``."""
+    """Return the ending of a file, with both parts of ``.nii.gz``."""
     return ".nii.gz" if path.name.lower().endswith(".nii.gz") else path.suffix.lower()
 
 
 def simple_itk() -> Any:
-    """SimpleITK; InputError that says how to install it."""
+    """Return the module SimpleITK; InputError that says how to install it where it is missing."""
     try:
         with warnings.catch_warnings():
             # SWIG's types lack a __module__ attribute, which Python 3.12 and newer deprecate.
@@ -51,12 +51,12 @@ def simple_itk() -> Any:
 
 
 def read_volume(path: Path, vector: bool = False) -> Volume:
-    """Read a volume, or a field of three components.
+    """Return a volume, or a field of three components.
 
     Raises
     ------
     InputError
-        Not readable, cut off, of more than three dimensions, with another number of components than asked for,
+        Not readable, cut off, of more than three dimensions, with another number of components than requested,
         without a spacing, or empty.
     """
     with naming(path):
@@ -75,7 +75,7 @@ def read_volume(path: Path, vector: bool = False) -> Volume:
 
 
 def read_grid(path: Path) -> Grid:
-    """Where the voxels of a volume are, by its header alone; InputError as :func:`read_volume`."""
+    """Return where the voxels of a volume are, by its header alone; InputError as :func:`read_volume`."""
     with naming(path):
         if suffix_of(path) in IMAGE_SUFFIXES:
             plane = image_size(path)
@@ -94,7 +94,7 @@ def read_grid(path: Path) -> Grid:
 
 
 def read_image(path: Path) -> Any:
-    """The SimpleITK image; InputError with the reason in one line."""
+    """Return the SimpleITK image; InputError with the reason in one line."""
     sitk = simple_itk()
     with _one_line(), quiet():
         return sitk.ReadImage(str(path))
@@ -141,7 +141,7 @@ def _volume(image: Any, vector: bool) -> Volume:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Without what the readers' C++ prints: the message comes with the exception."""
+    """Keep what the readers' C++ prints from standard error; the exception has the message."""
     try:
         saved = os.dup(2)
         sink = os.open(os.devnull, os.O_WRONLY)
@@ -158,7 +158,6 @@ def quiet() -> Iterator[None]:
 
 
 def _dirlab_grid(path: Path) -> Grid:
-    """What the file beside a raw volume says."""
     meta_file = path.parent / "meta.json"
     try:
         meta = json.loads(read_bytes(meta_file, 1 << 20))
@@ -189,7 +188,7 @@ def place(image: Any, grid: Grid) -> None:
 
 
 def written_suffix(path: Path) -> str:
-    """Ending of what is written for an input: its own format where that holds real numbers."""
+    """Return the ending of what is written for an input: its own format where that holds real numbers."""
     own = suffix_of(path)
     return {".mhd": ".mha", ".nhdr": ".nrrd"}.get(own, own if own in (".nii", ".nii.gz", ".nrrd") else ".mha")
 

@@ -23,13 +23,13 @@ class Folder:
     Attributes
     ----------
     path : where it is
-    name : name of an scene that is the folder itself
+    name : name of a scene that is the folder itself
     prefix : what the names of scenes inside begin with
-    asked : the layout that the user named, or empty
+    requested : the layout that the user named, or empty
     """
 
-    def __init__(self, path: Path, name: str, prefix: str, asked: str = "") -> None:
-        self.path, self.name, self.prefix, self.asked = path, name, prefix, asked
+    def __init__(self, path: Path, name: str, prefix: str, requested: str = "") -> None:
+        self.path, self.name, self.prefix, self.requested = path, name, prefix, requested
         try:
             with os.scandir(path) as entries:
                 self.names = frozenset(entry.name for entry in entries if not entry.name.startswith("."))
@@ -37,18 +37,18 @@ class Folder:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
     def has(self, *names: str) -> bool:
-        """All of the names are there."""
+        """Return whether all of the names are there."""
         return set(names) <= self.names
 
     def one(self, stem: str, suffixes: Iterable[str]) -> Path | None:
-        """The file of that stem; InputError where several endings compete."""
+        """Return the file of that stem; InputError where several endings compete."""
         fitting = [name for name in self._by_stem.get(stem, ()) if Path(name).suffix.lower() in suffixes]
         if len(fitting) > 1:
             raise InputError(f"{self.path}: both {fitting[0]} and {fitting[1]}; keep one")
         return self.path / fitting[0] if fitting else None
 
     def starting(self, start: str, suffixes: Iterable[str]) -> dict[str, Path]:
-        """What follows ``start`` in the stem -> file."""
+        """Return what follows ``start`` in the stem -> file."""
         found = {}
         for stem in sorted(self._by_stem):
             file = self.one(stem, suffixes) if stem.startswith(start) else None
@@ -64,7 +64,7 @@ class Folder:
         return found
 
     def meta(self) -> dict[str, Any]:
-        """The fields of ``meta.json`` that have a value; empty where there is no such file."""
+        """Return the fields of ``meta.json`` that have a value; empty where there is no such file."""
         path = self.path / "meta.json"
         if path.name not in self.names:
             return {}
@@ -76,32 +76,32 @@ class Folder:
             raise InputError(f"{path}: want a JSON object, got {type(meta).__name__}")
         return {key: value for key, value in meta.items() if value is not None}
 
-    def positive(self, meta: dict[str, Any], key: str, most: float = 1e6) -> float | None:
-        """A positive number of ``meta.json``, or None where it has none."""
+    def positive(self, meta: dict[str, Any], key: str, limit: float = 1e6) -> float | None:
+        """Return a positive number of ``meta.json``, or None where it has none."""
         value = meta.get(key)
         if value is None:
             return None
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < most:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < limit:
             raise InputError(f"{self.path / 'meta.json'}: {key}: want a positive number (got {value!r})")
         return float(value)
 
     def whole(self, meta: dict[str, Any], key: str) -> int | None:
-        """A positive whole number of ``meta.json``, or None where it has none."""
+        """Return a positive whole number of ``meta.json``, or None where it has none."""
         value = self.positive(meta, key)
         if value is not None and value != int(value):
             raise InputError(f"{self.path / 'meta.json'}: {key}: want a whole number (got {value!r})")
         return None if value is None else int(value)
 
-    def integer(self, meta: dict[str, Any], key: str, most: int = 1 << 20) -> int | None:
-        """A whole number of either sign of ``meta.json``, or None where it has none."""
+    def integer(self, meta: dict[str, Any], key: str, limit: int = 1 << 20) -> int | None:
+        """Return a whole number of either sign of ``meta.json``, or None where it has none."""
         value = meta.get(key)
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)
-                                  or value != value // 1 or abs(value) > most):  # fmt: skip
+                                  or value != value // 1 or abs(value) > limit):  # fmt: skip
             raise InputError(f"{self.path / 'meta.json'}: {key}: want a whole number (got {value!r})")
         return None if value is None else int(value)
 
     def text(self, meta: dict[str, Any], key: str, default: str) -> str:
-        """A word of ``meta.json``, or ``default``."""
+        """Return a word of ``meta.json``, or ``default``."""
         value = meta.get(key, default)
         if not isinstance(value, str):
             raise InputError(f"{self.path / 'meta.json'}: {key}: want a word (got {value!r})")
@@ -113,7 +113,7 @@ class Layout(ABC):
 
     kind: ClassVar[type[Scene]]
     wants: ClassVar[str]
-    """The files of an scene, in a line for messages and the manual."""
+    """The files of a scene, in a line for messages and the manual."""
 
     @property
     def name(self) -> str:
@@ -122,7 +122,7 @@ class Layout(ABC):
 
     @abstractmethod
     def scenes(self, folder: Folder) -> list[Scene]:
-        """The scenes that ``folder`` itself holds; none where it is not of this layout.
+        """Return the scenes that ``folder`` itself holds; none where it is not of this layout.
 
         Raises
         ------
@@ -133,7 +133,7 @@ class Layout(ABC):
 
 @cache
 def layouts() -> tuple[Layout, ...]:
-    """Every layout, sorted by name."""
+    """Return every layout, sorted by name."""
     found = []
     for module in sorted(pkgutil.iter_modules(__path__), key=lambda m: m.name):
         if module.name.startswith("_"):

@@ -30,10 +30,10 @@ class Rgbd(Layout):
         return list(self.frames(folder))
 
     def frames(self, folder: Folder) -> list[RgbdScene]:
-        """The frame in ``folder``, if it has one, whatever else lies there."""
+        """Return the frame in ``folder``, if it has one, whatever else lies there."""
         color = folder.one("color", IMAGE_SUFFIXES)
         depth = folder.one("depth", DEPTH_SUFFIXES) or folder.one("depth_raw", DEPTH_SUFFIXES)
-        if folder.asked == "sun-rgbd" or (color is None and depth is None):
+        if folder.requested == "sun-rgbd" or (color is None and depth is None):
             return []
         if depth is None and folder.starting("disparity", IMAGE_SUFFIXES):  # of kinect-raw
             return []
@@ -45,7 +45,7 @@ class Rgbd(Layout):
 
 
 def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, layout: str, **more: Any) -> RgbdScene:
-    """The scene of one frame, with what meta.json says of the folder."""
+    """Return the scene of one frame, with the facts of the folder's meta.json."""
     meta = folder.meta()
     number = name.rpartition("/")[2]
     end = f"_{number}" if folder.one(f"depth_true_{number}", DEPTH_SUFFIXES) else ""
@@ -64,7 +64,7 @@ def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, lay
 
 
 def intrinsics(folder: Folder, meta: dict[str, Any]) -> tuple[float, float, float, float] | None:
-    """fx, fy, cx, cy of meta.json, at its root or below ``intrinsics``."""
+    """Return fx, fy, cx, cy of meta.json, at its root or below ``intrinsics``."""
     inner = meta.get("intrinsics", meta)
     if not isinstance(inner, dict):
         raise InputError(f"{folder.path / 'meta.json'}: intrinsics: want fx, fy, cx, cy (got {str(inner)[:60]!r})")

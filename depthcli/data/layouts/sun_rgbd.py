@@ -25,7 +25,7 @@ class SunRgbd(Layout):
             fx, _, cx, _, fy, cy = _matrix(folder.path / "intrinsics.txt")
             return [frame(folder, folder.name, color, depth, "", self.name, rotated=True, intrinsics=(fx, fy, cx, cy))]
         color_file, depth_file = folder.one("color", IMAGE_SUFFIXES), folder.one("depth", IMAGE_SUFFIXES)
-        if folder.asked != self.name or color_file is None or depth_file is None:
+        if folder.requested != self.name or color_file is None or depth_file is None:
             return []
         return [frame(folder, folder.name, color_file, depth_file, "", self.name, rotated=True)]
 

@@ -12,7 +12,7 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
 
 _SCALE = 5000.0
-_MOST_APART = 0.02  # seconds, as the benchmark's associate.py
+_MAX_DELAY = 0.02  # seconds, as the benchmark's associate.py
 
 
 class Tum(Layout):
@@ -34,9 +34,9 @@ class Tum(Layout):
         for number, (time, color, depth_time, depth) in enumerate(pairs):
             apart = abs(time - depth_time)
             problem = ""
-            if apart > _MOST_APART:
+            if apart > _MAX_DELAY:
                 problem = (
-                    f"{folder.path / color}: the nearest depth is {apart:.3f} s off, at most {_MOST_APART} s may be"
+                    f"{folder.path / color}: the nearest depth is {apart:.3f} s off, at most {_MAX_DELAY} s may be"
                 )
             found.append(
                 frame(folder, f"{folder.prefix}{time:.6f}", folder.path / color, folder.path / depth, problem,
@@ -48,7 +48,6 @@ class Tum(Layout):
 
 
 def _nearest(folder: Folder) -> list[tuple[float, str, float, str]]:
-    """Every color image with the depth image nearest in time."""
     depths = sorted((float(time), file) for time, file in _lines(folder.path / "depth.txt", 2))
     if not depths:
         raise InputError(f"{folder.path / 'depth.txt'}: names no file")

@@ -39,7 +39,7 @@ class Views(Layout):
 def pair_scenes(
     folder: Folder, layout: str, left: dict[str, Path], right: dict[str, Path], truth: dict[str, Path] | None = None
 ) -> list[Scene]:
-    """An scene for every name of either view; the folder's meta.json and calib.txt are those of all."""
+    """Return a scene for every name of either view; the folder's meta.json and calib.txt are those of all."""
     meta = folder.meta()
     low, top = folder.integer(meta, "min_disparity") or 0, folder.integer(meta, "max_disparity")
     if top is not None and top <= low:
@@ -70,7 +70,7 @@ def pair_scenes(
 
 
 def view_images(place: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    """Stem -> file; InputError where two have one stem."""
+    """Return stem -> file of a folder; InputError where two files have one stem."""
     if not place.is_dir():
         return {}
     found: dict[str, Path] = {}

@@ -1,6 +1,6 @@
 """Scenes: what a command works on one at a time, one file a kind of input.
 
-An scene knows its files and how to load them; it opens none of them before it is asked to.
+A scene knows its files and how to load them; none is opened before ``load`` or ``truth``.
 """
 
 from __future__ import annotations
@@ -44,21 +44,21 @@ class Scene(ABC):
 
     @property
     def has_truth(self) -> bool:
-        """There is ground truth to compare with."""
+        """Whether there is ground truth to compare with."""
         return False
 
     @abstractmethod
     def load(self) -> Any:
-        """The algorithm's input; InputError where the files cannot be used."""
+        """Return the input of a method; InputError where the files cannot be used."""
 
     def truth(self) -> Any:
-        """The ground truth as stored; InputError where there is none or it cannot be used."""
+        """Return the ground truth as stored; InputError where there is none or it cannot be used."""
         self.check()
         raise InputError(f"{self.folder}: {self.name} has no ground truth")
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
-        """The scene whose files were named on the command line; None where none was.
+        """Return the scene whose files the command line names; None where it names none.
 
         Raises
         ------
@@ -69,7 +69,7 @@ class Scene(ABC):
 
     @classmethod
     def named(cls, values: Mapping[str, Any]) -> list[Self]:
-        """All scenes whose files the command line names: the single one, unless the kind knows of more.
+        """Return all scenes whose files the command line names: the single one, unless the kind knows of more.
 
         Raises
         ------
@@ -81,17 +81,17 @@ class Scene(ABC):
 
     @classmethod
     def of_table(cls, path: Path) -> list[Self]:
-        """The scenes that a table of files lists; ConfigError where there are none of that kind."""
+        """Return the scenes that a table of files lists; ConfigError where this kind has no such table."""
         raise ConfigError(f"{path}: want a folder")
 
     def check(self) -> None:
-        """Raise the item's problem."""
+        """Raise the scene's problem, if it has one, as an InputError."""
         if self.problem:
             raise InputError(self.problem)
 
 
 def together(values: Mapping[str, Any], *names: str) -> bool:
-    """True where all of the options are given, False where none is; ConfigError otherwise."""
+    """Return True where all of the options are given, False where none is; ConfigError otherwise."""
     given = [name for name in names if values.get(name) is not None]
     if given and len(given) < len(names):
         missing = " and ".join(f"--{name.replace('_', '-')}" for name in names if name not in given)
@@ -99,7 +99,7 @@ def together(values: Mapping[str, Any], *names: str) -> bool:
     return bool(given)
 
 
-def name_of(file: Path, usual: tuple[str, ...]) -> str:
-    """Name of a single scene: its file's, or its folder's where the file is called as in every scene."""
+def name_of(file: Path, generic: tuple[str, ...]) -> str:
+    """Return the name of a single scene: its file's, or its folder's where that is a ``generic`` one."""
     folder = file.absolute().parent.name
-    return folder if file.stem.lower() in usual and folder else file.stem
+    return folder if file.stem.lower() in generic and folder else file.stem

@@ -33,11 +33,11 @@ class RgbIrScene(RgbdScene):
 
     @property
     def input_files(self) -> dict[str, Path]:
-        """With the infrared image that is used."""
+        """Role -> file that a method may look at, with the infrared image that is used."""
         return {**super().input_files, "infrared": self.infrared_plain or self.infrared}
 
     def load_pair(self) -> RgbIrFrame:
-        """The frame with its infrared image and calibration.
+        """Return the frame with its infrared image and calibration.
 
         Raises
         ------

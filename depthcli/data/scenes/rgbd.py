@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from depthcli.core.frames import RgbdFrame, SparseFrame
 
 _METERS = (".pfm", ".npy")
-_USUAL_NAMES = ("color", "rgb", "image", "depth")
+_GENERIC_NAMES = ("color", "rgb", "image", "depth")
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class RgbdScene(Scene):
     depth_true : true depth, in the same codes, or None
     masks : name -> file; a pixel counts where the value is 255
     intrinsics : fx, fy, cx, cy of the color camera, or None
-    fb : focal length x baseline, pixel meters; None where the layout does not say it
+    fb : focal length x baseline, pixel meters; None where it is not known
     hidden : mask of pixels that the sensor is made not to see (255), where its depth is the true one; or None
     sparse, sparse_confidence : a second depth map in the same codes, known at some pixels, and how sure it is; or None
     sequence, number : the sequence that the frame belongs to, or empty, and its place there
@@ -83,11 +83,11 @@ class RgbdScene(Scene):
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
-        """The frame of ``--color`` and ``--depth``."""
+        """Return the frame of ``--color`` and ``--depth``."""
         if not together(values, "color", "depth"):
             return None
         color, depth = values["color"], values["depth"]
-        return cls(name=name_of(color, _USUAL_NAMES), folder=color.parent, color=color, depth=depth)
+        return cls(name=name_of(color, _GENERIC_NAMES), folder=color.parent, color=color, depth=depth)
 
     @property
     def input_files(self) -> dict[str, Path]:
@@ -99,11 +99,11 @@ class RgbdScene(Scene):
 
     @property
     def has_truth(self) -> bool:
-        """The true depth is known."""
+        """Whether the true depth is known."""
         return self.depth_true is not None
 
     def load(self) -> RgbdFrame:
-        """Color and depth of one size, depth in meters and registered to the color.
+        """Return color and depth of one size, depth in meters and registered to the color.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class RgbdScene(Scene):
         if self.raw:
             color, depth, intrinsics = self._registered(color)
         else:
-            depth = self._seen(self._depth(self.depth))
+            depth = self._without_hidden(self._depth(self.depth))
         if depth.shape != color.shape[:2]:
             raise InputError(
                 f"{self.depth}: {depth.shape[1]} x {depth.shape[0]}, but {self.color.name} is {color.shape[1]} x "
@@ -134,7 +134,7 @@ class RgbdScene(Scene):
         return RgbdFrame(color, depth, fb, intrinsics)
 
     def load_sparse(self) -> SparseFrame:
-        """The frame with its second, sparse depth.
+        """Return the frame with its second, sparse depth.
 
         Raises
         ------
@@ -167,7 +167,7 @@ class RgbdScene(Scene):
         )
 
     def truth(self) -> RgbdTruth:
-        """True depth and masks; InputError where there is none or sizes differ."""
+        """Return true depth and masks; InputError where there is none or sizes differ."""
         from depthcli.data.formats.images import read_grey
 
         self.check()
@@ -188,12 +188,11 @@ class RgbdScene(Scene):
     def _depth(self, path: Path) -> NDArray[np.float32]:
         from depthcli.data.formats.depth import MILLIMETERS, read_depth
 
-        # The usual scale is not passed on: of 8-bit codes, which would hold no usable depth, it must be said.
+        # The default scale is not passed on: 8-bit codes, which would hold no usable depth, need one of their own.
         scale = None if path.suffix in _METERS or self.depth_scale == MILLIMETERS else self.depth_scale
         return read_depth(path, scale, 3 if self.rotated else 0)
 
-    def _seen(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Without what the sensor is made not to see."""
+    def _without_hidden(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
         import numpy as np
 
         from depthcli.data.formats.images import read_grey
@@ -212,7 +211,7 @@ class RgbdScene(Scene):
         return None if self.intrinsics is None else Intrinsics(*self.intrinsics)
 
     def _registered(self, color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float32], Intrinsics]:
-        """Color at the depth camera's resolution, and the depth as the color camera sees it."""
+        """Color at the depth camera's resolution, and the depth registered to it."""
         import cv2
 
         from depthcli.core.cameras.kinect import kinect_v1

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Full-size widths of the Middlebury 2005 and 2006 sets lie between 1240 and 1396: the width tells the size.
 _SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
-_USUAL_NAMES = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")
+_GENERIC_NAMES = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "image_2", "colored_0")
 
 
 @dataclass(frozen=True)
@@ -94,15 +94,15 @@ class StereoScene(Scene):
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
-        """The pair of ``--left`` and ``--right``."""
+        """Return the pair of ``--left`` and ``--right``."""
         if not together(values, "left", "right"):
             return None
         left, right = values["left"], values["right"]
-        return cls(name=name_of(left, _USUAL_NAMES), folder=left.parent, left=left, right=right)
+        return cls(name=name_of(left, _GENERIC_NAMES), folder=left.parent, left=left, right=right)
 
     @classmethod
     def named(cls, values: Mapping[str, Any]) -> list[Self]:
-        """The pair of ``--left`` and ``--right``, those of two patterns or folders, the frames of two videos."""
+        """Return the pair of ``--left`` and ``--right``, those of two patterns or folders, the frames of two videos."""
         from depthcli.data.formats.images import IMAGE_SUFFIXES
         from depthcli.data.formats.videos import VIDEO_SUFFIXES, count_frames
         from depthcli.data.pairs import is_many, match_patterns
@@ -123,7 +123,7 @@ class StereoScene(Scene):
 
     @classmethod
     def of_table(cls, path: Path) -> list[Self]:
-        """The pairs of a CSV file."""
+        """Return the pairs of a CSV file."""
         from depthcli.data.pairs import read_table
 
         return [cls._of_pair(pair, path.parent) for pair in read_table(path)]
@@ -162,7 +162,7 @@ class StereoScene(Scene):
 
     @property
     def has_truth(self) -> bool:
-        """The left view's disparity is known."""
+        """Whether the left view's disparity is known."""
         return self.disparity_left is not None
 
     def load_views(self) -> tuple[Image, Image]:
@@ -191,7 +191,7 @@ class StereoScene(Scene):
         return read_pair(self.left, self.right)
 
     def truth(self) -> StereoTruth:
-        """Ground truth and masks of the left view, as stored.
+        """Return ground truth and masks of the left view, as stored.
 
         Raises
         ------
@@ -207,7 +207,7 @@ class StereoScene(Scene):
         scale = self.disparity_scale
         if self.scale_by_width and scale is None:
             width = read_grey(self.disparity_left).shape[1]
-            scale = next(factor for least, factor in _SCALE_BY_WIDTH if width > least)
+            scale = next(scale for above, scale in _SCALE_BY_WIDTH if width > above)
         disparity = read_disparity(self.disparity_left, scale)
         right = None if self.disparity_right is None else read_disparity(self.disparity_right, scale)
         noc = objects = None

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from depthcli.core.volumes import Grid, RegisteredPair, Volume
 
-_USUAL_NAMES = ("fixed", "fixed.nii")
+_GENERIC_NAMES = ("fixed", "fixed.nii")
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class VolumePairScene(Scene):
     fixed : fixed volume
     moving_warped : the moving volume after registration, on the fixed grid; or None
     moving : the moving volume, for which ``transform`` or ``displacement`` (or both) map fixed points; or None
-    transform, displacement : see ``io/fields.py``
+    transform, displacement : see ``data/formats/fields.py``
     mask : where the fixed volume is of interest (not 0), or None
     landmarks_fixed, landmarks_moving : corresponding points, or None
     error_true : dense true error, mm, or None
@@ -104,7 +104,7 @@ class VolumePairScene(Scene):
         if "warped" not in files and not ("moving" in files and ("displacement" in files or "transform" in files)):
             raise ConfigError("--fixed wants --warped, or --moving with --displacement or --transform, beside it")
         return cls(
-            name=name_of(fixed, _USUAL_NAMES), folder=fixed.parent, fixed=fixed, moving_warped=files.get("warped"),
+            name=name_of(fixed, _GENERIC_NAMES), folder=fixed.parent, fixed=fixed, moving_warped=files.get("warped"),
             moving=files.get("moving"), transform=files.get("transform"), displacement=files.get("displacement"),
             mask=files.get("mask"),
         )  # fmt: skip
@@ -121,14 +121,14 @@ class VolumePairScene(Scene):
         landmarks = self.landmarks_fixed is not None and self.landmarks_moving is not None
         return self.error_true is not None or (landmarks and (self.transform or self.displacement) is not None)
 
-    def load(self, convention: str = "auto", most: int | None = None) -> LoadedPair:
-        """Both volumes on the fixed grid, and the mask.
+    def load(self, convention: str = "auto", max_voxels: int | None = None) -> LoadedPair:
+        """Return both volumes on the fixed grid, and the mask.
 
         Parameters
         ----------
         convention : of the displacement file
-        most : where there are more voxels than this, means of blocks of them, so that two whole volumes are never in
-            memory; blocks are no larger than the cubes that so many voxels of the volume would be
+        max_voxels : where there are more voxels than this, means of blocks of them, so that two whole volumes are
+            never in memory; blocks are no larger than the cubes that so many voxels of the volume would be
 
         Raises
         ------
@@ -142,7 +142,7 @@ class VolumePairScene(Scene):
         self.check()
         fixed = read_volume(self.fixed)
         grid = fixed.grid
-        blocks = _blocks(grid, most)
+        blocks = _blocks(grid, max_voxels)
         inside = None
         if self.mask is not None:
             mask = read_volume(self.mask)
@@ -167,18 +167,18 @@ class VolumePairScene(Scene):
             inside = block_means(inside, blocks) >= 0.5
         return LoadedPair(RegisteredPair(first, second, _spacing(grid, blocks), inside), grid, blocks)
 
-    def size(self, most: int | None = None) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
-        """Grid of the fixed volume, and shape and spacing (z, y, x) of what :meth:`load` makes of it, by its header."""
+    def size(self, max_voxels: int | None = None) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
+        """Return the fixed volume's grid, and shape and spacing (z, y, x) of what :meth:`load` gives, by its header."""
         from depthcli.data.formats.volumes import read_grid
 
         self.check()
         grid = read_grid(self.fixed)
-        blocks = _blocks(grid, most)
+        blocks = _blocks(grid, max_voxels)
         z, y, x = (-(-n // b) for n, b in zip(grid.shape, blocks, strict=True))
         return grid, (z, y, x), _spacing(grid, blocks)
 
     def truth(self, convention: str = "auto") -> RegistrationTruth:
-        """True errors: dense where there is such a file, or at the landmarks |T(p) - q|.
+        """Return the true errors: dense where there is such a file, or at the landmarks |T(p) - q|.
 
         Raises
         ------
@@ -218,7 +218,7 @@ class VolumePairScene(Scene):
         return RegistrationTruth(fixed.grid, points, np.linalg.norm(moved - matches, axis=1).astype(np.float32))
 
     def landmarks(self, grid: Grid) -> NDArray[np.float64] | None:
-        """(N, 3) landmarks of the fixed volume, mm; None where there are none."""
+        """Return (N, 3) landmarks of the fixed volume, mm; None where there are none."""
         import numpy as np
 
         from depthcli.data.formats.landmarks import read_landmarks
@@ -255,7 +255,6 @@ class VolumePairScene(Scene):
 
     @staticmethod
     def _usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, file: Path) -> NDArray[np.float32]:
-        """The same values with numbers everywhere; InputError where some are missing inside, or all are alike."""
         import numpy as np
 
         # Sums of slices are finite where all of their values are, and take no memory.
@@ -284,16 +283,16 @@ def _spacing(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, fl
     return z, y, x
 
 
-def _blocks(grid: Grid, most: int | None) -> tuple[int, int, int]:
-    """Voxels (z, y, x) that are taken together so that about ``most`` cubes, or few more, are left."""
+def _blocks(grid: Grid, max_voxels: int | None) -> tuple[int, int, int]:
+    """Voxels (z, y, x) that are taken together so that about ``max_voxels`` cubes are left."""
     count = grid.size[0] * grid.size[1] * grid.size[2]
-    if most is None or count <= most:
+    if max_voxels is None or count <= max_voxels:
         return (1, 1, 1)
     axes = [a for a in range(3) if grid.shape[a] > 1]
     spacing = grid.spacing[::-1]
     extent = 1.0
     for a in axes:
         extent *= grid.shape[a] * spacing[a]
-    side = float((extent / most) ** (1 / len(axes)))
+    side = float((extent / max_voxels) ** (1 / len(axes)))
     z, y, x = (max(1, int(side / spacing[a] + 1e-6)) if a in axes else 1 for a in range(3))
     return z, y, x

@@ -1,4 +1,4 @@
-"""Scenes with transparent objects, as a color camera, an infrared camera and a depth sensor see them, with truth.
+"""Scenes with transparent objects, as a color camera, an infrared camera and a depth sensor record them, with truth.
 
 Disparities are exact. What is behind an object shines through, displaced as by a lens; of the object itself a faint
 picture is seen. The sensor measures what lies behind the object, or nothing.
@@ -19,7 +19,7 @@ from depthcli.data.generated.arrays.rendering import light_maps, render, trace
 from depthcli.data.generated.arrays.room import Room
 from depthcli.data.generated.arrays.surfaces import rotation
 
-_OWN = 0.55  # share of an object's own picture in what is seen of it
+_OWN_SHARE = 0.55  # share of an object's own picture in what is seen of it
 _LENS = 0.35  # how far the picture behind is drawn towards an object's center
 _BLOB = 0.02  # size of the spots where the sensor sees through or nothing, over the image's width
 
@@ -89,7 +89,7 @@ def sensor_through(
     blind: float = 0.5,
     noise: float = 0.1,
 ) -> NDArray[np.float32]:
-    """Disparity that a sensor measures: the truth, and in spots of the mask what lies behind it, or nothing.
+    """Return the disparity that a sensor measures: the truth, and in spots of the mask what lies behind it, or nothing.
 
     Parameters
     ----------
@@ -101,17 +101,17 @@ def sensor_through(
     rng = np.random.default_rng([seed, 0xB1])
     height, width = truth.shape
     spots = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), max(1.0, _BLOB * width))
-    seen = np.where(mask, behind, truth)
+    measured = np.where(mask, behind, truth)
     if mask.any():
-        seen = np.where(mask & (spots <= np.quantile(spots[mask], blind)), np.nan, seen)
-    seen = seen + noise * rng.standard_normal((height, width))
-    return np.where(seen > 0, seen, np.nan).astype(np.float32)
+        measured = np.where(mask & (spots <= np.quantile(spots[mask], blind)), np.nan, measured)
+    measured = measured + noise * rng.standard_normal((height, width))
+    return np.where(measured > 0, measured, np.nan).astype(np.float32)
 
 
 def glass_of_pair(
     left: Image, right: Image, disparity: NDArray[np.float32], seed: int = 0, speckles: float = 0.0
 ) -> TransparentScene:
-    """A pair with known disparity as color and infrared, one of its surfaces glass to the sensor, not to the cameras.
+    """Return a pair with known disparity as color and infrared; to the sensor, one of its surfaces is glass.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def glass_of_pair(
 
 
 def glass_of_object(disparity: NDArray[np.float32], seed: int = 0) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """Choose a surface of a scene that shall be glass, and what would be seen behind it.
+    """Return a surface of a scene to be glass, and what is behind it.
 
     The surface is the connected one (steps of at most a pixel) of 1 to 15 % of the image that both views see and that
     stands in front of most of its surroundings; where there is none, an ellipse in the middle. Behind it lies a
@@ -141,12 +141,12 @@ def glass_of_object(disparity: NDArray[np.float32], seed: int = 0) -> tuple[NDAr
     -------
     mask, behind : (H, W) bool; (H, W) float32, pixels
     """
-    best, most = np.zeros(disparity.shape, np.bool_), 0.4
+    best, best_share = np.zeros(disparity.shape, np.bool_), 0.4
     for mask in _surfaces(disparity):
         ring = _ring(mask, disparity)
         front = float(np.mean(disparity[ring] < np.median(disparity[mask]) - 2)) if ring.any() else 0.0
-        if front > most:
-            best, most = mask, front
+        if front > best_share:
+            best, best_share = mask, front
     if not best.any():
         rng = np.random.default_rng([seed, 0xE1])
         height, width = disparity.shape
@@ -201,7 +201,6 @@ def _behind(disparity: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[
 def _see_through(
     behind: NDArray[np.float32], front: NDArray[np.float32], owner: NDArray[np.int16], opaque: int
 ) -> NDArray[np.float32]:
-    """A view of the objects from ``opaque`` on, in front of the view without them."""
     image = np.where((owner >= opaque)[:, :, None], front, behind)
     for index in range(opaque, int(owner.max()) + 1):
         rows, columns = np.nonzero(owner == index)
@@ -211,7 +210,7 @@ def _see_through(
         y = (rows + _LENS * (rows.mean() - rows)).astype(np.float32)
         x = (columns + _LENS * (columns.mean() - columns)).astype(np.float32)
         shifted = cv2.remap(behind, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        image[rows, columns] = _OWN * front[rows, columns] + (1 - _OWN) * shifted[:, 0]
+        image[rows, columns] = _OWN_SHARE * front[rows, columns] + (1 - _OWN_SHARE) * shifted[:, 0]
     return np.asarray(image, np.float32)
 
 
@@ -224,7 +223,7 @@ def sparse_samples(
     clustered: bool = False,
     seed: int = 0,
 ) -> NDArray[np.float32]:
-    """Some pixels of ``depth``, with Gaussian noise and wrong values.
+    """Return some pixels of ``depth``, with Gaussian noise and wrong values.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from depthcli.data.formats.images import Image
 
 KINDS = ("planes", "foreground", "repetitive", "curved", "street")
-_USUAL = KINDS[:4]  # in turn, where no kind is named
+_DEFAULT_KINDS = KINDS[:4]  # in turn, where no kind is named
 
 COUNT = Option("count", int, "Number of scenes.", "N", default=6, short="-n", min_value=1, max_value=10_000)
 SEED = Option("seed", int, "Seed of the first scenes.", "N", default=0, min_value=0, max_value=2**31 - 1)
@@ -42,7 +42,7 @@ class StereoSample(Sample):
         Option("noise", float, "Standard deviation of the noise, grey levels.", "LEVELS", default=0.0, min_value=0,
                max_value=100),
         Option(
-            "radiometric", float, "How differently the right camera sees the light, 0 to 1.", "SHARE", default=0.0,
+            "radiometric", float, "How different the light of the right image is, 0 to 1.", "SHARE", default=0.0,
             min_value=0, max_value=1,
         ),
         Option("wall_contrast", float, "Texture of the walls, 0 (bare) to 1.", "SHARE", default=1.0,
@@ -61,7 +61,7 @@ class StereoSample(Sample):
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
         """Kinds in turn, the next seed after each round."""
-        kinds = tuple(dict.fromkeys(values["kind"] or _USUAL))
+        kinds = tuple(dict.fromkeys(values["kind"] or _DEFAULT_KINDS))
         chosen = [(kinds[i % len(kinds)], values["seed"] + i // len(kinds)) for i in range(values["count"])]
         return [
             SampleScene(name=f"{kind}_{seed}", folder=Path(), settings={"kind": kind, "seed": seed})
@@ -69,7 +69,7 @@ class StereoSample(Sample):
         ]
 
     def make(self, values: Mapping[str, Any], item: SampleScene, folder: Path) -> dict[str, Any]:
-        """A pair, both true disparities, masks and meta.json."""
+        """Write a pair, both true disparities, masks and meta.json."""
         import numpy as np
 
         from depthcli.data.generated.arrays.stereo_scenes import Radiometry, make_scene
@@ -82,8 +82,8 @@ class StereoSample(Sample):
         left, right = self.views(values, scene.left, scene.right, seed)
         notes = "Disparity at pixel centers and masks are exact; no pixel is unknown."
         if kind == "repetitive":
-            least, most = np.nanmin(scene.repetition), np.nanmax(scene.repetition)
-            notes += f" The wall's pattern repeats after {least:.2f} to {most:.2f} pixels."
+            shortest, longest = np.nanmin(scene.repetition), np.nanmax(scene.repetition)
+            notes += f" The wall's pattern repeats after {shortest:.2f} to {longest:.2f} pixels."
         return write_scene(
             folder,
             left,
@@ -95,7 +95,7 @@ class StereoSample(Sample):
         )  # fmt: skip
 
     def views(self, values: Mapping[str, Any], left: Image, right: Image, seed: int) -> tuple[Image, Image]:
-        """The pair as the cameras give it."""
+        """Return the pair as the cameras record it."""
         return left, right
 
 
@@ -107,7 +107,7 @@ def write_scene(
     masks: Mapping[str, NDArray[np.bool_]],
     meta: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Write a scene in the layout ``scenes``; facts for the report."""
+    """Write a scene in the layout ``scenes`` and return facts for the report."""
     from depthcli.data.formats.disparity import write_pfm
     from depthcli.data.formats.files import write_text
     from depthcli.data.formats.images import write_png
