@@ -1,4 +1,4 @@
-"""A cost measure, a layout, a protocol and a command are one file each: no other file is edited.
+"""A cost measure, a confidence measure, a layout, a protocol and a command are one file each: no other is edited.
 
 The package is copied, the files of ``new_files`` (and the cost measure of CONTRIBUTING.md) are put beside the others,
 and used as a user would.
@@ -29,7 +29,7 @@ pipeline: local
 cost: squared_difference
 aggregation: {method: constant_window, window: 3}
 refinement: []
-confidence: [msm]
+confidence: [spread]
 """
 
 pytestmark = pytest.mark.slow
@@ -86,10 +86,10 @@ def test_its_runs_are_resumed_and_its_configs_are_checked(checkout: Path):
     assert "did you mean 'disparity'?" in typo.stderr
 
 
-def test_the_cost_measure_matches_pairs_of_the_layout_and_the_protocol_ranks_the_runs(checkout: Path):
+def test_the_measures_serve_pairs_of_the_layout_and_the_protocol_ranks_the_runs(checkout: Path):
     done = run(checkout, "stereo", "squared.yaml", "-i", "in", "-o", "squared", "--layout", "two-files")
     assert done.returncode == 0, done.stderr
-    assert np.isfinite(read_pfm(checkout / "squared" / "near" / "confidence_msm.pfm")).all()
+    assert np.isfinite(read_pfm(checkout / "squared" / "near" / "confidence_spread.pfm")).all()
     assert run(checkout, "constant", "five", "-i", "in", "-o", "constant", "--scenes", "*").returncode == 0
     compared = run(checkout, "evaluate", "squared", "constant", "--truth", "in", "-o", "report")
     assert compared.returncode == 0, compared.stderr
