@@ -53,7 +53,7 @@ class EvaluateCommand(Command):
             Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", min_value=1e-6),
             Option("resolution", str, "Size of Middlebury v3's truth. Default: by a known scene's width.", "F|H|Q"),
             Option("resize", str, "Bring depth maps and their truth to one size, nearest neighbor.", "WxH"),
-            Option("threshold", float, "Error above which pixels are wrong, not the benchmark's.", "T", min_value=1e-6),
+            Option("threshold", float, "Threshold of wrong pixels. Default: the benchmark's.", "T", min_value=1e-6),
             Option("format", str, "Print wide tables: latex, markdown or csv; best bold, second underlined.", "FORMAT"),
             *HTML,
         )  # fmt: skip

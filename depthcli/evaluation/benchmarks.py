@@ -1,4 +1,4 @@
-"""What the benchmarks take: names, layouts and limits of the files of a submission.
+"""Submissions to the benchmarks: names, layouts and limits of their files.
 
 Sources: the upload formats of vision.middlebury.edu/stereo/submit3 and eth3d.net/documentation, and the readme files
 of KITTI's development kits of 2012 and 2015.
@@ -47,7 +47,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Submission:
-    """Settings of one: the method's name, whether maps may have holes, and the sizes of the maps by scene."""
+    """A submission: the method's name, whether maps may have holes, and (width, height) of the maps by scene."""
 
     method: str
     sparse: bool = False
@@ -69,11 +69,11 @@ class Benchmark(ABC):
     timed: ClassVar[bool] = False
 
     def check_name(self, method: str) -> str:
-        """What is wrong with the name of a method, or empty."""
+        """Return what is wrong with the name of a method, or an empty text."""
         return ""
 
     def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
-        """Why a map (H, W), pixels, NaN = no value, cannot be submitted."""
+        """Return the reasons why a map, (H, W) in pixels, NaN = no value, cannot be submitted."""
         found = []
         size = (values.shape[1], values.shape[0])
         if entry.size is not None and size != entry.size:
@@ -88,12 +88,12 @@ class Benchmark(ABC):
         return found
 
     def whole(self, submission: Submission) -> list[str]:
-        """What is wrong with all maps together."""
+        """Return what is wrong with all maps together."""
         return []
 
     @abstractmethod
     def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
-        """Path in the archive -> content, of one map."""
+        """Return path in the archive -> content for the files of one map."""
 
 
 def _png(values: NDArray[np.float32], name: str) -> bytes:
@@ -119,13 +119,13 @@ class MiddleburyV3(Benchmark):
     others: ClassVar[Mapping[str, int]] = {"ArtL": 1388, "Computer": 1328, "Teddy": 1800}
 
     def check_name(self, method: str) -> str:
-        """It is a part of file names, in which ``_s`` marks sparse maps."""
+        """Return what is wrong with the name as part of a file's name, in which ``_s`` marks sparse maps."""
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_+.-]{0,39}", method) or method.endswith("_s") or method == "GT":
             return f"want letters, digits and _ + . - for file names, no _s at the end, not GT (got {method!r})"
         return ""
 
     def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
-        """Also holes, where the submission is a dense one."""
+        """Return also a reason for holes in a dense submission."""
         found = super().problems(entry, values, submission)
         holes = int(np.isnan(values).sum())
         if holes and not submission.sparse:
@@ -133,7 +133,7 @@ class MiddleburyV3(Benchmark):
         return found
 
     def whole(self, submission: Submission) -> list[str]:
-        """All maps must be of one resolution."""
+        """Return a reason where the maps have several resolutions."""
         found: dict[str, list[str]] = {}
         for scene in submission.sizes:
             found.setdefault(self.resolution(scene, submission), []).append(scene)
@@ -142,12 +142,12 @@ class MiddleburyV3(Benchmark):
         return ["maps of several resolutions: " + "; ".join(f"{r}: {', '.join(s)}" for r, s in sorted(found.items()))]
 
     def resolution(self, scene: str, submission: Submission) -> str:
-        """F, H or Q, by the width of a map."""
+        """Return F, H or Q, by the width of a map."""
         full, width = self.others.get(scene, self.width), submission.sizes[scene][0]
         return min(("F", 1), ("H", 2), ("Q", 4), key=lambda each: abs(math.log(full / each[1] / width)))[0]
 
     def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
-        """``disp0METHOD.pfm``, or ``disp0METHOD_s.pfm``, and ``timeMETHOD.txt``."""
+        """Return ``disp0METHOD.pfm``, or ``disp0METHOD_s.pfm``, and ``timeMETHOD.txt``."""
         folder = f"{entry.split}{self.resolution(entry.scene, submission)}/{entry.scene}"
         kind = "_s" if submission.sparse else ""
         return {
@@ -172,7 +172,7 @@ class Eth3d(Benchmark):
     }  # fmt: skip
 
     def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
-        """Also values beyond the width, which count as missing there."""
+        """Return also a reason for values beyond the width, which the benchmark counts as missing."""
         found = super().problems(entry, values, submission)
         with np.errstate(invalid="ignore"):
             if (values > values.shape[1]).any():
@@ -180,7 +180,7 @@ class Eth3d(Benchmark):
         return found
 
     def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
-        """``SCENE.pfm`` and ``SCENE.txt``."""
+        """Return ``SCENE.pfm`` and ``SCENE.txt``."""
         return {
             f"low_res_two_view/{entry.scene}.pfm": encode_pfm(values),
             f"low_res_two_view/{entry.scene}.txt": f"runtime {_seconds(entry)}\n".encode(),
@@ -195,7 +195,7 @@ class Kitti2015(Benchmark):
     folder = "disp_0/"
 
     def problems(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> list[str]:
-        """Also values that a code cannot hold, and maps of the training images, whose names are the same."""
+        """Return also reasons for values that a code cannot hold, and for maps of training images of the same names."""
         found = super().problems(entry, values, submission)
         with np.errstate(invalid="ignore"):
             if (np.rint(values.astype(np.float64) * KITTI_SCALE) > 65535).any():
@@ -205,7 +205,7 @@ class Kitti2015(Benchmark):
         return found
 
     def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
-        """``NNNNNN_10.png``."""
+        """Return ``NNNNNN_10.png``."""
         name = f"{self.folder}{entry.scene}.png"
         return {name: _png(values, name)}
 
@@ -224,7 +224,7 @@ BENCHMARKS: Mapping[str, type[Benchmark]] = {
 
 
 def benchmark(name: str) -> Benchmark:
-    """The benchmark of that name; ConfigError for another."""
+    """Return the benchmark of that name; ConfigError where there is none."""
     found = BENCHMARKS.get(name.lower().replace("_", "-"))
     if found is None:
         raise ConfigError(f"--for: no benchmark called {name!r}; one of: {', '.join(BENCHMARKS)}")

@@ -136,7 +136,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
             raise ValueError(f"the map is {size(estimate)}, the truth {size(truth.disparity)}")
         return estimate
 
-    def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
+    def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the values that are compared, here the estimate as it is."""
         return self.resized(estimate, truth)
 
@@ -154,11 +154,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
 
     def error(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return (H, W) float32, pixels: single precision, as in the benchmarks' programs."""
-        return difference(self.fit(estimate, truth), truth.disparity)
-
-    def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
-        """Return (H, W) float32, pixels, as they are compared."""
-        return self.fit(estimate, truth)
+        return difference(self.values(estimate, truth), truth.disparity)
 
     def true_values(self, truth: DisparityTruth) -> Disparity:
         """Return (H, W) float32, pixels."""
@@ -197,6 +193,7 @@ def size(array: NDArray[Any]) -> str:
     return f"{array.shape[1]} x {array.shape[0]}"
 
 
+_SCALES = (2.0, 3.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)  # factors of codes and image sizes in use
 _HINTS = {
     256.0: "KITTI codes read as pixels?",
     16.0: "OpenCV's fixed-point disparities, or Middlebury codes?",
@@ -223,8 +220,7 @@ def scale_warning(estimate: Disparity, truth: Disparity) -> str | None:
         return None
     ratio = estimate[both].astype(np.float64) / truth[both]
     middle = float(np.median(ratio))
-    factors = [float(f) for f in (2, 3, 4, 8, 16, 32, 64, 128, 256)]
-    for factor in [-1.0, *factors, *(1 / f for f in factors)]:
+    for factor in (-1.0, *_SCALES, *(1 / f for f in _SCALES)):
         if abs(middle / factor - 1) < 0.08 and np.mean(np.abs(ratio / factor - 1) < 0.08) >= 0.5:
             if factor == -1:
                 return "the values are about -1 times the truth: the sign is swapped"

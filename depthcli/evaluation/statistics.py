@@ -31,9 +31,7 @@ def average_ranks(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     if values.shape[1] == 0:
         return np.full(values.shape[0], np.nan)
     keys = np.where(np.isnan(values), np.inf, values.astype(np.float64))
-    lower = (keys[:, None, :] > keys[None, :, :]).sum(axis=1)
-    equal = (keys[:, None, :] == keys[None, :, :]).sum(axis=1)
-    mean: NDArray[np.float64] = (lower + (equal + 1) / 2).mean(axis=1)
+    mean: NDArray[np.float64] = np.mean([ranks(column) for column in keys.T], axis=0)
     return mean
 
 

@@ -33,7 +33,6 @@ class _ErrorThumb:
     error: NDArray[np.floating[Any]]
     kind: NDArray[np.uint8]
     high: float
-    beneath: NDArray[np.uint8] | None
 
 
 @dataclass
@@ -146,8 +145,7 @@ class SceneView:
         kind = colors.kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
         worst = error[wrong & ~np.isnan(error)]
         high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
-        small = error[cut][::step, ::step], kind[::step, ::step]
-        self._errors[run] = _ErrorThumb(*small, high, self._beneath())
+        self._errors[run] = _ErrorThumb(error[cut][::step, ::step], kind[::step, ::step], high)
         if values is not None:
             self.thumbs.setdefault(run, {})["map"] = self._map_thumb(values[cut])
 
@@ -158,21 +156,19 @@ class SceneView:
         self.data["top"] = top
         for run, thumb in self._errors.items():
             picture = colors.error_picture(thumb.kind, thumb.error, top)
-            opacity = self.protocol.presentation.opacity
-            picture = colors.over(picture, thumb.kind == colors.UNKNOWN, thumb.beneath, opacity)
-            self.thumbs.setdefault(run, {})["error"] = _png(picture)
+            self.thumbs.setdefault(run, {})["error"] = self._blended(picture, thumb.kind == colors.UNKNOWN)
         self._errors, self.image = {}, None
 
     def _map_thumb(self, plane: NDArray[np.floating[Any]]) -> str:
         step = _step(plane.shape)
         small = plane[::step, ::step]
-        picture = colors.map_picture(small, self.data["low"], self.data["high"])
-        return _png(colors.over(picture, np.isnan(small), self._beneath(), self.protocol.presentation.opacity))
+        return self._blended(colors.map_picture(small, self.data["low"], self.data["high"]), np.isnan(small))
 
-    def _beneath(self) -> NDArray[np.uint8] | None:
-        """The image of the first cut, at the size of the small pictures of maps."""
-        picture = self._image_of(self._cuts[self.data["start"]])
-        return None if picture is None else picture[:: (step := _step(picture.shape[:2])), ::step]
+    def _blended(self, small: NDArray[np.uint8], nothing: NDArray[np.bool_]) -> str:
+        """A small picture over the image of the first cut, which is alone at ``nothing``."""
+        image = self._image_of(self._cuts[self.data["start"]])
+        beneath = None if image is None else image[:: (step := _step(image.shape[:2])), ::step]
+        return _png(colors.over(small, nothing, beneath, self.protocol.presentation.opacity))
 
     def _image_of(self, cut: Cut) -> NDArray[np.uint8] | None:
         """(H, W, 3) RGB image beneath a cut of the maps, at their size; None where its shape does not fit."""

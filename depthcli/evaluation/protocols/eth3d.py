@@ -30,7 +30,7 @@ class Eth3d(DisparityProtocol):
     default_threshold = 1.0
     rule = Measure("bad", "%", convention=MISSING_NOT_COUNTED, worst=100.0)
 
-    def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
+    def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the estimate without the values, of either sign, that are beyond the image's width."""
         fitted = self.resized(estimate, truth)
         with np.errstate(invalid="ignore"):

@@ -48,7 +48,7 @@ class Kitti2012(DisparityProtocol):
         """Return the values of ``disp_noc`` for its regions, those of ``disp_occ`` for all others."""
         return truth.noc if truth.noc is not None and region.startswith("noc") else truth.disparity
 
-    def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
+    def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the values that a 16-bit PNG holds: codes 1 to 65535, 256 a pixel."""
         values = self.resized(estimate, truth)
         codes = np.clip(np.rint(values.astype(np.float64) * KITTI_SCALE), 1, 65535) / KITTI_SCALE
@@ -56,7 +56,7 @@ class Kitti2012(DisparityProtocol):
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute every measure on the interpolated map, then on the estimated pixels."""
-        as_is = self.fit(estimate, truth)
+        as_is = self.values(estimate, truth)
         filled = interpolate_background(as_is)
         filled[np.isnan(filled)] = _EMPTY
         scores = []

@@ -50,7 +50,7 @@ class Kitti2015(Kitti2012):
         """Return True where the D1 rule, or the user's threshold, is broken."""
         if self.settings.threshold is not None:
             return super().wrong(estimate, truth)
-        return is_d1(difference(self.fit(estimate, truth), truth.disparity), truth.disparity)
+        return is_d1(difference(self.values(estimate, truth), truth.disparity), truth.disparity)
 
     def measures(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
         """Compute ``D1``, then the measures of KITTI 2012."""

@@ -80,7 +80,7 @@ class MiddleburyV3(DisparityProtocol):
         with np.errstate(over="ignore"):
             return np.repeat(np.repeat(estimate * np.float32(factor), factor, axis=0), factor, axis=1)
 
-    def fit(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
+    def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the estimate scaled up, clipped to the range, and rounded where the truth is."""
         fitted = self.resized(estimate, truth)
         if truth.max_disparity is not None:
