@@ -22,7 +22,7 @@ Values: TypeAlias = Mapping[str, Any]
 """Name -> value of every argument and option of one call, each of the type that its :class:`Option` declares."""
 
 SOME_FAILED = 3
-"""Exit code of a command that finished, though not for every scene."""
+"""Exit code of a command that finished, but not for every scene."""
 
 
 class Command(ABC):
@@ -34,7 +34,7 @@ class Command(ABC):
 
     @property
     def name(self) -> str:
-        """As typed on the command line."""
+        """Name on the command line."""
         return type(self).__module__.rpartition(".")[2].replace("_", "-")
 
     @property
@@ -43,12 +43,12 @@ class Command(ABC):
         return ()
 
     @property
-    @abstractmethod
     def options(self) -> tuple[Option, ...]:
-        """Options beside the common ones."""
+        """Options beside ``--json``, ``--verbose`` and ``--quiet``."""
+        return ()
 
     def line(self, values: Values) -> str:
-        """The command line that gives these values."""
+        """Return the command line that gives these values."""
         words = ["depthcli", self.name]
         for argument in self.arguments:
             value = values[argument.name]
@@ -66,15 +66,15 @@ class Command(ABC):
 
     @abstractmethod
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Do it; the exit code.
+        """Run the command and return the exit code.
 
         Parameters
         ----------
         values : name -> value of every argument and option
-        reporter : where lines for people go; data go to stdout by ``reporter.data``
+        reporter : takes messages for stderr and, by ``reporter.data``, data for stdout
 
         Raises
         ------
         DepthcliError
-            Nothing can be done: wrong config, options or folders.
+            The config, the options or the folders are wrong; nothing was computed.
         """

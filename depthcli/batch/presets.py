@@ -1,4 +1,4 @@
-"""Presets: the configs that travel with the package."""
+"""Presets: the configs that are shipped with the package."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from depthcli.core.errors import ConfigError
 
 
 def preset_folder() -> Path:
-    """The folder of shipped presets: inside the installed package, or beside it in a checkout."""
+    """Return the folder of presets: inside the installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parent.parent
     shipped = package / "configs"
     return shipped if shipped.is_dir() else package.parent / "configs"
 
 
 THESIS = "thesis/"
-"""What the names of presets begin with that reproduce a table or figure of the thesis."""
+"""Prefix of presets that reproduce a table or figure of the thesis."""
 
 
 def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
-    """(command, name, one line about it) of every preset: by command, those of the thesis behind the others."""
+    """Return command, name and first comment line of every preset, by command, those of the thesis last."""
     root = preset_folder()
     found = []
     for file in sorted((*root.glob("*/*.yaml"), *root.glob(f"*/{THESIS}*.yaml"))):
@@ -38,7 +38,7 @@ def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
 
 
 def find_preset(command: str, name: str) -> Path | None:
-    """The file of a preset of ``command``; case and underscores do not matter, nor ``thesis/``."""
+    """Return the file of a preset, or None; case, underscores and the prefix ``thesis/`` do not matter."""
     wanted = name.lower().replace("_", "-")
     for of, preset, _ in list_presets(command):
         if wanted in (preset, preset.removeprefix(THESIS)):
@@ -47,7 +47,7 @@ def find_preset(command: str, name: str) -> Path | None:
 
 
 def find_config(command: str, config: str) -> Path:
-    """The file a CONFIG argument means: a path, or the name of a preset of ``command``.
+    """Return the file that a CONFIG argument names: a path, or the name of a preset of ``command``.
 
     Raises
     ------
@@ -67,26 +67,25 @@ def find_config(command: str, config: str) -> Path:
     near = difflib.get_close_matches(config.lower(), names, 1)
     elsewhere = [of for of, name, _ in list_presets() if name == config.lower() and of != command]
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    hint += (
-        f"; {' and '.join(elsewhere)} {'has' if len(elsewhere) == 1 else 'have'} one of that name" if elsewhere else ""
-    )
+    if elsewhere:
+        hint += f"; {' and '.join(elsewhere)} {'has' if len(elsewhere) == 1 else 'have'} one of that name"
     raise ConfigError(f"{config}: neither a file nor a preset of {command}{hint} (presets: {', '.join(names)})")
 
 
 def describe(config: BaseModel, title: str) -> str:
-    """A config as YAML with every field, its description as a comment above it.
+    """Return a config as YAML with every field, its description as a comment above it.
 
     Parameters
     ----------
     config : the resolved config
-    title : first lines, one comment each
+    title : lines for the comment at the top
     """
     fields = "\n".join(_lines(config, 0, getattr(config, "flattened", ""), gap=("",)))
     return "".join(f"# {line}\n" for line in title.splitlines()) + "\n" + fields.strip() + "\n"
 
 
 def leading_comment(text: str) -> str:
-    """The comment lines that a file starts with, without their marks."""
+    """Return the comment lines at the start of a file, without ``#``."""
     lines = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
     return "\n".join(line.removeprefix("#").strip() for line in lines)
 
@@ -111,25 +110,22 @@ def _lines(model: BaseModel, depth: int, flat: str, gap: tuple[str, ...] = ()) -
 
 def _value(name: str, value: object, depth: int) -> Iterator[str]:
     pad = "  " * depth
-    scenes = list(value) if isinstance(value, list | tuple) else []
+    is_list = isinstance(value, list | tuple)
+    elements = list(value) if isinstance(value, list | tuple) else []
     if isinstance(value, BaseModel):
         yield f"{pad}{name}:"
         yield from _model(value, depth + 1)
-    elif scenes and any(isinstance(scene, BaseModel) for scene in scenes):
+    elif any(isinstance(element, BaseModel) for element in elements):
         yield f"{pad}{name}:"
-        for scene in scenes:
-            block = list(_model(scene, 0)) if isinstance(scene, BaseModel) else [str(scene)]
-            mark = "- "
-            for line in block:
-                # A comment stands before the dash, so that the scene starts with its first key.
-                comment = line.lstrip().startswith("#") and mark == "- "
-                yield f"{pad}{line}" if comment else f"{pad}{mark}{line}"
-                mark = mark if comment else "  "
+        for element in elements:
+            dash = "- "
+            for line in _model(element, 0) if isinstance(element, BaseModel) else [str(element)]:
+                # A comment stands before the dash, so that the element starts with its first key.
+                comment = dash == "- " and line.lstrip().startswith("#")
+                yield f"{pad}{'' if comment else dash}{line}"
+                dash = dash if comment else "  "
     else:
-        dumped = [scene.model_dump(mode="json") if isinstance(scene, BaseModel) else scene for scene in scenes]
-        plain = dumped if isinstance(value, list | tuple) else value
-        for line in to_yaml({name: plain}).splitlines():
-            yield pad + line
+        yield from (pad + line for line in to_yaml({name: elements if is_list else value}).splitlines())
 
 
 def _model(value: BaseModel, depth: int) -> Iterator[str]:

@@ -1,7 +1,7 @@
-"""Several processes, on one machine or many, that fill one run folder: who does what, and who may write what.
+"""Locks and shards for several processes, on one machine or many, that fill one run folder.
 
-A plain run keeps everybody else out of its folder. The processes of a run that is shared (``--shard``) keep plain runs
-out, claim every scene before they compute it, and write a part of the report each; the last one to leave joins them.
+A run without ``--shard`` locks its folder against all other processes. The processes of a shared run lock it against
+such runs, claim every scene before they compute it, and write one part of the report each; the last one joins them.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from depthcli.core.errors import ConfigError, OutputError
 from depthcli.data.scenes import Scene
 
 LOCKS_FILE = ".locks"
-_PATIENCE = 60.0  # seconds that a process waits for another one to set the folder up
-_PAUSE = 0.05
-_REPORT = 0  # byte of the locks' file that is held while the report is written
+_SETUP_TIMEOUT = 60.0  # seconds that a process waits for another one to set up the folder
+_POLL_SECONDS = 0.05
+_REPORT_BYTE = 0  # of the file of locks; locked while the report is written
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,12 @@ class Shard:
         return f"{self.index}-of-{self.count}"
 
     def of(self, scenes: Sequence[SceneT], effort: Callable[[SceneT], int | None] = lambda scene: None) -> list[SceneT]:
-        """Its scenes: the same division in every process.
+        """Return the scenes of this part; every process divides them in the same way.
 
         Parameters
         ----------
-        effort : about how much an scene takes, in any unit; where it is not known of one, the sizes of all items' files
-            are taken instead
+        effort : estimates the computing time of a scene, in any unit; if it is None for one of them, the sizes of
+            all scenes' files are used instead
         """
         parts = [(0, number) for number in range(1, self.count + 1)]
         mine = []
@@ -63,26 +63,26 @@ class Shard:
 
 
 def parse_shard(text: str | None, environment: Mapping[str, str]) -> Shard | None:
-    """``3/8``, or what a job array of Slurm says; None for a run that is not shared.
+    """Return the shard that ``3/8`` or a job array of Slurm describes; None for a run that is not shared.
 
     Raises
     ------
     ConfigError
-        It is not a part of a whole.
+        The part does not exist.
     """
     if text is not None:
         found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         if found is None or not 1 <= int(found[1]) <= int(found[2]):
-            raise ConfigError(f"--shard: want part/parts such as 3/8, from 1/8 to 8/8 (got {text!r})")
+            raise ConfigError(f"--shard: must be part/parts such as 3/8, from 1/8 to 8/8 (got {text!r})")
         return Shard(int(found[1]), int(found[2]))
     try:
         task, parts = (int(environment[f"SLURM_ARRAY_TASK_{name}"]) for name in ("ID", "COUNT"))
-        least, step = (int(environment.get(f"SLURM_ARRAY_TASK_{n}", d)) for n, d in (("MIN", "0"), ("STEP", "1")))
+        first, step = (int(environment.get(f"SLURM_ARRAY_TASK_{n}", d)) for n, d in (("MIN", "0"), ("STEP", "1")))
     except (KeyError, ValueError):
         return None
-    index = (task - least) // max(step, 1) + 1
+    index = (task - first) // max(step, 1) + 1
     if not 1 <= index <= parts:
-        raise ConfigError(f"SLURM_ARRAY_TASK_ID {task} of {parts} tasks is no part of a whole; say --shard I/N")
+        raise ConfigError(f"SLURM_ARRAY_TASK_ID {task} of {parts} tasks do not make a shard; give --shard I/N")
     return Shard(index, parts)
 
 
@@ -95,21 +95,21 @@ def _bytes(scene: Scene) -> int:
 
 
 class FolderLock:
-    """The right to write into a run folder; the system takes it back when this process ends, however it ends.
+    """The right to write into a run folder; the operating system frees it when this process ends.
 
     Parameters
     ----------
     output : the folder, made where it is missing
-    shared : with other processes that ask for the same
-    say : told where the file system has no locks
+    shared : True where other processes may hold the lock as well, if they share it, too
+    warn : takes a message where the file system has no locks
 
     Attributes
     ----------
-    alone : no other process is in the folder, and none may come before ``settle`` (or the end)
+    alone : True while no other process can write into the folder: until ``settle``, or to the end
     """
 
-    def __init__(self, output: Path, shared: bool, say: Callable[[str], None]) -> None:
-        self.output, self.shared, self.say = output, shared, say
+    def __init__(self, output: Path, shared: bool, warn: Callable[[str], None]) -> None:
+        self.output, self.shared, self.warn = output, shared, warn
         self.alone = False
         self._folder = self._scenes = -1
         self._held: set[str] = set()
@@ -133,7 +133,7 @@ class FolderLock:
         os.close(self._folder)
 
     def _lock_folder(self) -> None:
-        end = time.monotonic() + (_PATIENCE if self.shared else 0)
+        end = time.monotonic() + (_SETUP_TIMEOUT if self.shared else 0)
         try:
             import fcntl
 
@@ -145,13 +145,13 @@ class FolderLock:
                         return
                 if time.monotonic() > end:
                     raise ConfigError(f"{self.output}: another depthcli is writing there now")
-                time.sleep(_PAUSE)
+                time.sleep(_POLL_SECONDS)
         except (ImportError, OSError):
             self.alone = not self.shared
-            self.say(f"{self.output}: no locks on this file system; see to it that no other run writes there")
+            self.warn(f"{self.output}: no locks on this file system; make sure that no other run writes there")
 
     def settle(self) -> None:
-        """The folder is set up: let others in that share it."""
+        """Let other processes of the same shared run in, when the folder is set up."""
         if not self.shared:
             return
         with contextlib.suppress(ImportError, OSError):
@@ -163,7 +163,7 @@ class FolderLock:
         self.alone = not self.shared
 
     def claim(self, name: str) -> bool:
-        """Take a scene; False where another process has it."""
+        """Claim a scene; return False where another process has it."""
         if self._scenes >= 0 and name not in self._held:
             import fcntl
 
@@ -177,7 +177,7 @@ class FolderLock:
         return True
 
     def release(self, name: str) -> None:
-        """Give a scene back."""
+        """Release a scene."""
         if name in self._held:
             import fcntl
 
@@ -187,22 +187,22 @@ class FolderLock:
 
     @contextlib.contextmanager
     def reporting(self) -> Iterator[None]:
-        """While the report of all is written."""
+        """Hold the lock of the joined report."""
         if self._scenes < 0:
             yield
             return
         import fcntl
 
         with contextlib.suppress(OSError):
-            fcntl.lockf(self._scenes, fcntl.LOCK_EX, 1, _REPORT)
+            fcntl.lockf(self._scenes, fcntl.LOCK_EX, 1, _REPORT_BYTE)
         try:
             yield
         finally:
             with contextlib.suppress(OSError):
-                fcntl.lockf(self._scenes, fcntl.LOCK_UN, 1, _REPORT)
+                fcntl.lockf(self._scenes, fcntl.LOCK_UN, 1, _REPORT_BYTE)
 
     def last(self) -> bool:
-        """True where everybody else has left; nobody comes in from then on. The locks' file goes with them."""
+        """Return True where all other processes have left; from then on the folder is locked against new ones."""
         if not self.shared:
             return True
         with contextlib.suppress(ImportError, OSError):
@@ -215,5 +215,5 @@ class FolderLock:
 
 
 def _byte(name: str) -> int:
-    """A place of the locks' file, behind that of the report."""
+    """Return the byte of the file of locks that stands for a scene."""
     return 1 + int.from_bytes(hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest()[:7], "big")

@@ -1,7 +1,8 @@
-"""Combinations of settings: parsed, drawn, named; and what their figures say about every key."""
+"""Combinations of settings: parsed, drawn and named, and the effect of every key on the results."""
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
 import random
@@ -9,29 +10,29 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
-from typing import Any
 
+from depthcli.batch.json_csv import Row
 from depthcli.core.errors import ConfigError
 
 Combination = tuple[str, ...]
 """A value, as text, for every key."""
 
-_MOST_VALUES = 10_000
-_MOST_RUNS = 100_000
-_MOST_NAME = 120  # characters of a folder's name
+_MAX_VALUES = 10_000  # of one key
+_MAX_RUNS = 100_000
+_MAX_NAME_LENGTH = 120  # characters of a folder's name; file systems take 255
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One key and its values, as texts that ``--set`` takes."""
+    """One key and its values, as texts for ``--set``."""
 
     key: str
     values: tuple[str, ...]
 
 
 def parse_axis(text: str) -> Axis:
-    """``key=2,4,8``, ``key=20:40:5`` (20, 25 ... 40) or ``key=[9,7],[11,9]``.
+    """Return key and values of ``key=2,4,8``, ``key=20:40:5`` (20, 25 ... 40) or ``key=[9,7],[11,9]``.
 
     Raises
     ------
@@ -41,7 +42,7 @@ def parse_axis(text: str) -> Axis:
     key, equals, rest = text.partition("=")
     key, rest = key.strip(), rest.strip()
     if not equals or not key or not rest:
-        raise ConfigError(f"--over {text}: want KEY=VALUE,VALUE... or KEY=FIRST:LAST:STEP")
+        raise ConfigError(f"--over {text}: must be KEY=VALUE,VALUE... or KEY=FIRST:LAST:STEP")
     values = _range(text, rest) if re.fullmatch(rf"{_NUMBER}(?::{_NUMBER}){{2}}", rest) else _split(rest)
     if any(not value for value in values):
         raise ConfigError(f"--over {text}: an empty value")
@@ -56,14 +57,14 @@ def _range(text: str, rest: str) -> list[str]:
         count = int((last - first) / step) + 1 if step else 0
     except (InvalidOperation, OverflowError):
         count = 0
-    if not 1 <= count <= _MOST_VALUES:
+    if not 1 <= count <= _MAX_VALUES:
         raise ConfigError(f"--over {text}: no numbers from {rest.replace(':', ', ')} (FIRST:LAST:STEP, at most "
-                          f"{_MOST_VALUES})")  # fmt: skip
+                          f"{_MAX_VALUES})")  # fmt: skip
     return [f"{(first + k * step).normalize():f}" for k in range(count)]
 
 
 def _split(text: str) -> list[str]:
-    """At the commas that stand in no brackets."""
+    """Return the parts between commas, except for those in brackets."""
     parts, depth = [""], 0
     for char in text:
         depth += (char in "[{") - (char in "]}")
@@ -75,9 +76,9 @@ def _split(text: str) -> list[str]:
 
 
 def combinations(axes: Sequence[Axis], drawn: int | None = None, seed: int = 0) -> list[Combination]:
-    """All combinations, the last key changing fastest; or ``drawn`` different ones at random, in that order.
+    """Return all combinations, the last key changing fastest, or ``drawn`` random ones in the same order.
 
-    More with the same seed are the same ones and others, so that a sweep can be extended.
+    A larger ``drawn`` with the same seed gives the same combinations and more, so that a sweep can be extended.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def combinations(axes: Sequence[Axis], drawn: int | None = None, seed: int = 0) 
     if len(set(keys)) < len(keys):
         raise ConfigError("--over: the same key twice")
     total = math.prod(len(axis.values) for axis in axes)
-    if min(total, drawn or total) > _MOST_RUNS:
+    if min(total, drawn or total) > _MAX_RUNS:
         raise ConfigError(f"--over: {min(total, drawn or total)} combinations; draw fewer with --random N")
     if drawn is None or drawn >= total:
         return list(itertools.product(*(axis.values for axis in axes)))
@@ -107,14 +108,17 @@ def _at(axes: Sequence[Axis], number: int) -> Combination:
 
 
 def folder_names(axes: Sequence[Axis], chosen: Sequence[Combination]) -> list[str]:
-    """A name for the run of every combination: ``p2=4,window=9-7``, with as much of the keys as tells them apart."""
+    """Return a folder name per combination, such as ``p2=4,window=9-7``; keys are as short as they can be."""
     short = [_shortest(axis.key, [other.key for other in axes]) for axis in axes]
-    names = [",".join(f"{key}={_plain(value)}" for key, value in zip(short, values, strict=True)) for values in chosen]
-    return [
-        # The mark is of the values themselves, so that a sweep with more of them finds its runs again.
-        name if names.count(name) == 1 and len(name) <= _MOST_NAME else f"{name[: _MOST_NAME - 12]}-{_mark(values)}"
-        for name, values in zip(names, chosen, strict=True)
-    ]
+    texts = [",".join(f"{key}={_plain(value)}" for key, value in zip(short, values, strict=True)) for values in chosen]
+    names = []
+    for text, values in zip(texts, chosen, strict=True):
+        if texts.count(text) > 1 or len(text) > _MAX_NAME_LENGTH:
+            # The suffix depends on the values alone, so that an extended sweep finds its earlier runs.
+            suffix = hashlib.sha256("\0".join(values).encode()).hexdigest()[:8]
+            text = f"{text[: _MAX_NAME_LENGTH - 12]}-{suffix}"
+        names.append(text)
+    return names
 
 
 def _shortest(key: str, keys: Sequence[str]) -> str:
@@ -127,15 +131,9 @@ def _plain(value: str) -> str:
     return re.sub(r"[^\w.+-]+", "-", value).strip("-") or "empty"
 
 
-def _mark(values: Combination) -> str:
-    from depthcli.batch.run_folder import digest
-
-    return digest("\0".join(values).encode())[:8]
-
-
 @dataclass(frozen=True)
 class Effect:
-    """What one key does to the figure.
+    """The effect of one key on the figure by which runs are compared.
 
     Attributes
     ----------
@@ -144,7 +142,7 @@ class Effect:
     best : value -> best figure of the runs that have it
     runs : value -> number of them
     spread : largest difference between the means
-    share : of the figures' variance, that which the means explain (first-order effect), 0 to 1; NaN without any
+    share : share of the figures' variance that the means explain (first-order effect), 0 to 1; NaN without variance
     """
 
     key: str
@@ -156,7 +154,7 @@ class Effect:
 
 
 def effects(axes: Sequence[Axis], figures: Mapping[Combination, float], larger_is_better: bool = False) -> list[Effect]:
-    """Every key's effect, the strongest first; runs without a figure (NaN) are left out."""
+    """Return the effect of every key, the strongest first; runs whose figure is NaN are left out."""
     known = {values: figure for values, figure in figures.items() if not math.isnan(figure)}
     whole = math.fsum(known.values()) / len(known) if known else math.nan
     variance = math.fsum((figure - whole) ** 2 for figure in known.values())
@@ -174,8 +172,8 @@ def effects(axes: Sequence[Axis], figures: Mapping[Combination, float], larger_i
     return sorted(found, key=lambda effect: -effect.spread if not math.isnan(effect.spread) else math.inf)
 
 
-def document_of(effect: Effect) -> dict[str, Any]:
-    """As plain values."""
+def document_of(effect: Effect) -> Row:
+    """Return an effect as a JSON document."""
     values = [
         {"value": value, "runs": effect.runs[value], "mean": mean, "best": effect.best[value]}
         for value, mean in effect.means.items()

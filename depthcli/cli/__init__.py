@@ -1,4 +1,4 @@
-"""The command line: the only place with typer and exit codes; commands are built from the objects of ``jobs/``.
+"""The command line: the only place with typer and exit codes; commands are built from the objects in ``commands/``.
 
 Exit codes: 0 all done; 1 a bug; 2 wrong usage or config; 3 finished, but something failed; 130 Ctrl-C; 143 SIGTERM.
 Nothing heavy is imported here, so that ``--help`` answers at once.
@@ -26,8 +26,8 @@ from depthcli.core.option import Option
 
 _COMMON = (
     Option("json", bool, "Print one JSON document instead of a table.", default=False),
-    Option("verbose", bool, "Say more on stderr.", default=False, short="-v"),
-    Option("quiet", bool, "Say only errors; no table.", default=False, short="-q"),
+    Option("verbose", bool, "Print details on stderr.", default=False, short="-v"),
+    Option("quiet", bool, "Print only errors, and no table.", default=False, short="-q"),
 )
 _SETTINGS: dict[str, Any] = {
     "add_completion": False,
@@ -38,11 +38,11 @@ _SETTINGS: dict[str, Any] = {
 
 
 class _Terminated(BaseException):
-    """SIGTERM: end as by Ctrl-C, with another code."""
+    """SIGTERM arrived: end as by Ctrl-C, with another exit code."""
 
 
 class _Commands(TyperGroup):
-    """The commands of ``jobs/``, each built when it is asked for."""
+    """The commands of ``commands/``; each is built when it is needed."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         return command_names()
@@ -78,7 +78,7 @@ def depthcli(
 
 
 def _function(command: Command) -> Callable[..., int]:
-    """A function whose signature is what typer reads a command line from."""
+    """Return a function that runs a command, with the signature that typer makes a command line of."""
 
     def function(**values: Any) -> int:
         reporter = Reporter(-1 if values["quiet"] else int(values["verbose"]))
@@ -116,7 +116,7 @@ def _option(option: Option) -> Any:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code; messages go to stderr, never a traceback except for a bug."""
-    _mend_streams()
+    _repair_streams()
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGTERM, _terminate)
     try:
@@ -125,34 +125,34 @@ def main(arguments: list[str] | None = None) -> int:
             raise KeyboardInterrupt
         return code
     except IncompleteError as error:
-        _say(f"depthcli: {error}")
+        _print_error(f"depthcli: {error}")
         return SOME_FAILED
     except DepthcliError as error:
-        _say(f"depthcli: {error}" if "\n" not in str(error) else str(error))
+        _print_error(f"depthcli: {error}" if "\n" not in str(error) else str(error))
         return 2
     except _Terminated:
-        _say("depthcli: terminated; the same command goes on where it stopped")
+        _print_error("depthcli: terminated; the same command goes on where it stopped")
         return 143
     except (KeyboardInterrupt, typer.Abort):
-        _say("depthcli: interrupted; the same command goes on where it stopped")
+        _print_error("depthcli: interrupted; the same command goes on where it stopped")
         return 130
     except Exception as error:
-        if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage, in typer's own words
+        if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage: typer has the message
             with contextlib.suppress(OSError):
                 error.show()
             return 2
         import traceback
 
-        _say(traceback.format_exc().rstrip())
-        _say("depthcli: this is a bug, not something you did; please report the lines above")
+        _print_error(traceback.format_exc().rstrip())
+        _print_error("depthcli: this is a bug, not something you did; please report the lines above")
         return 1
     finally:
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
 
 
-def _mend_streams() -> None:
-    """No reader, or one who cannot show a name, must end a run."""
+def _repair_streams() -> None:
+    """Prevent that a closed stream, or one that cannot encode a name, ends a run."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:  # closed; else the next file that is opened would take its number
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
@@ -164,5 +164,5 @@ def _terminate(number: int, frame: Any) -> None:
     raise _Terminated
 
 
-def _say(text: str) -> None:
+def _print_error(text: str) -> None:
     Reporter(-1).error(text)

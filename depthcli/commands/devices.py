@@ -1,4 +1,4 @@
-"""List the devices that stereo can run on beside the processor, with memory and measured bandwidth."""
+"""List the GPUs and other devices that stereo can run on, with memory and measured bandwidth."""
 
 from __future__ import annotations
 
@@ -9,24 +9,13 @@ from depthcli.batch.json_csv import Row
 
 if TYPE_CHECKING:
     from depthcli.batch.console import Reporter
-    from depthcli.core.option import Option
 
 
 class DevicesCommand(Command):
-    """Asks the drivers, and copies an array on each device."""
-
-    @property
-    def arguments(self) -> tuple[Option, ...]:
-        """None."""
-        return ()
-
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """None."""
-        return ()
+    """Lists devices by their drivers, and copies an array on each."""
 
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Print the list; why a kind shows none goes to stderr."""
+        """Print the list, and on stderr why there is none of a kind; return the exit code."""
         from depthcli.batch.console import aligned
         from depthcli.batch.json_csv import to_json
         from depthcli.device import DeviceError, devices, open_device, why_none

@@ -1,6 +1,6 @@
-"""Join the reports of processes that shared a run, and list every scene that is there.
+"""Join the reports of the processes that share a run, and list its scenes.
 
-A run's last process does that itself; this is for runs whose processes were killed, or that are still going on.
+The last process of a run does that itself; this is for runs whose processes were killed or still compute.
 """
 
 from __future__ import annotations
@@ -21,16 +21,11 @@ class MergeCommand(Command):
 
     @property
     def arguments(self) -> tuple[Option, ...]:
-        """The run."""
+        """The run folder."""
         return (Option("run", Path, "Run folder.", "RUN", required=True),)
 
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """None of its own."""
-        return ()
-
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Write report.json and report.csv anew; the exit code says whether a scene failed."""
+        """Write report.json and report.csv again; return the exit code, which says whether a scene failed."""
         from depthcli.batch.console import run_table
         from depthcli.batch.json_csv import to_json
         from depthcli.batch.report_writer import drop_parts, joined_rows, report_document, write_report

@@ -1,4 +1,4 @@
-"""List the presets, or print one with every field and what it means: presets show NAME."""
+"""List the presets, or print one with all its fields and their descriptions: presets show NAME."""
 
 from __future__ import annotations
 
@@ -13,30 +13,25 @@ if TYPE_CHECKING:
 
 
 class PresetsCommand(Command):
-    """Reads the configs that travel with the package."""
+    """Lists and prints the configs that are shipped with the package."""
 
     @property
     def arguments(self) -> tuple[Option, ...]:
         """``show NAME``, or nothing."""
         return (
-            Option("action", str, "'show' prints one preset.", "show"),
+            Option("action", str, "'show' to print one preset.", "show"),
             Option("preset", str, "NAME, or COMMAND/NAME.", "NAME"),
         )
 
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """None."""
-        return ()
-
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Print the list or the preset."""
+        """Print the list or the preset; return the exit code."""
         from depthcli.batch.json_csv import to_json
         from depthcli.batch.presets import THESIS, list_presets
 
         if values["action"] == "show" and values["preset"]:
             reporter.data(_show(values["preset"]))
         elif values["action"] is not None:
-            raise ConfigError("want: depthcli presets, or depthcli presets show NAME")
+            raise ConfigError("give depthcli presets, or depthcli presets show NAME")
         elif values["json"]:
             found = list_presets()
             reporter.data(to_json([{"command": c, "preset": p, "about": about} for c, p, about in found]))
@@ -44,13 +39,13 @@ class PresetsCommand(Command):
             found = list_presets()
             width = max((len(f"{command} {preset}") for command, preset, _ in found), default=0)
             lines = [(p.startswith(THESIS), f"{f'{c} {p}':<{width}}  {about}") for c, p, about in found]
-            usual = [line for of_thesis, line in lines if not of_thesis]
-            reporter.data("\n".join([*usual, "", *(line for of_thesis, line in lines if of_thesis)]).rstrip())
+            groups = [[line for thesis, line in lines if thesis == group] for group in (False, True)]
+            reporter.data("\n".join([*groups[0], "", *groups[1]]).rstrip())
         return 0
 
 
 def _show(name: str) -> str:
-    """A preset as YAML with every field and its description; ``name`` may be ``command/name``."""
+    """Return a preset as YAML with every field and its description; ``name`` may be ``command/name``."""
     from depthcli.batch.presets import THESIS, describe, find_config, find_preset, leading_comment, list_presets
     from depthcli.commands import load_command
     from depthcli.commands._batch import ConfigCommand
@@ -60,8 +55,8 @@ def _show(name: str) -> str:
     if not found:
         raise ConfigError(f"no preset called {name!r}; see: depthcli presets")
     if len(found) > 1:
-        said = " or ".join(f"{command}/{preset}" for command, preset in found)
-        raise ConfigError(f"several commands have a preset {name!r}; say depthcli presets show {said}")
+        names = " or ".join(f"{command}/{preset}" for command, preset in found)
+        raise ConfigError(f"several commands have a preset {name!r}; give depthcli presets show {names}")
     ((command, preset),) = found
     batch = load_command(command)
     assert isinstance(batch, ConfigCommand)

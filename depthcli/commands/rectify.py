@@ -1,7 +1,7 @@
-"""Rectify image pairs by a calibration of the cameras, or without one: scenes that ``stereo`` and ``depth`` take.
+"""Rectify image pairs, with or without a calibration of the cameras, as input for ``stereo`` and ``depth``.
 
-Every scene gets the rectified pair, its calibration as calib.txt, and the search range that matched key points
-suggest.
+For every scene the rectified pair is written, its calibration as calib.txt, and the search range that matched key
+points suggest.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class RectifyOptions(TypedDict):
-    """What the images of a run are rectified by, as ``run.yaml`` holds it."""
+    """How the images of a run are rectified, as ``run.yaml`` holds it."""
 
     uncalibrated: bool
     unit: Literal["m", "cm", "mm"]
@@ -45,7 +45,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
 
     @property
     def options(self) -> tuple[Option, ...]:
-        """The pairs, the cameras, and what the images shall show."""
+        """The pairs, the cameras, and the part of the images that is kept."""
         images = tuple(option for option in StereoScene.options if option.name in ("left", "right"))
         return (
             INPUT,
@@ -54,30 +54,30 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
             NAME,
             LAYOUT,
             SCENES,
-            Option("calibration", Path, "OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain, "
-                   "KITTI calib_cam_to_cam; repeatable.", "FILE", repeatable=True),
-            Option("uncalibrated", bool, "By matched key points alone; depths stay unknown.", default=False),
-            Option("unit", str, "Unit of OpenCV's translation: m, cm or mm.", "UNIT", default="m"),
-            Option("fisheye", bool, "The lenses of OpenCV's file are fisheye.", default=False),
-            Option("cameras", str, "Numbers of the left and right camera in KITTI's file.", "L,R", default="2,3"),
-            Option("alpha", float, "0: only what both images hold; 1: all that either holds.", "SHARE", default=0.0,
+            Option("calibration", Path, "Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr "
+                   "camchain or KITTI calib_cam_to_cam; repeatable.", "FILE", repeatable=True),
+            Option("uncalibrated", bool, "Rectify by matched key points alone; depths stay unknown.", default=False),
+            Option("unit", str, "Unit of the translation in an OpenCV file: m, cm or mm.", "UNIT", default="m"),
+            Option("fisheye", bool, "The lenses of an OpenCV file are fisheye.", default=False),
+            Option("cameras", str, "Numbers of the left and right camera in a KITTI file.", "L,R", default="2,3"),
+            Option("alpha", float, "0: keep only what both images show; 1: keep all of both.", "SHARE", default=0.0,
                    min_value=0, max_value=1),
             *RUN,
             DRY_RUN,
         )  # fmt: skip
 
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Rectify every pair."""
+        """Rectify every pair; return the exit code."""
         files = [str(path.absolute()) for path in values["calibration"] or ()]
         if values["uncalibrated"] == bool(files):
-            raise ConfigError("want --calibration FILE, or --uncalibrated")
+            raise ConfigError("give --calibration FILE, or --uncalibrated")
         if len(files) > 2:
             raise ConfigError("--calibration: at most two files belong together")
         if values["unit"] not in ("m", "cm", "mm"):
-            raise ConfigError(f"--unit: want m, cm or mm (got {values['unit']!r})")
+            raise ConfigError(f"--unit: must be m, cm or mm (got {values['unit']!r})")
         first, _, second = values["cameras"].partition(",")
         if not (first.isdigit() and second.isdigit() and len(first + second) == 2 and first != second):
-            raise ConfigError(f"--cameras: want two numbers such as 2,3 (got {values['cameras']!r})")
+            raise ConfigError(f"--cameras: must be two numbers such as 2,3 (got {values['cameras']!r})")
         config = RectifyOptions(
             uncalibrated=values["uncalibrated"], unit=values["unit"], fisheye=values["fisheye"],
             alpha=values["alpha"], cameras=values["cameras"],
@@ -89,11 +89,10 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
     _calibration: tuple[Path, ...] = ()
 
     def files(self, config: RectifyOptions, scene: StereoScene) -> dict[str, Path]:
-        """The pair and the calibration."""
         return scene.input_files | {f"calibration_{k}": file for k, file in enumerate(self._calibration)}
 
     def memory_of(self, config: RectifyOptions, scene: StereoScene) -> None:
-        """No estimate: little more than the images themselves; InputError where the calibration cannot be read."""
+        """Return None, since it is little more than the images; InputError where the calibration cannot be read."""
         if not config["uncalibrated"]:
             from depthcli.data.formats.rigs import read_rig
 
@@ -101,7 +100,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
             read_rig(self._calibration, how.unit, how.fisheye, how.cameras)
 
     def columns(self) -> tuple[Column, ...]:
-        """Size, median row error before and after, share of the image that both cameras see."""
+        """Return size, median row error before and after, and the share of the image that both cameras see."""
         from depthcli.batch.console import SIZE, Column, percent
 
         def pixels(key: str) -> Column:

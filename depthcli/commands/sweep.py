@@ -1,6 +1,6 @@
-"""Run a config with many settings, a run folder each, and compare them: which key matters, which value is best.
+"""Run a config with many settings and compare the results: which key matters, and which value is best.
 
-A sweep is resumed like a run: what is done is kept, and more values or draws add to it.
+Every combination has a run folder of its own. Finished runs are kept when a sweep is repeated or extended.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from depthcli.batch.command import SOME_FAILED, Command, Values
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import ConfigCommand
-from depthcli.commands._options import LAYOUT, OUTPUT, RUN, SCENES, run_options
+from depthcli.commands._options import CONFIG, LAYOUT, OUTPUT, RUN, SCENES, run_options
 from depthcli.commands.evaluate import HTML, evaluate, new_page
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport, Section
 
-_RUNS = "runs"
-_MOST_SHOWN = 20
+_RUNS = "runs"  # the folder with one run folder per combination
+_MAX_SHOWN = 20  # runs in the printed table; files hold all
 
 
 class SweepCommand(Command):
@@ -36,36 +36,34 @@ class SweepCommand(Command):
     @property
     def arguments(self) -> tuple[Option, ...]:
         """The config."""
-        return (Option("config", str, "YAML file, or the name of a preset.", "CONFIG", required=True),)
+        return (CONFIG,)
 
     @property
     def options(self) -> tuple[Option, ...]:
-        """What to vary, of which command, on what."""
+        """The keys and their values, the command, and the scenes."""
         return (
-            Option(
-                "over", str, "KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable.", "KEY=VALUES",
-                repeatable=True, required=True
-            ),
+            Option("over", str, "Values to try: KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable.", "KEY=VALUES",
+                   repeatable=True, required=True),
             Option("command", str, "The command that CONFIG belongs to.", "COMMAND", default="stereo"),
             Option("input", Path, "Folder of scenes.", "DIR", short="-i", required=True),
             OUTPUT,
-            Option("random", int, "Draw N combinations instead of taking all.", "N", min_value=1),
-            Option("seed", int, "Seed of the draw.", "N", default=0, min_value=0),
+            Option("random", int, "Draw N combinations at random instead of running all.", "N", min_value=1),
+            Option("seed", int, "Seed of --random.", "N", default=0, min_value=0),
             LAYOUT,
             SCENES,
             Option("set", str, "Override one key in all runs; repeatable.", "KEY=VALUE", repeatable=True),
             *RUN,
-            Option("dry_run", bool, "Only list the runs, and how many scenes of each are done.", default=False),
+            Option("dry_run", bool, "List the runs and their numbers of finished scenes only.", default=False),
             *HTML,
-        )
+        )  # fmt: skip
 
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Every run, then the evaluation; the exit code.
+        """Run every combination, evaluate all runs, and return the exit code.
 
         Raises
         ------
         ConfigError
-            A wrong config, key or value; told before anything is computed.
+            A config, key or value is wrong; nothing was computed.
         """
         from depthcli.batch.sweep import combinations, folder_names, parse_axis
 
@@ -83,14 +81,14 @@ class SweepCommand(Command):
             each[name] = {**given, "set": [*(values["set"] or []), *settings], "output": folder}
         configs = {name: command.config(own) for name, own in each.items()}
         if values["dry_run"]:
-            return _say_plan(command, each, configs, values, reporter)
+            return _print_plan(command, each, configs, values, reporter)
         failed = False
         for number, (name, own) in enumerate(each.items(), 1):
             reporter.info(f"run {number} of {len(each)}: {name}")
             failed |= command.run(own, reporter) != 0
         report = _evaluate(self, values, list(each), reporter)
         if report is not None:
-            _say_result(axes, dict(zip(names, chosen, strict=True)), report, values, reporter)
+            _print_result(axes, dict(zip(names, chosen, strict=True)), report, values, reporter)
             failed |= bool(report.failed)
         return SOME_FAILED if failed else 0
 
@@ -101,11 +99,11 @@ def _command(name: str) -> ConfigCommand[BaseModel, Scene]:
     found = load_command(name) if name in command_names() else None
     if not isinstance(found, ConfigCommand):
         takes = [each for each in command_names() if isinstance(load_command(each), ConfigCommand)]
-        raise ConfigError(f"--command: want {', '.join(takes)} (got {name!r})")
+        raise ConfigError(f"--command: must be one of {', '.join(takes)} (got {name!r})")
     return found
 
 
-def _say_plan(
+def _print_plan(
     command: ConfigCommand[BaseModel, Scene],
     each: Mapping[str, Values],
     configs: Mapping[str, BaseModel],
@@ -148,14 +146,14 @@ def _evaluate(sweep: SweepCommand, values: Values, names: Sequence[str], reporte
     )  # fmt: skip
 
 
-def _say_result(
+def _print_result(
     axes: Sequence[Axis],
     chosen: Mapping[str, Combination],
     report: EvaluationReport,
     values: Values,
     reporter: Reporter,
 ) -> None:
-    """The runs by their figure, and what every key does to it; also as ``sweep.csv`` and ``sweep.json``."""
+    """Print the runs by their figure and the effect of every key; write both to ``sweep.csv`` and ``sweep.json``."""
     from depthcli.batch.json_csv import to_csv, to_json
     from depthcli.batch.sweep import document_of, effects
     from depthcli.data.formats.files import write_text
@@ -195,11 +193,11 @@ def _text(section: Section, order: Sequence[str], figures: Mapping[str, float], 
     headline = section.protocol.headline
     rows = [(run, Number(figures[run]), Number(mean_of_known(r.seconds for r in section.of(run)))) for run in order]
     what = headline.heading_with_unit
-    more = f"; the first {_MOST_SHOWN} of {len(order)}" if len(order) > _MOST_SHOWN else ""
+    more = f"; the first {_MAX_SHOWN} of {len(order)}" if len(order) > _MAX_SHOWN else ""
     runs = Table(
         f"{section.protocol.presentation.title}: the best first{more}",
         ("run", what, "seconds"),
-        tuple(rows[:_MOST_SHOWN]),
+        tuple(rows[:_MAX_SHOWN]),
     )
     lines = [
         (effect.key if first else "", value, str(effect.runs[value]), Number(mean_), Number(effect.best[value]),
@@ -208,7 +206,7 @@ def _text(section: Section, order: Sequence[str], figures: Mapping[str, float], 
         for first, (value, mean_) in zip((True, *[False] * len(effect.means)), effect.means.items(), strict=False)
     ]  # fmt: skip
     header = ("key", "value", "runs", f"mean {what}", "best", "spread of means", "% of variance")
-    note = "over the runs with a value; spread: largest difference of the means; variance: what the key explains alone"
+    note = "spread: largest difference of the means; % of variance: what the key explains alone"
     return runs.text() + "\n" + Table("Sensitivity, the strongest first", header, tuple(lines), note).text()
 
 

@@ -65,7 +65,7 @@ def test_what_a_shard_is():
     with pytest.raises(ConfigError, match="say --shard"):
         parse_shard(None, {"SLURM_ARRAY_TASK_ID": "50", "SLURM_ARRAY_TASK_COUNT": "6"})
     for text in ("0/4", "5/4", "3", "a/b", "-1/4", "1/0"):
-        with pytest.raises(ConfigError, match="want part/parts"):
+        with pytest.raises(ConfigError, match="must be part/parts"):
             parse_shard(text, {})
 
 
@@ -176,7 +176,7 @@ def _names(folder: Path, shard: str) -> list[str]:
 def test_who_may_come_in(made_scenes: Path, tmp_path: Path, capsys, monkeypatch):
     out = tmp_path / "run"
     common = ("stereo", FAST, "-i", made_scenes, "-o", out, "--scenes", "planes_0", "-q")
-    monkeypatch.setattr("depthcli.batch.sharing._PATIENCE", 0.1)
+    monkeypatch.setattr("depthcli.batch.sharing._SETUP_TIMEOUT", 0.1)
     assert run(*common, "--shard", "1/1") == 0
     with FolderLock(out, True, print) as lock:
         assert lock.alone
@@ -317,7 +317,7 @@ def test_shards_and_evaluation_exclude_each_other(made_scenes: Path, tmp_path: P
     common = ("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run")
     assert run(*common, "--shard", "1/2", "--evaluate") == 2
     assert run(*common, "--shard", "3/2") == 2
-    assert "want part/parts" in capsys.readouterr().err
+    assert "must be part/parts" in capsys.readouterr().err
     assert run("merge", tmp_path / "absent") == 2
     assert run("merge", made_scenes.parent) == 2
 

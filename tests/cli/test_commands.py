@@ -150,7 +150,7 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
             "Invalid value for '--count'",
         ),
         (("sample", "-o", "x", "--kind", "plane"), "plane"),
-        (("sample", "-o", "x", "--speckles", "0.1"), "--speckles says nothing about stereo scenes"),
+        (("sample", "-o", "x", "--speckles", "0.1"), "--speckles has no effect on stereo scenes"),
         (("sample", "-o", "x", "--max-disparity", "300"), "at most width / 2 = 200"),
     ],
 )

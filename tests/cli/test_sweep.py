@@ -60,7 +60,7 @@ def test_wrong_keys_are_told_before_anything_is_computed(
     assert "optimization.pp: no such key" in capsys.readouterr().err
     assert sweep(scenes, tmp_path / "a", "--over", "optimization.p2=2,-8") == 2
     assert sweep(scenes, tmp_path / "a", "--over", "optimization.p2=2", "--command", "evaluate") == 2
-    assert "--command: want fuse, refine-kinect" in capsys.readouterr().err
+    assert "--command: must be one of fuse, refine-kinect" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
 
 
