@@ -62,7 +62,7 @@ def test_what_a_shard_is():
     assert parse_shard(None, slurm) == Shard(6, 6)
     assert parse_shard(None, slurm | {"SLURM_ARRAY_TASK_MIN": "1"}) == Shard(5, 6)
     assert parse_shard(None, slurm | {"SLURM_ARRAY_TASK_MIN": "1", "SLURM_ARRAY_TASK_STEP": "2"}) == Shard(3, 6)
-    with pytest.raises(ConfigError, match="say --shard"):
+    with pytest.raises(ConfigError, match="give --shard"):
         parse_shard(None, {"SLURM_ARRAY_TASK_ID": "50", "SLURM_ARRAY_TASK_COUNT": "6"})
     for text in ("0/4", "5/4", "3", "a/b", "-1/4", "1/0"):
         with pytest.raises(ConfigError, match="must be part/parts"):

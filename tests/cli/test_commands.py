@@ -138,7 +138,7 @@ def test_presets_are_listed_and_shown(capsys, tmp_path: Path):
             ("stereo", FAST, "-i", ".", "-o", "x", "--set", "blok=3"),
             "--set blok: no such key (got 3); did you mean 'bl",
         ),
-        (("stereo", FAST, "-i", ".", "-o", "x", "--max-memory", "lots"), "--max-memory: want a size such as 2GiB"),
+        (("stereo", FAST, "-i", ".", "-o", "x", "--max-memory", "lots"), "--max-memory: must be a size such as 2GiB"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--max-disparity", "0"), "--max-disparity: should be greater"),
         (("stereo", FAST, "-i", ".", "-o", "x", "--jobs", "0"), "--jobs"),
         (("stereo", FAST, "-i", "."), "Missing option '--output'"),
