@@ -26,7 +26,7 @@ import _env  # noqa: F401  (first: continues in the checkout's environment)
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.resampling import trilinear
+from depthcli.algorithms.resampling import resample, trilinear
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.volumes import RegisteredPair
@@ -36,11 +36,11 @@ from depthcli.data.scenes.volume_pair import VolumePairScene
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
-from depthcli.methods.registration._volume import gaussian, resample
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.pipeline import RegistrationResult
 from depthcli.methods.registration.search import SURER_IF_LARGER, search
+from depthcli.methods.registration.smoothing import gaussian
 
 Values = NDArray[np.floating[Any]]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -44,3 +45,30 @@ def block_means(values: NDArray[Any], blocks: tuple[int, int, int]) -> NDArray[n
         rows = np.add.reduceat(np.add.reduceat(total, starts[1], axis=0), starts[2], axis=1)
         out[k] = rows / (plane * counts[0][k])
     return out
+
+
+def shifted(volume: NDArray[Any], offset: Sequence[int]) -> NDArray[Any]:
+    """Return ``volume`` at x + offset, borders repeated."""
+    for axis, step in enumerate(offset):
+        if step:
+            index = np.clip(np.arange(volume.shape[axis]) + step, 0, volume.shape[axis] - 1)
+            volume = np.take(volume, index, axis=axis)
+    return volume
+
+
+def resample(
+    volume: NDArray[np.float32], shape: tuple[int, int, int], step: Sequence[float], start: Sequence[float]
+) -> NDArray[np.float32]:
+    """Return trilinear samples at ``start + step * i`` voxels along each axis, borders repeated.
+
+    Axis by axis; no anti-aliasing: smooth first where ``step`` is well above 1.
+    """
+    for axis in range(3):
+        place = start[axis] + step[axis] * np.arange(shape[axis], dtype=np.float64)
+        place = np.clip(place, 0, volume.shape[axis] - 1)
+        low = np.minimum(place.astype(np.int64), max(volume.shape[axis] - 2, 0))
+        high = np.minimum(low + 1, volume.shape[axis] - 1)
+        weight = (place - low).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
+        first = np.take(volume, low, axis=axis)
+        volume = first + weight * (np.take(volume, high, axis=axis) - first)
+    return np.ascontiguousarray(volume, np.float32)

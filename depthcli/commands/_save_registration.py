@@ -9,13 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.resampling import trilinear
+from depthcli.algorithms.resampling import resample, trilinear
 from depthcli.batch.json_csv import Row, to_csv
 from depthcli.data.formats.files import write_text
 from depthcli.data.formats.images import write_png
 from depthcli.data.formats.volumes import write_volume
 from depthcli.data.scenes.volume_pair import LoadedPair
-from depthcli.methods.registration._volume import resample
 from depthcli.methods.registration.pipeline import RegistrationResult
 
 _MAX_SHOWN_ERROR = 10.0  # mm, shown in dark red by the color map

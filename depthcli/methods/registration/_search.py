@@ -1,4 +1,4 @@
-"""The search around every voxel: costs of all displacements, and what their curve says about displacement zero."""
+"""Kernels of the search: costs of all displacements of a voxel, and measures of their curve."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ PLANES = (
 
 
 @jit
-def _differences(fixed: Any, warped: Any, few: bool, row: Any) -> None:
-    """Sum over the channels of |fixed - warped|, (C, n) each, into n uint16."""
+def _differences(fixed: Any, warped: Any, small_values: bool, row: Any) -> None:
+    # Sum over the channels of |fixed - warped|, (C, n) each, into n uint16.
     channels = fixed.shape[0]
     n = row.size
     row[:] = 0
     c = 0
-    if few:  # three differences of at most 85 fit a byte: a third of the widening
+    if small_values:  # three differences of at most 85 fit a byte: a third of the widening
         while c + 3 <= channels:
             a, b, d = fixed[c, :n], fixed[c + 1, :n], fixed[c + 2, :n]
             e, f, g = warped[c, :n], warped[c + 1, :n], warped[c + 2, :n]
@@ -42,7 +42,7 @@ def _differences(fixed: Any, warped: Any, few: bool, row: Any) -> None:
 
 @jit
 def _window_rows(differences: Any, last: int, total: Any) -> None:
-    """Add the ``last + 1`` values from each place on, to as many sums."""
+    # Add the last + 1 values from each place on, to as many sums.
     n = total.size
     first = differences[:n]
     for i in range(n):
@@ -61,8 +61,8 @@ def _window_rows(differences: Any, last: int, total: Any) -> None:
 
 @jit
 def _tile_costs(
-    fixed: Any, warped: Any, offsets: Any, half: Any, reach: Any, stride: Any, size: Any, shift: Any, few: bool,
-    costs: Any, row: Any, sums: Any, running: Any, layers: Any, volumes: Any,
+    fixed: Any, warped: Any, offsets: Any, half: Any, reach: Any, stride: Any, size: Any, shift: Any,
+    small_values: bool, costs: Any, row: Any, sums: Any, running: Any, layers: Any, volumes: Any,
 ) -> None:  # fmt: skip
     """Window sums of |fixed - warped| for every displacement, ``shift`` bits coarser, (tz, ty, K, width) uint16.
 
@@ -89,7 +89,7 @@ def _tile_costs(
                 start = oy * pitch + (phase + ox) // sx
                 last = (2 * hx - phase) // sx
                 _differences(
-                    fixed[z, phase], warped[z + oz, (phase + ox) % sx, :, start:], few, row[: flat + last]
+                    fixed[z, phase], warped[z + oz, (phase + ox) % sx, :, start:], small_values, row[: flat + last]
                 )  # fmt: skip
                 _window_rows(row, last, total)
             running[:] = 0
@@ -124,7 +124,7 @@ def _tile_costs(
 
 @jit
 def _take(volume: Any, first: Any, stride: Any, count: Any, pitch: int, out: Any) -> None:
-    """Part of a volume (C, Z, Y, sx, X) as (Z, sx, C, Y * pitch)."""
+    # Part of a volume (C, Z, Y, sx, X) as (Z, sx, C, Y * pitch).
     for z in range(count[0]):
         for p in range(stride[2]):
             for c in range(volume.shape[0]):
@@ -292,7 +292,7 @@ def _peak_row(costs: Any, before: Any, after: Any, best: Any, mean: Any, rows: A
 @parallel_jit
 def search_tiles(
     fixed: Any, warped: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, before: Any, after: Any, half: Any,
-    reach: Any, stride: Any, tiles: Any, tile: Any, shift: Any, scale: Any, power: Any, few: bool, every: bool,
+    reach: Any, stride: Any, tiles: Any, tile: Any, shift: Any, scale: Any, power: Any, small_values: bool, every: bool,
     sums: Any, scratch: Any, out: Any,
 ) -> None:  # fmt: skip
     """Search every tile and write its measures, at every ``stride``-th voxel.
@@ -306,7 +306,7 @@ def search_tiles(
     stride : (3,) int64, at most the window's size along each axis
     tiles : (N, 3) int64 first places, of those measured; tile : largest size
     shift, scale : bits dropped and what one unit stands for
-    power : 0.5 / k; few : no value above 85; every : AML0, AML and PKR are wanted too
+    power : 0.5 / k; small_values : no value is above 85; every : AML0, AML and PKR are computed too
     sums : empty array of the type that holds the sum of a window's layer
     scratch : (workers, tz, ty, K, tx or more) uint16; out : (16, nz, ny, nx) float32, in the order of PLANES
     """
@@ -343,8 +343,9 @@ def search_tiles(
             size[2] = pitch
             costs = scratch[w]
             _tile_costs(
-                near, far, offsets, half, reach, stride, size, shift, few, costs, row, total, running, layers, volumes
-            )
+                near, far, offsets, half, reach, stride, size, shift, small_values, costs, row, total, running, layers,
+                volumes,
+            )  # fmt: skip
             for z in range(size[0]):
                 for y in range(size[1]):
                     _measure_row(costs[z, y], offsets, lengths, edge, neighbors, power, scale, every, work, measured)

@@ -10,24 +10,32 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from depthcli.algorithms.resampling import resample
 from depthcli.core.result import Clock, Result
 from depthcli.core.volumes import RegisteredPair
 from depthcli.kernels.jit import threads
-from depthcli.methods.registration._volume import gaussian, resample
-from depthcli.methods.registration.calibration import expected, monotone, structured
 from depthcli.methods.registration.feature import Feature
 from depthcli.methods.registration.feature.mind import Mind
+from depthcli.methods.registration.millimeters import expected, monotone, structured
 from depthcli.methods.registration.search import COSTLY, MEASURES, SURER_IF_LARGER, Curves, Span, search, search_bytes
+from depthcli.methods.registration.smoothing import gaussian
 
 WorkingGrid = tuple[tuple[int, int, int], tuple[float, float, float], tuple[float, float, float]]
 """Shape, and step and place of the first voxel in voxels of the fixed volume."""
 
 IN_MILLIMETERS = ("eshift", "vshift", "shift")
+"""Measures that are lengths."""
+
+_CERTAINTY_MM = 3.0  # expected error of which the certainty is 1/e
+_CT_BELOW, _CT_RANGE = -500.0, (-1000.0, 400.0)  # volumes with values below are CT, in Hounsfield units: air to bone
+_PYRAMID_SIGMA = 0.8  # of the Gaussian before a volume is halved, voxels
+# Where coarse searches take over: errors as shares of the reach of the search, by the coarse one and by the finer one.
+_COARSE_SHARE, _FINE_SHARE = (0.6, 1.2), (0.8, 1.1)
 
 
 @dataclass(kw_only=True)
 class RegistrationResult(Result):
-    """What the search says about a registration.
+    """Confidence and expected error of a registration.
 
     Maps lie on the grid of what was measured: (i, j, k) is at ``start + step * (i, j, k)`` voxels of the fixed volume.
 
@@ -49,7 +57,7 @@ class RegistrationResult(Result):
 
 
 class RegistrationConfidence(BaseModel):
-    """Search around every voxel for a better match than the registration's; where there is one, it is wrong."""
+    """A search around every voxel for a better match than the registration's; where there is one, it is wrong."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -97,7 +105,7 @@ class RegistrationConfidence(BaseModel):
         return bounds
 
     def __call__(self, pair: RegisteredPair) -> RegistrationResult:
-        """Search, measure, express in mm.
+        """Search around every voxel, and express the measures of its cost curve in mm.
 
         Returns
         -------
@@ -123,17 +131,15 @@ class RegistrationConfidence(BaseModel):
             "mean_error": round(float(error[chosen].mean(dtype=np.float64)), 6),
         }
         return RegistrationResult(
-            expected_error=error, certainty=np.exp(-error / np.float32(3)), shift=displacement, measures=fine[0].maps,
-            step=self._step(grid), start=grid[2], seconds=clock.seconds, figures=figures,
+            expected_error=error, certainty=np.exp(-error / np.float32(_CERTAINTY_MM)), shift=displacement,
+            measures=fine[0].maps, step=self._step(grid), start=grid[2], seconds=clock.seconds, figures=figures,
         )  # fmt: skip
 
     def _step(self, grid: WorkingGrid) -> tuple[float, float, float]:
-        """Step of measured places, in voxels of the fixed volume."""
         z, y, x = (s * (self.stride if n > 1 else 1) for s, n in zip(grid[1], grid[0], strict=True))
         return z, y, x
 
     def _working(self, pair: RegisteredPair) -> tuple[NDArray[np.float32], NDArray[np.float32], WorkingGrid]:
-        """Both volumes on the working grid."""
         grid = self.grid(pair.shape, pair.spacing)
         fixed, warped = (self._on_grid(volume, pair, grid) for volume in (pair.fixed, pair.warped))
         return fixed, warped, grid
@@ -141,7 +147,7 @@ class RegistrationConfidence(BaseModel):
     def _searches(
         self, fixed: NDArray[np.float32], warped: NDArray[np.float32], iso: float, clock: Clock
     ) -> tuple[list[Curves], list[Curves]]:
-        """The search with every feature, and with the first one at every coarser resolution."""
+        """Search with every feature, and with the first one at every coarser resolution."""
         fine: list[Curves] = []
         coarse: list[Curves] = []
         measured = _every(fixed, self.stride).shape
@@ -159,7 +165,7 @@ class RegistrationConfidence(BaseModel):
         return fine, coarse
 
     def grid(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> WorkingGrid:
-        """Shape of the working grid, its step and the place of its first voxel, in voxels of the fixed volume.
+        """Return the shape of the working grid, its step and its first voxel, in voxels of the fixed volume.
 
         Working voxels are cubes; the outer faces of the first ones are those of the volume. An axis of one voxel
         stays as it is.
@@ -179,7 +185,7 @@ class RegistrationConfidence(BaseModel):
         return (sizes[0], sizes[1], sizes[2]), (steps[0], steps[1], steps[2]), (starts[0], starts[1], starts[2])
 
     def peak_bytes(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> int:
-        """Estimate of the peak working memory, beside the two volumes."""
+        """Estimate the peak working memory beside the two volumes, bytes."""
         sizes = self.grid(shape, spacing)[0]
         voxels = math.prod(sizes)
         measured = math.prod(-(-n // self.stride) if n > 1 else 1 for n in sizes)
@@ -192,8 +198,8 @@ class RegistrationConfidence(BaseModel):
 
     def _on_grid(self, volume: NDArray[np.float32], pair: RegisteredPair, grid: WorkingGrid) -> NDArray[np.float32]:
         bounds = self.intensity_range
-        if bounds is None and min(pair.fixed.min(), pair.warped.min()) < -500:
-            bounds = (-1000.0, 400.0)
+        if bounds is None and min(pair.fixed.min(), pair.warped.min()) < _CT_BELOW:
+            bounds = _CT_RANGE
         if bounds is not None:
             volume = np.clip(volume, np.float32(bounds[0]), np.float32(bounds[1]))
         return resample(volume, *grid)
@@ -201,51 +207,43 @@ class RegistrationConfidence(BaseModel):
     def _error(
         self, fine: list[Curves], coarse: list[Curves], structure: NDArray[np.int64], iso: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Expected error (mm) and displacement, with the coarse searches where an error leaves the fine one."""
+        """Return expected error and displacement, mm: of coarse searches where the error is beyond the fine one."""
         in_mm = self.measure if self.measure in IN_MILLIMETERS else "eshift"
         sigma = self.smoothing / self.stride
         error = expected(fine, in_mm, iso, sigma)
-        displacement = _mean([curves.displacement for curves in fine])
+        displacement = np.mean([curves.displacement for curves in fine], axis=0)
         for k, curves in enumerate(coarse):
             far = curves.maps[in_mm]
             reach = self.radius * iso * 2**k
-            share = _rising(far / np.float32(reach), 0.6, 1.2) * _rising(error / np.float32(reach), 0.8, 1.1)
+            share = _ramp(far / np.float32(reach), *_COARSE_SHARE) * _ramp(error / np.float32(reach), *_FINE_SHARE)
             error = error + share * (far - error)
             displacement = displacement + share * (curves.displacement - displacement)
         if self.measure not in IN_MILLIMETERS:
             sign = np.float32(-1 if self.measure in SURER_IF_LARGER else 1)
-            score = gaussian(_mean([sign * curves.maps[self.measure] for curves in fine]), sigma)
+            score = gaussian(np.mean([sign * curves.maps[self.measure] for curves in fine], axis=0), sigma)
             return monotone(score, error, structure), displacement
         return error, displacement
 
 
-def _rising(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.float32]:
-    """0 below ``low``, 1 above ``high``, linear between."""
+def _ramp(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.float32]:
+    # 0 below low, 1 above high, linear between
     ramp: NDArray[np.float32] = np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)
     return ramp
 
 
-def _mean(arrays: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-    total = arrays[0].copy()
-    for array in arrays[1:]:
-        total += array
-    return total / np.float32(len(arrays))
-
-
 def _every(volume: NDArray[Any], stride: int) -> NDArray[Any]:
-    """Every ``stride``-th voxel along the axes of more than one."""
+    # axes of one voxel stay as they are
     return volume[tuple(slice(None, None, stride if n > 1 else 1) for n in volume.shape)]
 
 
 def _halved(volume: NDArray[np.float32], times: int) -> NDArray[np.float32]:
     for _ in range(times):
-        smooth = gaussian(volume, 0.8)
+        smooth = gaussian(volume, _PYRAMID_SIGMA)
         volume = np.ascontiguousarray(smooth[:: 2 if volume.shape[0] > 1 else 1, ::2, ::2])
     return volume
 
 
 def _enlarged(curves: Curves, shape: tuple[int, ...], times: int) -> Curves:
-    """Maps of a level on the grid of the finest one."""
     if times == 0:
         return curves
     whole = (shape[0], shape[1], shape[2])

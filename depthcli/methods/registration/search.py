@@ -1,4 +1,4 @@
-"""Full search around every voxel of a registered pair, and what the cost curves say about displacement zero."""
+"""Search around every voxel of a registered pair, and measures of the cost curve at displacement zero."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ MEASURES = {
     "aml0": "the same with squared cost differences",
     "rank0": "share of displacements that are cheaper than zero",
     "cur0": "Laplacian of the costs at zero",
-    "cost0": "cost at zero: no search",
-    "msm": "minus the smallest cost: stereo's measure, which does not know zero, like the next three",
+    "cost0": "cost at zero, which wants no search",
+    "msm": "minus the smallest cost: like the next three a measure of stereo, the same for any displacement",
     "mlm": "likelihood of the cheapest displacement, k = 0.5",
     "aml": "the same with squared cost differences",
     "pkr": "peak ratio: second smallest local minimum among the 26 neighbors / smallest cost",
@@ -32,19 +32,19 @@ SURER_IF_LARGER = frozenset({"mlm0", "aml0", "cur0", "msm", "mlm", "aml", "pkr"}
 """Measures that grow with confidence; the others grow with the error."""
 
 COSTLY = frozenset({"aml0", "aml", "pkr"})
-"""Measures that are computed only where they are asked for: together they take as long as all others."""
+"""Measures that are computed only on request: together they take as long as all others."""
 
-FEW = 85
-"""Largest value of features of many channels: three differences then fit a byte, which the search is faster with."""
+MAX_SMALL_VALUE = 85
+"""Largest value of features of many channels: three differences then fit a byte, which makes the search faster."""
 
-_SCRATCH = 48 << 20
-_LANES = 32  # rows are measured in whole vectors: what is left of one rounds otherwise
-_WIDEST = 128
+_SCRATCH_BYTES = 48 << 20  # for the costs of a tile, in each thread
+_LANES = 32  # rows are measured in whole vectors: the rest of a row would be rounded otherwise
+_MAX_TILE_WIDTH = 128  # voxels
 
 
 @dataclass(frozen=True)
 class Curves:
-    """What the search found.
+    """Measures of the cost curves of all measured voxels.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Curves:
 
 
 def displacements(shape: tuple[int, int, int], radius: int, span: Span = "cube") -> NDArray[np.int64]:
-    """(K, 3) displacements (z, y, x) in voxels, by length, zero first; none along axes of one voxel."""
+    """Return (K, 3) displacements (z, y, x) in voxels, by length, zero first; none along axes of one voxel."""
     sides = [np.arange(-radius, radius + 1) if size > 1 else np.zeros(1, np.int64) for size in shape]
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
     moving = np.count_nonzero(grid, axis=1)
@@ -117,7 +117,7 @@ def search(
     measured = tuple(-(-n // int(step)) for n, step in zip(shape, steps, strict=True))
     half = np.array([half_window if size > 1 else 0 for size in shape], np.int64)
     reach = np.array([radius if size > 1 else 0 for size in shape], np.int64)
-    top = FEW if max(int(fixed.max(initial=0)), int(warped.max(initial=0))) <= FEW else 255
+    top = MAX_SMALL_VALUE if max(int(fixed.max(initial=0)), int(warped.max(initial=0))) <= MAX_SMALL_VALUE else 255
     largest = top * channels * int(np.prod(2 * half + 1))
     shift = max(0, largest.bit_length() - 16)
     layer = np.zeros(0, np.uint16 if top * channels * (2 * half_window + 1) ** 2 < 1 << 16 else np.uint32)
@@ -135,7 +135,7 @@ def search(
     search_tiles(
         _phases(fixed, half, steps), _phases(warped, half + reach, steps), offsets, lengths, edge, neighbors, before,
         after, half, reach, steps, tiles, size, np.uint32(shift), np.float32((1 << shift) / largest), sharpness,
-        top == FEW, every, layer, scratch, out,
+        top == MAX_SMALL_VALUE, every, layer, scratch, out,
     )  # fmt: skip
     planes = dict(zip(PLANES, out, strict=True))
     displacement = out[2:5] * np.float32(spacing)
@@ -147,7 +147,7 @@ def search(
 
 
 def _around(offsets: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(K, 13) indices of the neighbors of each displacement that come before and after it; -1: not searched."""
+    # (K, 13) indices of the neighbors of each displacement that come before and after it; -1: not searched.
     place = {tuple(offset): k for k, offset in enumerate(offsets.tolist())}
     steps = [step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]
     before, after = (np.full((len(offsets), len(steps)), -1, np.int64) for _ in range(2))
@@ -161,17 +161,17 @@ def _around(offsets: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.i
 def search_bytes(
     shape: tuple[int, int, int], channels: int, radius: int, half_window: int, stride: int, workers: int
 ) -> int:
-    """Memory of :func:`search`, beside its inputs."""
+    """Estimate the memory of :func:`search` beside its inputs, bytes."""
     voxels = int(np.prod([-(-n // stride) for n in shape]))
     padded = sum(channels * int(np.prod([n + 2 * r for n in shape])) for r in (half_window, half_window + radius))
-    return 3 * padded // 2 + 24 * 4 * voxels + workers * _SCRATCH
+    return 3 * padded // 2 + 24 * 4 * voxels + workers * _SCRATCH_BYTES
 
 
 def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:
-    """A tile whose costs stay within the scratch memory of a thread, with as little halo as that allows."""
-    widths = range(_LANES, _WIDEST + 1, _LANES)
+    # The tile whose costs fit the scratch memory of a thread, with the smallest halo that this allows.
+    widths = range(_LANES, _MAX_TILE_WIDTH + 1, _LANES)
     width = min(widths, key=lambda w: -(-shape[2] // w) * (w + 8))
-    cells = _SCRATCH // (2 * count)
+    cells = _SCRATCH_BYTES // (2 * count)
     side = max(1, int(np.sqrt(cells / width)))
     z, y, x = min(shape[0], side, 32), min(shape[1], side, 32), min(shape[2], width)
     if -(-shape[0] // z) * -(-shape[1] // y) * -(-shape[2] // x) < threads():
@@ -180,7 +180,7 @@ def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:
 
 
 def _phases(channels: NDArray[np.uint8], width: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """(C, Z, Y, sx, Xs): widened by repeating the border, voxel x at [x % sx, x // sx]."""
+    # (C, Z, Y, sx, Xs): widened by repeating the border, voxel x at [x % sx, x // sx].
     around = [(0, 0), *((int(w), int(w)) for w in width)]
     step = int(stride[2])
     around[3] = (int(width[2]), int(width[2]) + step)

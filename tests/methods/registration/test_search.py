@@ -10,11 +10,11 @@ from depthcli.methods.confidence import CostCurves
 from depthcli.methods.confidence.aml import AttainableMaximumLikelihood
 from depthcli.methods.confidence.mlm import MaximumLikelihood
 from depthcli.methods.confidence.pkr import PeakRatio
-from depthcli.methods.registration.search import FEW, displacements, search
+from depthcli.methods.registration.search import MAX_SMALL_VALUE, displacements, search
 from tests.naive import registration as naive
 
 
-def channels(seed, shape, count=2, top=FEW):
+def channels(seed, shape, count=2, top=MAX_SMALL_VALUE):
     return np.random.default_rng(seed).integers(0, top + 1, (count, *shape), dtype=np.uint8)
 
 

@@ -21,7 +21,7 @@ class VolumeFeature(Method):
     def __call__(
         self, fixed: NDArray[np.float32], warped: NDArray[np.float32]
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """Channels of both volumes, each (C, Z, Y, X) uint8 on one scale; the inputs are not modified.
+        """Compute the channels of both volumes, each (C, Z, Y, X) uint8 on one scale; the inputs are not modified.
 
         Parameters
         ----------

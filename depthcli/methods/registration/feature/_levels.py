@@ -1,4 +1,4 @@
-"""Real numbers to 0 .. 255 on one scale for both volumes."""
+"""Codes 0 .. 255 of real numbers, on one scale for both volumes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 def levels(
     fixed: NDArray[np.float32], warped: NDArray[np.float32], outliers: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Both arrays between their common low and high percentile, ``outliers`` percent cut off at either end."""
+    """Map both arrays from their common percentiles, ``outliers`` percent cut off at either end, to 0 .. 255."""
     both = np.concatenate([fixed.ravel(), warped.ravel()])
     low, high = (float(v) for v in np.percentile(both, [outliers, 100 - outliers]))
     if high <= low:

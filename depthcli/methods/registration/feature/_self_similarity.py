@@ -1,4 +1,4 @@
-"""What both self-similarity descriptors share: patch distances to exponentials on 0 .. 85."""
+"""Descriptors of self-similarity: exponentials of patch distances, 0 .. 85."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.resampling import shifted
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.registration._volume import gaussian, shifted
+from depthcli.methods.registration.smoothing import gaussian
 
 TOP = 85
-"""Largest value: three differences of it fit a byte, which the search is faster with."""
+"""Largest value: three differences of it fit a byte, which makes the search faster."""
 
 STEPS = ((0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0))
 
 
 def steps(shape: tuple[int, ...], distance: int) -> list[tuple[int, ...]]:
-    """The axes' neighbors at ``distance``; none along an axis of one voxel."""
+    """Return the neighbors at ``distance`` along the axes; none along an axis of one voxel."""
     return [tuple(distance * s for s in step) for step in STEPS if shape[next(a for a in range(3) if step[a])] > 1]
 
 
 def descriptor(
     volume: NDArray[np.float32], pairs: Sequence[tuple[tuple[int, ...], tuple[int, ...]]], sigma: float
 ) -> NDArray[np.uint8]:
-    """exp(-(D_r - min D) / V) for the patch distance D_r of every pair of places; (C, Z, Y, X) uint8."""
+    """Compute exp(-(D_r - min D) / V) of the patch distance D_r of every pair of places; (C, Z, Y, X) uint8."""
     distances = np.empty((len(pairs), *volume.shape), np.float32)
     for r, (one, other) in enumerate(pairs):
         difference = shifted(volume, one) - shifted(volume, other)

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.methods.registration._volume import gaussian, shifted
+from depthcli.algorithms.resampling import shifted
 from depthcli.methods.registration.feature import VolumeFeature
 from depthcli.methods.registration.feature._levels import levels
+from depthcli.methods.registration.smoothing import gaussian
 
 
 class Gradient(VolumeFeature):

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.methods.registration._volume import gaussian
 from depthcli.methods.registration.feature import VolumeFeature
 from depthcli.methods.registration.feature._levels import levels
+from depthcli.methods.registration.smoothing import gaussian
 
 
 class LocalNcc(VolumeFeature):
@@ -19,7 +19,7 @@ class LocalNcc(VolumeFeature):
     channels: ClassVar[int] = 1
 
     sigma: float = Field(2.0, gt=0.5, le=8, description="Gaussian window of mean and deviation, voxels")
-    floor: float = Field(0.05, gt=0, le=1, description="least deviation, share of the volume's own")
+    floor: float = Field(0.05, gt=0, le=1, description="smallest deviation, share of the volume's own")
     outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
 
     def __call__(
@@ -32,6 +32,6 @@ class LocalNcc(VolumeFeature):
         centered = volume - np.float32(volume.mean(dtype=np.float64))
         mean = gaussian(centered, self.sigma)
         variance = gaussian(centered * centered, self.sigma) - mean * mean
-        least = (self.floor * float(centered.std(dtype=np.float64))) ** 2 or 1.0
-        normalized = (centered - mean) / np.sqrt(np.maximum(variance, np.float32(least)))
+        min_variance = (self.floor * float(centered.std(dtype=np.float64))) ** 2 or 1.0
+        normalized = (centered - mean) / np.sqrt(np.maximum(variance, np.float32(min_variance)))
         return normalized.astype(np.float32, copy=False)

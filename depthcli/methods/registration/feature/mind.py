@@ -13,7 +13,7 @@ from depthcli.methods.registration.feature._self_similarity import descriptor, s
 
 
 class Mind(VolumeFeature):
-    """How unlike a voxel's patch is its six neighbors': survives other contrasts, and other modalities."""
+    """Distances of a voxel's patch to those of its six neighbors: the same under other contrasts and modalities."""
 
     channels: ClassVar[int] = 6
 

@@ -13,7 +13,7 @@ from depthcli.methods.registration.feature._self_similarity import descriptor, s
 
 
 class MindSsc(VolumeFeature):
-    """How unlike are the six neighbors' patches one another: 12 channels that a noisy center voxel cannot spoil."""
+    """Distances between the patches of the six neighbors: 12 channels that do not depend on a noisy center voxel."""
 
     channels: ClassVar[int] = 12
 

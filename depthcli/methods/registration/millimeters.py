@@ -8,16 +8,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.methods.registration._volume import gaussian
 from depthcli.methods.registration.search import Curves
+from depthcli.methods.registration.smoothing import gaussian
 
-_SAMPLES = 20_000
-_STRUCTURED = 0.8  # quantile of the gradient above which a voxel counts as structured
-_BINS = 200
+_N_SAMPLES = 20_000  # voxels that millimeters are fitted at; more change the second digit at most
+_STRUCTURED_QUANTILE = 0.8  # of the gradient, above which a voxel counts as structured
+_N_BINS, _MIN_PER_BIN = 200, 20
 
 
-def structured(volume: NDArray[np.float32], inside: NDArray[np.bool_], share: float = _STRUCTURED) -> NDArray[np.int64]:
-    """Flat indices of at most 20 000 evenly spread voxels of interest with much gradient; deterministic."""
+def structured(volume: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return flat indices of some 20 000 evenly spread voxels of interest with much gradient."""
     smooth = gaussian(volume, 1.0)
     square = np.zeros_like(smooth)
     for axis in range(3):
@@ -25,15 +25,20 @@ def structured(volume: NDArray[np.float32], inside: NDArray[np.bool_], share: fl
             square += np.gradient(smooth, axis=axis).astype(np.float32) ** 2
     places = np.flatnonzero(inside)
     strength = square.ravel()[places]
-    chosen = places[strength >= np.quantile(strength, share)]
-    return chosen[:: max(1, len(chosen) // _SAMPLES)]
+    chosen = places[strength >= np.quantile(strength, _STRUCTURED_QUANTILE)]
+    return chosen[:: max(1, len(chosen) // _N_SAMPLES)]
 
 
 def expected(searches: list[Curves], measure: str, iso: float, sigma: float) -> NDArray[np.float32]:
-    """A measure in mm, averaged over searches and surroundings with the inverse variance of the displacement.
+    """Average a measure in mm over searches and surroundings, weighted by the inverse variance of the displacement.
 
     An error is smooth where a registration is, and the curves of places without texture, or of a feature that is blind
-    to it, say little. ``iso``: mm a voxel; ``sigma`` of the surroundings, places.
+    to it, say little.
+
+    Parameters
+    ----------
+    iso : side of a working voxel, mm
+    sigma : of the Gaussian of the surroundings, measured places
     """
     error = np.zeros_like(searches[0].variance)
     total = np.zeros_like(error)
@@ -47,7 +52,7 @@ def expected(searches: list[Curves], measure: str, iso: float, sigma: float) -> 
 
 
 def monotone(score: NDArray[np.float32], error: NDArray[np.float32], places: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Mean of ``error`` given ``score``, never falling: pooled over the places, then interpolated.
+    """Return the mean of ``error`` given ``score``, never falling: pooled over the places, then interpolated.
 
     Means of at most 200 bins of equally many places, pooled where they fall (isotonic regression by
     pool-adjacent-violators). Between bins the result rises strictly wherever the score does, so that no order is
@@ -55,7 +60,7 @@ def monotone(score: NDArray[np.float32], error: NDArray[np.float32], places: NDA
     """
     x, y = score.ravel()[places].astype(np.float64), error.ravel()[places].astype(np.float64)
     order = np.argsort(x, kind="stable")
-    groups = np.array_split(order, min(_BINS, max(1, len(order) // 20)))
+    groups = np.array_split(order, min(_N_BINS, max(1, len(order) // _MIN_PER_BIN)))
     centers = np.array([x[group].mean() for group in groups])
     means = isotonic(np.array([y[group].mean() for group in groups]), np.array([len(g) for g in groups], float))
     centers, first = np.unique(centers, return_index=True)
@@ -74,14 +79,14 @@ def monotone(score: NDArray[np.float32], error: NDArray[np.float32], places: NDA
 
 
 def isotonic(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The never falling sequence nearest to ``values`` in weighted squares, by pool-adjacent-violators."""
+    """Return the never falling sequence nearest to ``values`` in weighted squares, by pool-adjacent-violators."""
     blocks: list[list[float]] = []
     for value, weight in zip(values.tolist(), weights.tolist(), strict=True):
         blocks.append([value, weight, 1])
         while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
             value, weight, count = blocks.pop()
-            before = blocks[-1]
-            before[0] = (before[0] * before[1] + value * weight) / (before[1] + weight)
-            before[1] += weight
-            before[2] += count
+            last = blocks[-1]
+            last[0] = (last[0] * last[1] + value * weight) / (last[1] + weight)
+            last[1] += weight
+            last[2] += count
     return np.repeat([b[0] for b in blocks], [int(b[2]) for b in blocks])

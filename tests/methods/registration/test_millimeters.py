@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.methods.registration.calibration import isotonic, monotone
+from depthcli.methods.registration.millimeters import isotonic, monotone
 
 
 def test_isotonic_pools_what_falls():
