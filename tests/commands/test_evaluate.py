@@ -372,7 +372,7 @@ def test_a_complete_set_has_one_mean(tmp_path: Path, truth: Path):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_protocol_is_said_and_never_guessed(tmp_path: Path, truth: Path):
+def test_the_protocol_is_given_or_named_by_the_scene(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2012"}))
     assert [r.protocol for r in evaluate([run], truth, None).results] == ["kitti_2012", "middlebury_v2"]
@@ -397,7 +397,7 @@ def test_two_protocols_side_by_side(tmp_path: Path, truth: Path):
     assert [row[1:] for row in overview.rows] == [("0.00", "0.00"), ("100.00", "0.00")]
 
 
-def test_one_map_at_a_glance(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
     good = exact(truth)
     write_pfm(tmp_path / "m.pfm", good + 2)
     # The file of a scene brings the scene's masks and scale.
@@ -418,7 +418,7 @@ def test_one_map_at_a_glance(tmp_path: Path, truth: Path, capsys: pytest.Capture
     assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
 
 
-def test_kit_files_are_told_from_the_truth(tmp_path: Path, truth: Path):
+def test_result_files_of_the_kit_are_not_taken_for_its_truth(tmp_path: Path, truth: Path):
     good = exact(truth)
     run = tmp_path / "kit"
     for name in ("disp0GT", "disp0GT_s", "disp0GTy", "disp0ours_s"):
@@ -449,7 +449,7 @@ def test_seconds_of_the_report_are_shown(tmp_path: Path, truth: Path):
     assert (summary.header[-1], summary.rows[0][-1]) == ("seconds", "2.00")
 
 
-def test_formats_settings_and_whose_wins(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
+def test_formats_settings_and_comparison(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
     good = exact(truth)
     one = run_of(tmp_path / "one", {"a": good, "b": good + 2})
     two = run_of(tmp_path / "two", {"a": good + 2, "b": good + 2})

@@ -241,10 +241,10 @@ class Boxes(Protocol[Any, Any]):
     kind, files, presentation = Scene, MapFiles(("{scene}",), ()), Presentation("boxes", "mm")
     headline = Measure("mean", "mm")
 
-    def truth(self, item: Scene) -> Any:
+    def truth(self, scene: Scene) -> Any:
         return np.zeros((4, 6, 8))
 
-    def read(self, path: Path, item: Scene, truth: Any) -> Any:
+    def read(self, path: Path, scene: Scene, truth: Any) -> Any:
         raise NotImplementedError
 
     def nothing(self, truth: Any) -> Any:
@@ -264,18 +264,18 @@ class Boxes(Protocol[Any, Any]):
 
 
 def test_volumes_show_slices_of_their_errors(tmp_path: Path):
-    judge, item, page = Boxes(), BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
+    judge, scene, page = Boxes(), BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
     volume = np.arange(4 * 6 * 8, dtype=float).reshape(4, 6, 8)
-    page.scene(judge, item, judge.truth(item))
-    result = Result("run", "box", "set", judge.name, scores=tuple(judge.scores(volume, judge.truth(item))))
-    page.map(result, tmp_path / "box", volume, judge.truth(item), {})
+    page.scene(judge, scene, judge.truth(scene))
+    result = Result("run", "box", "set", judge.name, scores=tuple(judge.scores(volume, judge.truth(scene))))
+    page.map(result, tmp_path / "box", volume, judge.truth(scene), {})
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})
-    scene = json.loads(read(tmp_path).scripts["data-0"])
+    data = json.loads(read(tmp_path).scripts["data-0"])
     planes = [*volume, *volume.swapaxes(0, 1), *np.moveaxis(volume, 2, 0)]
     names = [f"{axis} {k} of {n}" for axis, n in zip("zyx", (4, 6, 8), strict=True) for k in range(n)]
-    assert [view["name"] for view in scene["views"]] == names
-    assert scene["start"] == 2
-    for view, plane in zip(scene["views"], planes, strict=True):
+    assert [view["name"] for view in data["views"]] == names
+    assert data["start"] == 2
+    for view, plane in zip(data["views"], planes, strict=True):
         run = view["runs"]["run"]
         assert (view["truth"], view["image"], run["values"]) == (None, None, None)
         assert np.allclose(unpack(run["error"]), plane, atol=0.01)
@@ -300,7 +300,7 @@ class Points(Boxes):
 
     presentation = OnGrid("points", "mm")
 
-    def truth(self, item: Scene) -> Any:
+    def truth(self, scene: Scene) -> Any:
         return np.zeros(np.count_nonzero(INSIDE))
 
 
@@ -313,11 +313,11 @@ class PointsWithoutGrid(Points):
 @pytest.mark.parametrize("on_grid", [True, False])
 def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
     judge = Points() if on_grid else PointsWithoutGrid()
-    item, page = BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
-    truth = judge.truth(item)
+    scene, page = BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
+    truth = judge.truth(scene)
     points = np.arange(truth.size, dtype=float) * 4
     result = Result("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
-    page.scene(judge, item, truth)
+    page.scene(judge, scene, truth)
     page.map(result, tmp_path / "box", points, truth, {"c": points})
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})
     reader = read(tmp_path)
