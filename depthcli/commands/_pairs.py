@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from depthcli.batch.command import Values
 from depthcli.commands._batch import ConfigCommand
@@ -14,6 +14,7 @@ from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
     from depthcli.batch.console import Column, Reporter
+    from depthcli.batch.json_csv import Row
     from depthcli.batch.task import Outcome
     from depthcli.core.frames import StereoPair
     from depthcli.data.formats.pictures import Palette
@@ -135,7 +136,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         _check_range(config, scene, top)
         matcher, limits = self.matcher(config, scene), self.limits(config, memory)
         device_columns = self.device_columns(config)
-        facts: dict[str, Any] = {}
+        facts: Row = {}
         warnings: list[str] = []
         if config.calibration is None:
             pair = scene.load()

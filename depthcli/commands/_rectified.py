@@ -9,11 +9,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from depthcli.batch.json_csv import Row
     from depthcli.core.cameras.rig import RectifiedRig, Rig
     from depthcli.core.frames import StereoPair
     from depthcli.data.scenes.stereo import StereoScene
     from depthcli.methods.stereo.config import Calibration
-    from depthcli.methods.stereo.rectification import Points
+    from depthcli.methods.stereo.rectification import Points, RectifyingHomographies
 
 _MAX_ROW_ERROR = 1.0  # median row error of a calibrated pair, pixels; with more a scene has a warning
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
@@ -27,15 +28,13 @@ def read_rig(calibration: Calibration) -> Rig:
     return rigs.read_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
 
 
-def rectified_rig(calibration: Calibration, left: NDArray[Any], right: NDArray[Any]) -> RectifiedRig:
+def rectified_rig(calibration: Calibration, left: NDArray[np.generic], right: NDArray[np.generic]) -> RectifiedRig:
     """Return how images of these sizes are rectified; InputError where the calibration is not theirs."""
     sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
     return read_rig(calibration).rectified(*sizes, calibration.alpha)
 
 
-def rectified_pair(
-    calibration: Calibration, scene: StereoScene, folder: Path
-) -> tuple[StereoPair, dict[str, Any], list[str]]:
+def rectified_pair(calibration: Calibration, scene: StereoScene, folder: Path) -> tuple[StereoPair, Row, list[str]]:
     """Rectify the scene's pair; write images and calibration into ``folder``; return facts and warnings, too.
 
     Raises
@@ -56,7 +55,13 @@ def rectified_pair(
     return pair_of(views[0], views[1], (scene.left, scene.right)), facts, warnings
 
 
-def save_views(folder: Path, left: NDArray[Any], right: NDArray[Any], rig: Any, top: int | None = None) -> None:
+def save_views(
+    folder: Path,
+    left: NDArray[np.generic],
+    right: NDArray[np.generic],
+    rig: RectifiedRig | RectifyingHomographies,
+    max_disparity: int | None = None,
+) -> None:
     """Write ``left.png``, ``right.png`` and, where ``rig`` has metric depth, ``calib.txt`` with the search range."""
     from depthcli.core.cameras.rig import RectifiedRig
     from depthcli.data.formats.images import write_png
@@ -65,17 +70,17 @@ def save_views(folder: Path, left: NDArray[Any], right: NDArray[Any], rig: Any, 
     for name, view in (("left", left), ("right", right)):
         write_png(folder / f"{name}.png", view)
     if isinstance(rig, RectifiedRig):
-        write_geometry(folder / "calib.txt", rig.geometry, top)
+        write_geometry(folder / "calib.txt", rig.geometry, max_disparity)
 
 
-def match_rows(left: NDArray[Any], right: NDArray[Any]) -> tuple[Points, Points]:
+def match_rows(left: NDArray[np.generic], right: NDArray[np.generic]) -> tuple[Points, Points]:
     """Return matched key points of the images as they were taken."""
     from depthcli.methods.stereo.rectification import match_views
 
     return match_views(grey8(left), grey8(right))
 
 
-def row_errors(points: tuple[Points, Points], rig: Any) -> tuple[dict[str, Any], list[str]]:
+def row_errors(points: tuple[Points, Points], rig: RectifiedRig | RectifyingHomographies) -> tuple[Row, list[str]]:
     """Return how far the rows of matched points are apart before and after, and warnings where that is too much."""
     import numpy as np
 
@@ -101,7 +106,7 @@ def row_errors(points: tuple[Points, Points], rig: Any) -> tuple[dict[str, Any],
     return facts, warnings
 
 
-def grey8(image: Any) -> NDArray[np.uint8]:
+def grey8(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Return any image as (H, W) uint8."""
     from depthcli.core.frames import StereoPair
 

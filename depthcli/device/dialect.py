@@ -1,7 +1,8 @@
 """The C that kernels are written in: OpenCL C, with macros for what CUDA spells otherwise.
 
 A kernel is ``KERNEL void name(GLOBAL const uchar *RESTRICT in, ...)``; ``GLOBAL_ID``, ``LOCAL_ID``, ``GROUP_ID``,
-``LOCAL_SIZE`` of dimension 0, 1, 2 are ints; ``LOCAL`` memory is shared by a group, ``BARRIER()`` waits for it.
+``LOCAL_SIZE`` of dimension 0, 1, 2 are ints; ``OWN_PIXEL``, ``OWN_CELL`` and ``OWN_INDEX`` declare what a thread
+computes, and end the threads beyond; ``LOCAL`` memory is shared by a group, ``BARRIER()`` waits for it.
 Sums and products are never fused, so that results are those of the processor's kernels.
 """
 
@@ -64,6 +65,10 @@ typedef long long index_t;
 """
 
 COMMON = """
+#define OWN_INDEX(i, count) int i = GLOBAL_ID(0); if (i >= (count)) return
+#define OWN_PIXEL int x = GLOBAL_ID(0), y = GLOBAL_ID(1); if (x >= width || y >= height) return
+#define OWN_CELL int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2); \\
+    if (d >= depth || x >= width || y >= height) return
 DEVICE int distance_of(int a, int b) { return a < b ? b - a : a - b; }
 DEVICE int within(int low, int value, int high) { return value < low ? low : value > high ? high : value; }
 DEVICE int smaller(int a, int b) { return a < b ? a : b; }

@@ -37,9 +37,7 @@ KERNEL void winners(GLOBAL const COST *RESTRICT costs, GLOBAL ushort *RESTRICT b
 KERNEL void start_map(GLOBAL const ushort *RESTRICT best, GLOBAL float *RESTRICT values, GLOBAL uchar *RESTRICT status,
                       int count)
 {
-    int i = GLOBAL_ID(0);
-    if (i >= count)
-        return;
+    OWN_INDEX(i, count);
     values[i] = (float)best[i];
     status[i] = 0;
 }
@@ -47,9 +45,7 @@ KERNEL void start_map(GLOBAL const ushort *RESTRICT best, GLOBAL float *RESTRICT
 KERNEL void move_to_minimum(GLOBAL const COST *RESTRICT costs, GLOBAL const float *RESTRICT values,
                             GLOBAL float *RESTRICT moved, int height, int width, int depth)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     index_t here = (index_t)y * width + x;
     float value = values[here];
     moved[here] = value;
@@ -69,9 +65,7 @@ KERNEL void left_right_check(GLOBAL const float *RESTRICT values, GLOBAL const u
                              GLOBAL const ushort *RESTRICT right, GLOBAL float *RESTRICT checked,
                              GLOBAL uchar *RESTRICT reasons, int height, int width, int disparities, float tolerance)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     index_t row = (index_t)y * width, here = row + x;
     float d = values[here];
     checked[here] = d;

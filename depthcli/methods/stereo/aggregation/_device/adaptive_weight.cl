@@ -48,9 +48,7 @@ KERNEL void naive_weights(GLOBAL const COST *RESTRICT costs, GLOBAL const float 
                           GLOBAL const float *RESTRICT right, GLOBAL OUT *RESTRICT means, int height, int width,
                           int depth, int radius, float log_color, float log_space, float factor, float rounding)
 {
-    int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2);
-    if (d >= depth || x >= width || y >= height)
-        return;
+    OWN_CELL;
     index_t cell = ((index_t)y * width + x) * depth + d;
     float sum = 0, weights = 0;
     if (d <= x)

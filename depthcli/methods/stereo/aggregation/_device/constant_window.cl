@@ -13,9 +13,7 @@ DEVICE ushort mean_of(uint sum, int rows, int columns, float factor)
 KERNEL void naive_window(GLOBAL const COST *RESTRICT costs, GLOBAL ushort *RESTRICT means, int height, int width,
                          int depth, int radius, float factor)
 {
-    int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2);
-    if (d >= depth || x >= width || y >= height)
-        return;
+    OWN_CELL;
     int top = larger(0, y - radius), bottom = smaller(height, y + radius + 1);
     int left = larger(0, x - radius), right = smaller(width, x + radius + 1);
     uint sum = 0;

@@ -7,9 +7,7 @@
 // Median of the 3 x 3 pixels around each of an RGB image, borders repeated.
 KERNEL void median_3(GLOBAL const uchar *RESTRICT image, GLOBAL uchar *RESTRICT out, int height, int width)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     for (int c = 0; c < 3; c++) {
         uchar sample[9];
         int n = 0;
@@ -35,9 +33,8 @@ DEVICE int color_distance(GLOBAL const uchar *a, GLOBAL const uchar *b)
 KERNEL void grow_arms(GLOBAL const uchar *RESTRICT image, GLOBAL uchar *RESTRICT arms, int height, int width,
                       int length, int threshold, int inner_length, int inner_threshold)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1), side = GLOBAL_ID(2);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
+    int side = GLOBAL_ID(2);
     int room = side == 0 ? x : side == 1 ? width - 1 - x : side == 2 ? y : height - 1 - y;
     index_t step = 3 * (side == 0 ? -1 : side == 1 ? 1 : side == 2 ? -(index_t)width : (index_t)width);
     GLOBAL const uchar *center = image + 3 * ((index_t)y * width + x);
@@ -58,9 +55,7 @@ KERNEL void grow_arms(GLOBAL const uchar *RESTRICT image, GLOBAL uchar *RESTRICT
 KERNEL void inverse_areas(GLOBAL const uchar *RESTRICT arms, GLOBAL float *RESTRICT inverse, int height, int width,
                           int across)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     index_t plane = (index_t)height * width, here = (index_t)y * width + x;
     index_t step = across ? width : 1;
     GLOBAL const uchar *first = arms + (across ? 0 : 2) * plane, *second = arms + (across ? 2 : 0) * plane;
@@ -88,9 +83,7 @@ KERNEL void naive_cross(GLOBAL const ushort *RESTRICT costs, GLOBAL const uchar 
                         GLOBAL const float *RESTRICT inverse, GLOBAL ushort *RESTRICT means,
                         int height, int width, int depth, int across)
 {
-    int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2);
-    if (d >= depth || x >= width || y >= height)
-        return;
+    OWN_CELL;
     index_t plane = (index_t)height * width, here = (index_t)y * width + x;
     index_t along = across ? 1 : width, step = across ? width : 1;
     GLOBAL const uchar *first = arms + (across ? 0 : 2) * plane, *second = arms + (across ? 2 : 0) * plane;
@@ -115,9 +108,7 @@ DEVICE index_t line_start(int i, int across, int width, int depth, int count)
 KERNEL void prefix(GLOBAL const ushort *RESTRICT source, GLOBAL uint *RESTRICT sums, int lines, int width, int depth,
                    int count, int across)
 {
-    int i = GLOBAL_ID(0);
-    if (i >= lines)
-        return;
+    OWN_INDEX(i, lines);
     index_t at = line_start(i, across, width, depth, count), step = across ? depth : (index_t)width * depth;
     uint sum = 0;
     for (int k = 0; k < count; k++, at += step) {
@@ -131,9 +122,7 @@ KERNEL void spans(GLOBAL const uint *RESTRICT sums, GLOBAL const uchar *RESTRICT
                   GLOBAL const float *RESTRICT inverse, GLOBAL ushort *RESTRICT out, int height, int width, int depth,
                   int across, int last)
 {
-    int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2);
-    if (d >= depth || x >= width || y >= height)
-        return;
+    OWN_CELL;
     index_t plane = (index_t)height * width, here = (index_t)y * width + x, step = across ? 1 : width;
     GLOBAL const uchar *arm = arms + (across ? 0 : 2) * plane;
     int before = arm[here], after = arm[here + plane], place = across ? x : y;

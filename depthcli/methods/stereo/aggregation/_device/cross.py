@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from depthcli.device import Device, DeviceArray, Kernels
@@ -24,14 +27,31 @@ def naive(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume
     return _aggregate(method, volume, pair, _naive_cut if method.support == "intersection" else _naive)
 
 
-def _aggregate(method: Cross, volume: DeviceVolume, pair: DevicePair, once: object) -> DeviceVolume:
+@dataclass(frozen=True)
+class _Supports:
+    """Arms of both views, (4, H, W) uint8, and the kernels for their lengths."""
+
+    device: Device
+    left: DeviceArray
+    right: DeviceArray
+    kernels: Kernels
+
+
+def _aggregate(
+    method: Cross,
+    volume: DeviceVolume,
+    pair: DevicePair,
+    iteration: Callable[[_Supports, DeviceArray, int], DeviceArray],
+) -> DeviceVolume:
     volume = fixed_point(volume)
-    arms = _arms(method, pair, pair.color[0])
-    other = _arms(method, pair, pair.color[1]) if method.support == "intersection" else arms
-    source = volume.costs
-    for iteration in range(method.iterations):
-        source = once(method, volume.device, source, arms, other, int(iteration % 2 == 0))  # type: ignore[operator]
-    return DeviceVolume(volume.device, source, volume.scale)
+    left = _arms(method, pair, pair.color[0])
+    right = _arms(method, pair, pair.color[1]) if method.support == "intersection" else left
+    shift = max(0, (FixedPoint.LARGEST * (2 * method.length + 1)).bit_length() - 16)
+    supports = _Supports(volume.device, left, right, _KERNELS.with_macros(SHIFT=shift))
+    costs = volume.costs
+    for k in range(method.iterations):
+        costs = iteration(supports, costs, int(k % 2 == 0))
+    return DeviceVolume(volume.device, costs, volume.scale)
 
 
 def _arms(method: Cross, pair: DevicePair, image: DeviceArray) -> DeviceArray:
@@ -49,8 +69,44 @@ def _arms(method: Cross, pair: DevicePair, image: DeviceArray) -> DeviceArray:
     return arms
 
 
-def _kernels(method: Cross) -> Kernels:
-    return _KERNELS.with_macros(SHIFT=max(0, (FixedPoint.LARGEST * (2 * method.length + 1)).bit_length() - 16))
+def _naive(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
+    device, arms = supports.device, supports.left
+    means = device.empty(costs.shape, np.uint16)
+    inverse = _inverse(device, arms, across)
+    device.launch(
+        supports.kernels, "naive_cross", *cells(means), costs, arms, inverse, means, *costs.shape, across
+    )  # fmt: skip
+    return means
+
+
+def _means(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
+    device, arms = supports.device, supports.left
+    inverse = _inverse(device, arms, across)
+    sums = device.empty(costs.shape, np.uint32)
+    for last, along in enumerate((across, 1 - across)):
+        _prefix(device, supports.kernels, "prefix", costs, sums, along)
+        out = device.empty(costs.shape, np.uint16)
+        device.launch(supports.kernels, "spans", *cells(out), sums, arms, inverse, out, *costs.shape, along, last)
+        costs = out
+    return costs
+
+
+def _naive_cut(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
+    device, arms = supports.device, (supports.left, supports.right)
+    means = device.empty(costs.shape, np.uint16)
+    device.launch(_CUT, "naive_cut", *cells(means), costs, *arms, means, *costs.shape, across)
+    return means
+
+
+def _cut_means(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
+    device, arms = supports.device, (supports.left, supports.right)
+    sums, words = device.empty(costs.shape, np.uint32), device.empty(costs.shape, np.uint32)
+    _prefix(device, _KERNELS, "prefix", costs, sums, across)
+    device.launch(_CUT, "cut_spans", *cells(words), sums, *arms, words, *costs.shape, across)
+    totals, means = device.empty(costs.shape, np.uint64), device.empty(costs.shape, np.uint16)
+    _prefix(device, _CUT, "prefix_spans", words, totals, 1 - across)
+    device.launch(_CUT, "cut_means", *cells(means), totals, *arms, means, *costs.shape, 1 - across)
+    return means
 
 
 def _inverse(device: Device, arms: DeviceArray, across: int) -> DeviceArray:
@@ -60,50 +116,7 @@ def _inverse(device: Device, arms: DeviceArray, across: int) -> DeviceArray:
     return inverse
 
 
-def _naive(
-    method: Cross, device: Device, source: DeviceArray, arms: DeviceArray, other: DeviceArray, across: int
-) -> DeviceArray:
-    means = device.empty(source.shape, np.uint16)
-    inverse = _inverse(device, arms, across)
-    device.launch(_kernels(method), "naive_cross", *cells(means), source, arms, inverse, means, *source.shape, across)
-    return means
-
-
-def _means(
-    method: Cross, device: Device, source: DeviceArray, arms: DeviceArray, other: DeviceArray, across: int
-) -> DeviceArray:
-    kernels = _kernels(method)
-    inverse = _inverse(device, arms, across)
-    sums = device.empty(source.shape, np.uint32)
-    for last, along in enumerate((across, 1 - across)):
-        _prefix(device, kernels, "prefix", source, sums, along)
-        out = device.empty(source.shape, np.uint16)
-        device.launch(kernels, "spans", *cells(out), sums, arms, inverse, out, *source.shape, along, last)
-        source = out
-    return source
-
-
 def _prefix(device: Device, kernels: Kernels, name: str, source: DeviceArray, sums: DeviceArray, along: int) -> None:
     height, width, depth = source.shape
     lines, count = (height * depth, width) if along else (width * depth, height)
     device.launch(kernels, name, (lines,), (64,), source, sums, lines, width, depth, count, along)
-
-
-def _naive_cut(
-    method: Cross, device: Device, source: DeviceArray, arms: DeviceArray, other: DeviceArray, across: int
-) -> DeviceArray:
-    means = device.empty(source.shape, np.uint16)
-    device.launch(_CUT, "naive_cut", *cells(means), source, arms, other, means, *source.shape, across)
-    return means
-
-
-def _cut_means(
-    method: Cross, device: Device, source: DeviceArray, arms: DeviceArray, other: DeviceArray, across: int
-) -> DeviceArray:
-    sums, words = device.empty(source.shape, np.uint32), device.empty(source.shape, np.uint32)
-    _prefix(device, _CUT, "prefix_costs", source, sums, across)
-    device.launch(_CUT, "cut_spans", *cells(words), sums, arms, other, words, *source.shape, across)
-    totals, means = device.empty(source.shape, np.uint64), device.empty(source.shape, np.uint16)
-    _prefix(device, _CUT, "prefix_spans", words, totals, 1 - across)
-    device.launch(_CUT, "cut_means", *cells(means), totals, arms, other, means, *source.shape, 1 - across)
-    return means

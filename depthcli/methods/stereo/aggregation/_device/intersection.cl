@@ -11,9 +11,7 @@ KERNEL void naive_cut(GLOBAL const ushort *RESTRICT costs, GLOBAL const uchar *R
                       GLOBAL const uchar *RESTRICT target, GLOBAL ushort *RESTRICT means,
                       int height, int width, int depth, int across)
 {
-    int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2);
-    if (d >= depth || x >= width || y >= height)
-        return;
+    OWN_CELL;
     index_t plane = (index_t)height * width, here = (index_t)y * width + x;
     index_t first = (across ? 0 : 2) * plane, second = (across ? 2 : 0) * plane;
     int before = cut_arm(arms + second, target + second, here, x, d);
@@ -36,26 +34,10 @@ DEVICE index_t line_start(int i, int across, int depth, int count)
     return across ? (index_t)(i / depth) * count * depth + i % depth : i;
 }
 
-KERNEL void prefix_costs(GLOBAL const ushort *RESTRICT source, GLOBAL uint *RESTRICT sums, int lines, int width,
-                         int depth, int count, int across)
-{
-    int i = GLOBAL_ID(0);
-    if (i >= lines)
-        return;
-    index_t at = line_start(i, across, depth, count), step = across ? depth : (index_t)width * depth;
-    uint sum = 0;
-    for (int k = 0; k < count; k++, at += step) {
-        sum += source[at];
-        sums[at] = sum;
-    }
-}
-
 KERNEL void prefix_spans(GLOBAL const uint *RESTRICT words, GLOBAL ulong *RESTRICT sums, int lines, int width,
                          int depth, int count, int across)
 {
-    int i = GLOBAL_ID(0);
-    if (i >= lines)
-        return;
+    OWN_INDEX(i, lines);
     index_t at = line_start(i, across, depth, count), step = across ? depth : (index_t)width * depth;
     ulong sum = 0;
     for (int k = 0; k < count; k++, at += step) {
@@ -66,9 +48,7 @@ KERNEL void prefix_spans(GLOBAL const uint *RESTRICT words, GLOBAL ulong *RESTRI
 }
 
 #define SPAN \
-    int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2); \
-    if (d >= depth || x >= width || y >= height) \
-        return; \
+    OWN_CELL; \
     index_t plane = (index_t)height * width, here = (index_t)y * width + x, step = across ? 1 : width; \
     index_t side = (across ? 0 : 2) * plane; \
     int before = cut_arm(arms + side, target + side, here, x, d); \

@@ -5,9 +5,7 @@
 
 KERNEL void census(GLOBAL const GREY *RESTRICT image, GLOBAL ulong *RESTRICT bits, int height, int width, int ry, int rx)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     int center = image[(index_t)y * width + x];
     ulong word = 0;
     for (int dy = -ry; dy <= ry; dy++) {
@@ -21,9 +19,7 @@ KERNEL void census(GLOBAL const GREY *RESTRICT image, GLOBAL ulong *RESTRICT bit
 
 KERNEL void rank(GLOBAL const GREY *RESTRICT image, GLOBAL uchar *RESTRICT ranks, int height, int width, int ry, int rx)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     int center = image[(index_t)y * width + x], darker = 0;
     for (int dy = -ry; dy <= ry; dy++) {
         GLOBAL const GREY *row = image + (index_t)within(0, y + dy, height - 1) * width;
@@ -50,9 +46,7 @@ DEVICE float odd_taps(const float *value, GLOBAL const float *RESTRICT taps)
 KERNEL void gradient(GLOBAL const GREY *RESTRICT image, GLOBAL const float *RESTRICT smooth,
                      GLOBAL const float *RESTRICT slope, float unit, GLOBAL short *RESTRICT out, int height, int width)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     float sloped[5], smoothed[5];
     for (int dy = 0; dy < 5; dy++) {
         GLOBAL const GREY *row = image + (index_t)within(0, y + dy - 2, height - 1) * width;

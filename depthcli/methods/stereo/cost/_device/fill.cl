@@ -9,9 +9,7 @@
 // Features are (H, W, CHANNELS).
 
 #define CELL \
-    int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2); \
-    if (d >= depth || x >= width || y >= height) \
-        return; \
+    OWN_CELL; \
     index_t cell = ((index_t)y * width + x) * depth + d; \
     if (d > x) { \
         costs[cell] = (uchar)outside; \

@@ -9,9 +9,8 @@
 KERNEL void path_edges(GLOBAL const uchar *RESTRICT image, GLOBAL uchar *RESTRICT edges, int height, int width,
                        int threshold)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1), k = GLOBAL_ID(2);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
+    int k = GLOBAL_ID(2);
     int v = y - (k == 0 ? 0 : 1), u = x + (k < 2 ? -1 : k - 2);
     uchar edge = 0;
     if (v >= 0 && u >= 0 && u < width)

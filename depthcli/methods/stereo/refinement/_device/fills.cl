@@ -4,9 +4,7 @@
 // Rows first: each empty pixel gets the smaller of the nearest values of its row. Rows without values stay empty.
 KERNEL void fill_rows(GLOBAL const float *RESTRICT values, GLOBAL float *RESTRICT filled, int height, int width)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     GLOBAL const float *row = values + (index_t)y * width;
     int before = x, after = x;
     while (before >= 0 && no_value(row[before]))
@@ -27,9 +25,7 @@ KERNEL void fill_columns(GLOBAL const float *RESTRICT values, GLOBAL const uchar
                          GLOBAL const float *RESTRICT rows, GLOBAL float *RESTRICT filled,
                          GLOBAL uchar *RESTRICT reasons, int height, int width)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     index_t here = (index_t)y * width + x;
     int v = y;
     while (v >= 0 && no_value(rows[(index_t)v * width + x]))
@@ -125,9 +121,7 @@ DEVICE void plane_along_row(GLOBAL const float *RESTRICT values, int height, int
 KERNEL void surfaces_at_gaps(GLOBAL const float *RESTRICT values, GLOBAL real *RESTRICT planes, int height, int width,
                              int rows, int reach, int support)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     index_t here = (index_t)y * width + x;
     if (no_value(values[here]))
         return;
@@ -148,9 +142,7 @@ KERNEL void continue_surfaces(GLOBAL const float *RESTRICT values, GLOBAL const 
                               GLOBAL const real *RESTRICT planes, GLOBAL float *RESTRICT filled,
                               GLOBAL uchar *RESTRICT reasons, int height, int width, float largest)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     index_t row = (index_t)y * width, here = row + x;
     float value = values[here];
     int reason = status[here];

@@ -8,9 +8,7 @@
 KERNEL void plain_median(GLOBAL const float *RESTRICT values, GLOBAL const uchar *RESTRICT status,
                          GLOBAL float *RESTRICT filtered, GLOBAL uchar *RESTRICT reasons, int height, int width)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     index_t here = (index_t)y * width + x;
     float sample[WINDOW * WINDOW], middle = values[here];
     int n = 0, whole = 1;
@@ -42,9 +40,7 @@ KERNEL void weighted_median(GLOBAL const uchar *RESTRICT image, GLOBAL const flo
                             GLOBAL const float *RESTRICT by_distance, GLOBAL float *RESTRICT filtered,
                             int height, int width, int radius, float filled_weight)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     index_t here = (index_t)y * width + x;
     filtered[here] = values[here];
     if (no_value(values[here]))

@@ -8,9 +8,7 @@
 KERNEL void split_values(GLOBAL const float *RESTRICT values, GLOBAL float *RESTRICT known, GLOBAL float *RESTRICT trust,
                          int count)
 {
-    int i = GLOBAL_ID(0);
-    if (i >= count)
-        return;
+    OWN_INDEX(i, count);
     int none = no_value(values[i]);
     known[i] = none ? 0 : values[i];
     trust[i] = none ? 0 : 1;
@@ -65,9 +63,7 @@ KERNEL void slopes(GLOBAL const float *RESTRICT known, GLOBAL const float *RESTR
                    GLOBAL const uchar *RESTRICT image, GLOBAL const float *RESTRICT limits, GLOBAL float *RESTRICT found,
                    int height, int width, int step, float spread)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     index_t here = (index_t)y * width + x, plane = (index_t)height * width;
     int red = image[3 * here], green = image[3 * here + 1], blue = image[3 * here + 2];
     float near[SAMPLES], apart[SAMPLES], sums[9];

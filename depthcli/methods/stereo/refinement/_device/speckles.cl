@@ -4,9 +4,7 @@
 KERNEL void start_regions(GLOBAL const float *RESTRICT values, GLOBAL short *RESTRICT fixed, GLOBAL int *RESTRICT parent,
                           GLOBAL int *RESTRICT sizes, int count, int steps)
 {
-    int i = GLOBAL_ID(0);
-    if (i >= count)
-        return;
+    OWN_INDEX(i, count);
     float value = values[i];
     fixed[i] = (short)(no_value(value) ? -32768 : (int)rint(value * (float)steps));
     parent[i] = i;
@@ -42,9 +40,7 @@ DEVICE void join(volatile GLOBAL int *parent, int a, int b)
 KERNEL void join_regions(GLOBAL const short *RESTRICT fixed, volatile GLOBAL int *parent, int height, int width,
                          int largest_step)
 {
-    int x = GLOBAL_ID(0), y = GLOBAL_ID(1);
-    if (x >= width || y >= height)
-        return;
+    OWN_PIXEL;
     int here = y * width + x, value = fixed[here];
     if (value == -32768)
         return;
@@ -56,9 +52,7 @@ KERNEL void join_regions(GLOBAL const short *RESTRICT fixed, volatile GLOBAL int
 
 KERNEL void count_regions(volatile GLOBAL int *parent, GLOBAL int *RESTRICT roots, volatile GLOBAL int *sizes, int count)
 {
-    int i = GLOBAL_ID(0);
-    if (i >= count)
-        return;
+    OWN_INDEX(i, count);
     int root = root_of(parent, i);
     roots[i] = root;
     ATOMIC_ADD(sizes + root, 1);
@@ -68,9 +62,7 @@ KERNEL void remove_small(GLOBAL const float *RESTRICT values, GLOBAL const uchar
                          GLOBAL const int *RESTRICT roots, GLOBAL const int *RESTRICT sizes,
                          GLOBAL float *RESTRICT kept, GLOBAL uchar *RESTRICT reasons, int count, int size)
 {
-    int i = GLOBAL_ID(0);
-    if (i >= count)
-        return;
+    OWN_INDEX(i, count);
     float value = values[i];
     int small = !no_value(value) && sizes[roots[i]] <= size;
     kept[i] = small ? NO_VALUE : value;
