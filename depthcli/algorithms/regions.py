@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -169,16 +170,29 @@ def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min
     Regions join in rounds until all are large enough (or only one is left). Labels as in
     :func:`connected_components`.
     """
-    graph = region_graph(labels, image)
-    number = np.arange(len(graph.sizes), dtype=np.int32)
-    while len(graph.sizes) >= 2 and (small := graph.sizes < min_size).any():
+
+    def color_distance(graph: RegionGraph) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
         first, second = graph.edges.T
-        distance = np.square(graph.means[first] - graph.means[second]).sum(axis=1)
-        target = _best_neighbors(graph.edges, distance, small)
+        return graph.edges, np.square(graph.means[first] - graph.means[second]).sum(axis=1)
+
+    return _merge_small(labels, region_graph(labels, image), min_size, color_distance)
+
+
+def _merge_small(
+    labels: NDArray[np.int32],
+    graph: RegionGraph,
+    min_size: int,
+    rank: Callable[[RegionGraph], tuple[NDArray[np.int32], NDArray[np.float64]]],
+) -> NDArray[np.int32]:
+    # In rounds, small regions join along their edge of smallest rank; ``rank`` gives edges and their ranks.
+    number = np.arange(len(graph.sizes), dtype=np.int32)
+    while True:
+        target = _best_neighbors(*rank(graph), graph.sizes < min_size)
         source = np.flatnonzero(target >= 0)
+        if len(source) == 0:
+            return number[labels]
         graph, group = _merged(graph, source, target[source])
         number = group[number]
-    return number[labels]
 
 
 def joined_regions(count: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -193,15 +207,11 @@ def merge_small_labels(pieces: NDArray[np.int32], parents: NDArray[np.int32], mi
 
     ``parents`` (H, W) is the map the pieces (H, W) were cut from; a piece that is all of its parent stays.
     """
-    graph = region_graph(pieces, parents[..., None].astype(np.float64))
-    number = np.arange(len(graph.sizes), dtype=np.int32)
-    while True:
+
+    def boundary_inside_parents(graph: RegionGraph) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
         first, second = graph.edges.T
         inside = graph.means[first, 0] == graph.means[second, 0]
-        rank = -graph.boundary[inside].astype(np.float64)
-        target = _best_neighbors(graph.edges[inside], rank, graph.sizes < min_size)
-        source = np.flatnonzero(target >= 0)
-        if len(source) == 0:
-            return number[pieces]
-        graph, group = _merged(graph, source, target[source])
-        number = group[number]
+        return graph.edges[inside], -graph.boundary[inside].astype(np.float64)
+
+    graph = region_graph(pieces, parents[..., None].astype(np.float64))
+    return _merge_small(pieces, graph, min_size, boundary_inside_parents)

@@ -84,8 +84,8 @@ def trws(
     cap = np.float32(truncation)
     row_bounds = np.zeros(height, np.float64)
     for _ in range(iterations):
-        _forward(nodes, values, unary, weights, cap, choices, share, earlier, messages)
-        _backward(nodes, values, unary, weights, cap, choices, share, earlier, messages, row_bounds)
+        for backward in range(2):
+            _pass(nodes, values, unary, weights, cap, choices, share, earlier, messages, backward, row_bounds)
     labels = np.zeros(count, np.int32)
     _select(nodes, values, unary, weights, cap, choices, earlier, messages, labels)
     return ValueLabelling(labels, _energy(nodes, values, unary, weights, cap, labels), float(row_bounds.sum()))
@@ -178,38 +178,28 @@ def _visit(  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _forward(nodes, values, unary, weights, truncation, choices, share, earlier, messages):  # type: ignore[no-untyped-def]
+def _pass(  # type: ignore[no-untyped-def]
+    nodes, values, unary, weights, truncation, choices, share, earlier, messages, backward, row_bounds,
+):  # fmt: skip
+    # A forward (0) or backward (1) pass; ``row_bounds`` (H,) float64 become the rows' parts of the lower bound.
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
-    bands = (height + _BAND - 1) // _BAND
-    for last in range(2):
-        for band in prange(bands):
+    for turn in range(2):
+        last = 1 - turn if backward else turn
+        for band in prange((height + _BAND - 1) // _BAND):
             belief = np.empty(2 * values.shape[1], np.float32)
-            for y in range(band * _BAND, min(band * _BAND + _BAND, height)):
-                if (_rank(y, height) == _BAND) == last:
-                    for x in range(width):
-                        n = nodes[y + 1, x + 1]
-                        if n >= 0:
-                            _visit(y, x, n, 0, nodes, values, unary, weights, truncation, choices, share, earlier,
-                                   messages, belief)  # fmt: skip
-
-
-@parallel_jit
-def _backward(nodes, values, unary, weights, truncation, choices, share, earlier, messages, row_bounds):  # type: ignore[no-untyped-def]
-    # As ``_forward``, in reverse order; ``row_bounds`` (H,) float64 are the rows' parts of the lower bound.
-    height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
-    bands = (height + _BAND - 1) // _BAND
-    for last in range(1, -1, -1):
-        for band in prange(bands):
-            belief = np.empty(2 * values.shape[1], np.float32)
-            for y in range(min(band * _BAND + _BAND, height) - 1, band * _BAND - 1, -1):
-                if (_rank(y, height) == _BAND) == last:
-                    total = 0.0
-                    for x in range(width - 1, -1, -1):
-                        n = nodes[y + 1, x + 1]
-                        if n >= 0:
-                            total += _visit(y, x, n, 1, nodes, values, unary, weights, truncation, choices, share,
-                                            earlier, messages, belief)  # fmt: skip
-                    row_bounds[y] = total
+            start, stop = band * _BAND, min(band * _BAND + _BAND, height)
+            for i in range(stop - start):
+                y = stop - 1 - i if backward else start + i
+                if (_rank(y, height) == _BAND) != last:
+                    continue
+                total = 0.0
+                for j in range(width):
+                    x = width - 1 - j if backward else j
+                    n = nodes[y + 1, x + 1]
+                    if n >= 0:
+                        total += _visit(y, x, n, backward, nodes, values, unary, weights, truncation, choices, share,
+                                        earlier, messages, belief)  # fmt: skip
+                row_bounds[y] = total
 
 
 @parallel_jit

@@ -1,7 +1,6 @@
-"""Adaptive support weights: the mean cost of a window, weighted by color likeness and nearness.
+"""Adaptive support weights: means over a window, weighted by color similarity and distance.
 
-Yoon & Kweon, "Adaptive support-weight approach for correspondence search", PAMI 2006; thesis
-eq. 3.10-3.11.
+Yoon & Kweon, "Adaptive support-weight approach for correspondence search", PAMI 2006; thesis eq. 3.10-3.11.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from depthcli.kernels.jit import float32, intrinsic, jit, parallel_jit, prange, 
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume
 
-_NARROW = 16
+_NARROW = 16  # disparities that are summed together where fewer than _WIDE are left
 # The sums of one chunk of disparities must stay in registers: 8 of 512 bit, or 8 of 256 bit.
 _WIDE = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
 
@@ -31,15 +30,11 @@ _WIDE = 64 if llvm.get_host_cpu_features().get("avx512f", False) else 32
 class AdaptiveWeight(Aggregator):
     """Mean over the window with weights w(p, q) w'(p_d, q_d), w = exp(-(color / gamma_c + space / gamma_s)).
 
-    Both views weight a pair of pixels, each by its own colors. Neighbors whose match lies outside
-    the right image have no weight there and are left out of the mean; cells which themselves lie
-    outside keep their neutral cost.
+    Each view weights a pair of pixels by its own colors. Neighbors whose match lies outside the right image do not
+    take part in the mean; cells which themselves lie outside keep their neutral cost.
     """
 
-    aliases = (
-        "AW",
-        "ASW",
-    )
+    aliases = ("AW", "ASW")
 
     window: Odd = Field(33, ge=1, le=99, description="side of the square window, pixels, odd")
     gamma_color: float = Field(10.0, gt=0, le=1e4, description="color difference that costs a factor e of weight")
@@ -53,29 +48,22 @@ class AdaptiveWeight(Aggregator):
         return self.window // 2
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
-        """Weighted means: uint16 fixed point (x16) of uint8 costs, otherwise the input's dtype and scale."""
+        """Return weighted means: uint16 fixed point (x16) of uint8 costs, otherwise the input's dtype and scale."""
         costs = volume.costs
         if costs.shape[:2] != pair.shape:
             raise ValueError(f"volume {costs.shape} does not belong to images of {pair.shape}")
         fixed_point = 16 if costs.dtype == np.uint8 else 1
         out = memory.empty(costs.shape, np.float32 if costs.dtype == np.float32 else np.uint16)
         left, right = (self.planes(image) for image in pair.color8)
+        rounding = np.float32(0.0 if costs.dtype == np.float32 else 0.5)
         _aggregate(
-            costs,
-            left,
-            np.ascontiguousarray(right[:, :, ::-1]),
-            self.window // 2,
-            np.float32(self.gamma_color),
-            np.float32(self.gamma_space),
-            self.norm == "squared",
-            np.float32(fixed_point),
-            np.float32(0.0 if costs.dtype == np.float32 else 0.5),
-            out,
-        )
+            costs, left, np.ascontiguousarray(right[:, :, ::-1]), self.window // 2, np.float32(self.gamma_color),
+            np.float32(self.gamma_space), self.norm == "squared", np.float32(fixed_point), rounding, out,
+        )  # fmt: skip
         return CostVolume(out, volume.scale * fixed_point)
 
     def planes(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """(H, 3, W) float32 colors, row by row, plane by plane."""
+        """Return the colors of an (H, W, 3) image in ``color_space``, (H, 3, W) float32."""
         colors = image.astype(np.float32)
         if self.color_space == "lab":
             colors = np.asarray(cv2.cvtColor(colors / np.float32(255), cv2.COLOR_RGB2Lab), np.float32)
@@ -83,22 +71,17 @@ class AdaptiveWeight(Aggregator):
 
 
 def _accumulator(lanes: int) -> Any:
-    """Intrinsic that adds the taps of one window row to ``lanes`` weighted sums at once.
-
-    Written with explicit vectors because the sums must stay in registers over all taps: as plain
-    loops, numba cannot know that the sums do not overlap the inputs, and loads and stores them at
-    every tap (measured: 2-3 times slower).
-    """
+    # An intrinsic that adds the taps of one window row to ``lanes`` weighted sums at once. With explicit vectors the
+    # sums stay in registers over all taps; in plain loops numba cannot know that the sums do not overlap the inputs,
+    # and loads and stores them at every tap (2-3 times slower).
 
     @intrinsic
     def accumulate(
         typingctx: Any, sums: Any, weights: Any, at: Any, left: Any, left_at: Any, left_step: Any, right: Any,
         right_at: Any, right_step: Any, cost: Any, cost_at: Any, cost_step: Any, taps: Any,
     ) -> Any:  # fmt: skip
-        """For k < taps: t = left[k] * right[k, :]; sums += t * cost[k, :]; weights += t.
-
-        All arrays are flat float32; ``*_at`` is where tap 0 lies, ``*_step`` the way to the next tap.
-        """
+        # For k < taps: t = left[k] * right[k, :]; sums += t * cost[k, :]; weights += t. All arrays are flat float32;
+        # ``*_at`` is the index of tap 0, ``*_step`` the distance to the next tap.
         signature = types.void(
             sums, weights, at, left, left_at, left_step, right, right_at, right_step, cost, cost_at, cost_step, taps
         )
@@ -162,7 +145,7 @@ _accumulate_narrow = _accumulator(_NARROW)
 def _weigh(
     a0: Any, a1: Any, a2: Any, b0: Any, b1: Any, b2: Any, space: Any, scale: Any, squared: bool, out: Any
 ) -> None:
-    """out = 2 ** -(space + scale * |a - b|), in a form that compiles to vector code."""
+    # out = 2 ** -(space + scale * |a - b|), in a form that compiles to vector code.
     for i in range(out.size):
         d0, d1, d2 = a0[i] - b0[i], a1[i] - b1[i], a2[i] - b2[i]
         distance = d0 * d0 + d1 * d1 + d2 * d2
@@ -176,15 +159,9 @@ def _aggregate(
     costs: Any, left: Any, right: Any, radius: int, gamma_color: Any, gamma_space: Any, squared: bool,
     factor: Any, rounding: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Weighted means of a whole volume.
-
-    Row by row: for every row of the window the left weights (tap, x) and the right weights
-    (tap, reversed x) are computed once; then every pixel adds its taps, all disparities at once.
-    In reversed order the right weights of one pixel are contiguous along d, and zeros after the row's
-    end stand for what lies outside the right image.
-
-    costs : (H, W, D); left : (H, 3, W) float32; right : (H, 3, W) float32, each row reversed
-    """
+    # (H, W, D) costs, (H, 3, W) colors, rows of ``right`` reversed. For every row of the window left weights (tap, x)
+    # and right weights (tap, reversed x) are computed once; then every pixel adds its taps for all disparities. In
+    # reversed order the right weights of a pixel are contiguous along d, and 0 after the row's end, outside the image.
     height, width, disparities = costs.shape
     padded = (disparities + _NARROW - 1) // _NARROW * _NARROW
     # An odd number of cache lines, so that the taps' rows spread over all cache sets.
