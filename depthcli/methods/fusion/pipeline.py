@@ -192,7 +192,9 @@ class Fusion(AdjustingMatcher):
         """Compute the fused cost volume: costs -> votes of the measures -> weights -> blend -> aggregation -> votes."""
         clock = clock or Clock()
         depth = max_disparity + 1
-        parts = [squash(measure.costs(pair, depth, volumes), measure.scale, self.outside) for measure in self.measures]
+        parts = [
+            squash(measure.costs(pair, depth, volumes), measure.scale, self.outside) for measure in self.measures
+        ]
         clock.stop("cost")
         chosen, trust = self._voters(self._vote_costs(parts, pair))
         clock.stop("voters")
