@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.data.generated.arrays import textures
-from depthcli.data.generated.arrays.surfaces import Outline, Surface, rotation
+from depthcli.data.generated.arrays.surfaces import Outline, Shape, Surface, rotation
 from depthcli.data.generated.arrays.textures import Texture, TextureMaker
 
 
@@ -36,17 +36,17 @@ class Room:
         self.light = np.array([light[0] / self.far, light[1] / self.far, 0.35 * self.focal / self.near])
 
     def at(self, x: float, y: float, disparity: float) -> NDArray[np.float64]:
-        """World point that the left camera sees at pixel (x, y) with this disparity."""
+        """Return the world point that the left camera sees at pixel (x, y) with this disparity."""
         return np.array([x - self.center[0], y - self.center[1], self.focal]) / disparity
 
     def on_floor(self, x: float, disparity: float) -> NDArray[np.float64]:
-        """World point of the floor at column x and this disparity."""
+        """Return the world point of the floor at column x and this disparity."""
         point = self.at(x, 0, disparity)
         point[1] = self.floor
         return point
 
     def paint(self, maker: TextureMaker, size: tuple[float, float], disparity: float, feature: float = 1.0) -> Texture:
-        """A picture for a surface of this (width, height) in baselines: one texel a pixel at ``disparity``."""
+        """Return a picture for a surface of this (width, height) in baselines: one texel a pixel at ``disparity``."""
         columns, rows = (int(np.clip(round(s * disparity), 8, 4096)) for s in size)
         return maker(self.rng, rows, columns, self.feature * feature)
 
@@ -54,14 +54,14 @@ class Room:
         return makers[int(self.rng.integers(len(makers)))]
 
     def add(self, surface: Surface) -> None:
-        """Put a finite surface in, moved back where it would come nearer than the search range allows."""
+        """Add a finite surface, moved back where it would come nearer than the search range allows."""
         short = self.focal / (0.97 * self.max_disparity) - float(surface.corners()[:, 2].min())
         if short > 0:
             surface = replace(surface, center=surface.center + np.array([0.0, 0.0, short]))
         self.surfaces.append(surface)
 
     def add_walls(self, wall: TextureMaker | None = None) -> None:
-        """Floor and back wall, and sometimes a side wall."""
+        """Add floor and back wall, and sometimes a side wall."""
         yaw = self.rng.uniform(-0.25, 0.25)
         deep = self.focal / self.far
         half = np.array([0.75 * self.width / self.far + 2, 0.75 * self.height / self.far, 1.0])
@@ -74,7 +74,7 @@ class Room:
             self.side_wall(on_right=self.rng.random() < 0.5)
 
     def side_wall(self, on_right: bool) -> None:
-        """A wall that comes forward out of the picture; at its edge (in both views) still within the range."""
+        """Add a wall that comes forward out of the picture; at its edge (in both views) still within the range."""
         near, share = 0.7 * self.max_disparity, self.rng.uniform(0.08, 0.2)
         if on_right:
             first, last = self.at(self.width * (1 - share), 0, self.far), self.at(self.width + near, 0, near)
@@ -90,7 +90,7 @@ class Room:
         self.surfaces.append(Surface("plane", middle, turn, half, self.faded(picture), unbounded=True))
 
     def lay_floor(self) -> None:
-        """The floor alone."""
+        """Add the floor alone."""
         deep, near = self.focal / self.far, self.focal / self.max_disparity
         half = np.array([0.75 * self.width / self.far, (deep - near) * 0.6, 1.0])
         maker = self.pick(textures.FLOOR_TEXTURES)
@@ -99,7 +99,7 @@ class Room:
         self.surfaces.append(Surface("plane", middle, rotation(pitch=np.pi / 2), half, picture, unbounded=True))
 
     def faded(self, picture: Texture) -> Texture:
-        """A wall's picture with the contrast asked for."""
+        """Return a wall's picture with the contrast ``wall_contrast``."""
         mean = picture.mean(axis=(0, 1), keepdims=True)
         return np.asarray(mean + self.wall_contrast * (picture - mean), np.float32)
 
@@ -113,7 +113,7 @@ class Room:
         outline: Outline | None = None,
         maker: TextureMaker | None = None,
     ) -> None:
-        """A flat board centered at a pixel; ``size`` in pixels."""
+        """Add a flat board centered at a pixel; ``size`` in pixels."""
         wide, tall = size[0] / disparity, size[1] / disparity
         picture = self.paint(maker or self.pick(textures.OBJECT_TEXTURES), (wide, tall), disparity)
         half = np.array([wide / 2, tall / 2, 1.0])
@@ -128,7 +128,7 @@ class Room:
         yaw: float | None = None,
         gloss: float = 0.0,
     ) -> None:
-        """A box on the floor, turned about its upright axis; ``size`` (width, height, depth) in pixels."""
+        """Add a box on the floor, turned about its upright axis; ``size`` (width, height, depth) in pixels."""
         wide, tall, deep = (s / disparity for s in size)
         turn = rotation(self.rng.uniform(-0.6, 0.6) if yaw is None else yaw)
         maker = maker or self.pick(textures.OBJECT_TEXTURES)
@@ -149,7 +149,7 @@ class Room:
             self.surfaces.append(Surface("plane", middle + shift, axes, half, picture, gloss=gloss))
 
     def ball(self, x: float, disparity: float, radius: float) -> None:
-        """A ball on the floor; ``radius`` in pixels."""
+        """Add a ball on the floor; ``radius`` in pixels."""
         r = radius / disparity
         middle = self.on_floor(x, disparity)
         middle[1] -= r
@@ -158,23 +158,22 @@ class Room:
         self.add(Surface("sphere", middle, turn, np.full(3, r), picture))
 
     def cone(self, x: float, disparity: float, size: tuple[float, float]) -> None:
-        """A cone on the floor; ``size`` (radius, height) in pixels."""
-        r, tall = size[0] / disparity, size[1] / disparity
-        middle = self.on_floor(x, disparity)
-        middle[1] -= tall / 2
-        picture = self.paint(self.pick(textures.OBJECT_TEXTURES), (2 * np.pi * r, tall), disparity)
-        self.add(Surface("cone", middle, rotation(), np.array([r, tall / 2, r]), picture))
+        """Add a cone on the floor; ``size`` (radius, height) in pixels."""
+        self._stand("cone", x, disparity, size)
 
     def tub(self, x: float, disparity: float, size: tuple[float, float]) -> None:
-        """An open cylinder on the floor; ``size`` (radius, height) in pixels."""
+        """Add an open cylinder on the floor; ``size`` (radius, height) in pixels."""
+        self._stand("cylinder", x, disparity, size)
+
+    def _stand(self, shape: Shape, x: float, disparity: float, size: tuple[float, float]) -> None:
         r, tall = size[0] / disparity, size[1] / disparity
         middle = self.on_floor(x, disparity)
         middle[1] -= tall / 2
         picture = self.paint(self.pick(textures.OBJECT_TEXTURES), (2 * np.pi * r, tall), disparity)
-        self.add(Surface("cylinder", middle, rotation(), np.array([r, tall / 2, r]), picture))
+        self.add(Surface(shape, middle, rotation(), np.array([r, tall / 2, r]), picture))
 
     def spread(self, count: int) -> list[tuple[float, float]]:
-        """(column, disparity) of ``count`` places side by side, at mixed depths."""
+        """Return (column, disparity) of ``count`` places side by side, at mixed depths."""
         columns = (np.arange(count) + self.rng.uniform(0.25, 0.75, count)) / count * self.width
         depths = self.far + (self.near - self.far) * (self.rng.permutation(count) + 0.6) / (count + 0.4)
         return [(float(x), float(d)) for x, d in zip(columns, depths, strict=True)]

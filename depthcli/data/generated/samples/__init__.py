@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -35,11 +36,11 @@ class SampleScene(Scene):
 
     @property
     def input_files(self) -> dict[str, Path]:
-        """What it is made from."""
+        """Role -> file that it is made from."""
         return self.files
 
     def load(self) -> dict[str, Any]:
-        """The settings."""
+        """Return the settings."""
         self.check()
         return self.settings
 
@@ -56,7 +57,7 @@ class Sample(ABC):
 
     @property
     def name(self) -> str:
-        """Its module's name."""
+        """Name on the command line: its module's."""
         return type(self).__module__.rpartition(".")[2]
 
     def check(self, values: Mapping[str, Any]) -> None:  # noqa: B027  # most have nothing to check
@@ -64,16 +65,49 @@ class Sample(ABC):
 
     @abstractmethod
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
-        """The scenes that the options ask for."""
+        """Return the scenes that the options ask for."""
 
     @abstractmethod
     def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
-        """Write one scene into the empty ``folder``, in a layout of ours; facts for its row of the report."""
+        """Write one scene into the empty ``folder``, in a layout of ours, and return facts for the report."""
+
+
+def scenes_from(
+    folder: Path, kinds: tuple[type[Scene], ...], settings: dict[str, Any], needs_truth: str = ""
+) -> list[SampleScene]:
+    """Return a scene to be generated for every scene of ``folder``.
+
+    Parameters
+    ----------
+    folder, kinds : where to look, and for which scenes
+    settings : of every scene
+    needs_truth : what a scene without ground truth lacks, where one cannot be used
+    """
+    from depthcli.data.walk import discover_scenes
+
+    found = []
+    for scene in discover_scenes(folder, kinds):
+        truth = {role: getattr(scene, role, None) for role in ("depth_true", "disparity_left", "disparity_right")}
+        files = scene.input_files | {role: file for role, file in truth.items() if file is not None}
+        files |= {f"mask_{name}": file for name, file in getattr(scene, "masks", {}).items()}
+        problem = scene.problem
+        if needs_truth and not problem and not scene.has_truth:
+            problem = f"{scene.folder}: {needs_truth} to start from"
+        found.append(SampleScene(name=scene.name, folder=scene.folder, problem=problem, origin=scene, files=files,
+                                 settings=settings))  # fmt: skip
+    return found
+
+
+def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:
+    """Write the ``meta.json`` of a scene."""
+    from depthcli.data.formats.files import write_text
+
+    write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
 
 
 @cache
 def samples() -> dict[str, Sample]:
-    """Name -> kind, ``stereo`` first."""
+    """Return name -> kind of sample, ``stereo`` first."""
     names = sorted((m.name for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_")), key=_stereo_first)
     return {name: importlib.import_module(f"{__name__}.{name}").SAMPLE for name in names}
 

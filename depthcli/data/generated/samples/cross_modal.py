@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.option import Option
-from depthcli.data.generated.samples import SampleScene
+from depthcli.data.generated.samples import SampleScene, scenes_from
 from depthcli.data.generated.samples.stereo import StereoSample, write_scene
 
 if TYPE_CHECKING:
@@ -33,20 +33,8 @@ class CrossModalSample(StereoSample):
         if values["from_"] is None:
             return super().scenes(values)
         from depthcli.data.scenes.stereo import StereoScene
-        from depthcli.data.walk import discover_scenes
 
-        found = []
-        for scene in discover_scenes(values["from_"], (StereoScene,)):
-            files = dict(scene.input_files)
-            if isinstance(scene, StereoScene):
-                truth = {"disparity_left": scene.disparity_left, "disparity_right": scene.disparity_right}
-                files |= {role: file for role, file in truth.items() if file is not None}
-                files |= {f"mask_{name}": file for name, file in scene.masks.items()}
-            found.append(
-                SampleScene(name=scene.name, folder=scene.folder, problem=scene.problem, origin=scene, files=files,
-                           settings={"seed": values["seed"]})
-            )  # fmt: skip
-        return found
+        return scenes_from(values["from_"], (StereoScene,), {"seed": values["seed"]})
 
     def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
         """As ``stereo``; from another folder with the truth and masks that are there."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.data.generated.samples import Sample, SampleScene
+from depthcli.data.generated.samples import Sample, SampleScene, write_meta
 
 if TYPE_CHECKING:
     import numpy as np
@@ -109,7 +108,6 @@ def write_scene(
 ) -> dict[str, Any]:
     """Write a scene in the layout ``scenes`` and return facts for the report."""
     from depthcli.data.formats.disparity import write_pfm
-    from depthcli.data.formats.files import write_text
     from depthcli.data.formats.images import write_png
 
     write_png(folder / "left.png", left)
@@ -121,8 +119,8 @@ def write_scene(
         write_png(folder / f"mask_{name}.png", inside)
     height, width = left.shape[:2]
     known = {key: value for key, value in meta.items() if value is not None}
-    text = {"protocol": "middlebury_v2", "disp_scale": 1, "width": width, "height": height, **known}
-    write_text(folder / "meta.json", json.dumps(text, indent=1) + "\n")
+    fields = {"protocol": "middlebury_v2", "disp_scale": 1, "width": width, "height": height, **known}
+    write_meta(folder, fields)
     facts: dict[str, Any] = {"width": width, "height": height}
     if "nonocc" in masks:
         facts["nonocc"] = round(float(masks["nonocc"].mean()), 6)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.option import Option
-from depthcli.data.generated.samples import Sample, SampleScene
+from depthcli.data.generated.samples import Sample, SampleScene, scenes_from, write_meta
 from depthcli.data.generated.samples.cross_modal import FROM, SPECKLES
 from depthcli.data.generated.samples.stereo import HEIGHT, SEED, WIDTH
 
@@ -47,27 +47,14 @@ class TransparentSample(Sample):
             return [SampleScene(name=f"glass_{seed}", folder=Path(), settings={"seed": seed}) for seed in seeds]
         from depthcli.data.scenes.rgbd import RgbdScene
         from depthcli.data.scenes.stereo import StereoScene
-        from depthcli.data.walk import discover_scenes
 
-        found = []
-        for item in discover_scenes(values["from_"], (RgbdScene, StereoScene)):
-            files = dict(item.input_files)
-            problem = item.problem or ("" if item.has_truth else f"{item.folder}: no true depth to start from")
-            truth = {
-                "depth_true": getattr(item, "depth_true", None),
-                "disparity_left": getattr(item, "disparity_left", None),
-            }
-            files |= {role: file for role, file in truth.items() if file is not None}
-            files |= {f"mask_{name}": file for name, file in getattr(item, "masks", {}).items()}
-            found.append(
-                SampleScene(name=item.name, folder=item.folder, problem=problem, origin=item, files=files,
-                           settings={"seed": values["seed"]})
-            )  # fmt: skip
-        return found
+        return scenes_from(values["from_"], (RgbdScene, StereoScene), {"seed": values["seed"]}, "no true depth")
 
     def make(self, values: Mapping[str, Any], item: SampleScene, folder: Path) -> dict[str, Any]:
         """Color, infrared, depth of the sensor, sparse and true depth, mask, calib.json and meta.json."""
         from depthcli.core.cameras.triangulation import depth_of_disparity
+        from depthcli.data.formats.files import write_text
+        from depthcli.data.formats.images import write_png
         from depthcli.data.generated.arrays.transparent_scenes import glass_of_pair, make_transparent_scene
         from depthcli.data.scenes.rgbd import RgbdScene
         from depthcli.data.scenes.stereo import StereoScene
@@ -89,23 +76,16 @@ class TransparentSample(Sample):
             top = values["width"] // 8
             scene = make_transparent_scene(seed, values["width"], values["height"], top, values["speckles"])
         meta |= {} if top is None else {"max_disparity": top}
-        self._write_infrared(folder, scene.infrared)
+        write_png(folder / "ir.png", scene.infrared)
+        write_text(folder / "calib.json", json.dumps({"rectified": True, "fb": _FB}) + "\n")
         sensor, depth = (depth_of_disparity(part, _FB) for part in (scene.sensor, scene.disparity))
         return self._write(values, seed, folder, scene.color, sensor, depth, {"transparent": scene.mask}, meta)
-
-    def _write_infrared(self, folder: Path, infrared: NDArray[np.uint8]) -> None:
-        from depthcli.data.formats.files import write_text
-        from depthcli.data.formats.images import write_png
-
-        write_png(folder / "ir.png", infrared)
-        write_text(folder / "calib.json", json.dumps({"rectified": True, "fb": _FB}) + "\n")
 
     def _write(
         self, values: Mapping[str, Any], seed: int, folder: Path, color: NDArray[np.uint8], sensor: NDArray[np.float32],
         truth: NDArray[np.float32], masks: Mapping[str, NDArray[np.bool_]], meta: dict[str, Any],
     ) -> dict[str, Any]:  # fmt: skip
         from depthcli.data.formats.disparity import write_pfm
-        from depthcli.data.formats.files import write_text
         from depthcli.data.formats.images import write_png
         from depthcli.data.generated.arrays.transparent_scenes import sparse_samples
 
@@ -117,7 +97,7 @@ class TransparentSample(Sample):
             write_pfm(folder / f"{name}.pfm", depth)
         for name, mask in masks.items():
             write_png(folder / f"mask_{name}.png", mask)
-        write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
+        write_meta(folder, meta)
         return {"width": color.shape[1], "height": color.shape[0]}
 
 
