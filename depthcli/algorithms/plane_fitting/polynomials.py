@@ -14,6 +14,7 @@ from depthcli.algorithms.plane_fitting.least_squares import (
     smallest,
     solve_cholesky,
 )
+from depthcli.algorithms.plane_fitting.segment_planes import Members
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Chosen on generated Kinect frames (``depthcli sample --kinect``).
@@ -109,32 +110,12 @@ def fit_polynomials(
     fitted = Surfaces(
         start.coefficients.copy(), start.center.copy(), start.bounds.copy(), start.scale.copy(), start.unit
     )
-    order, begins = _known_by_segment(labels, values, len(fitted.scale))
+    known = Members.of(labels, (labels >= 0) & ~np.isnan(values), len(fitted.scale))
     _fit(
-        order, begins, values, fitted.coefficients, fitted.center, fitted.bounds, fitted.scale, fitted.unit,
+        known.order, known.starts, values, fitted.coefficients, fitted.center, fitted.bounds, fitted.scale, fitted.unit,
         degree, huber, iterations, warm_iterations, floor, samples,
     )  # fmt: skip
     return fitted
-
-
-@jit
-def _known_by_segment(labels, values, count):  # type: ignore[no-untyped-def]
-    # Indices of known pixels grouped by segment (counting sort), and where each group begins.
-    flat, value = labels.ravel(), values.ravel()
-    begins = np.zeros(count + 1, np.int64)
-    for p in range(flat.size):
-        if flat[p] >= 0 and not np.isnan(value[p]):
-            begins[flat[p] + 1] += 1
-    for s in range(count):
-        begins[s + 1] += begins[s]
-    order = np.empty(begins[count], np.int32)
-    free = begins[:count].copy()
-    for p in range(flat.size):
-        if flat[p] >= 0 and not np.isnan(value[p]):
-            s = flat[p]
-            order[free[s]] = p
-            free[s] += 1
-    return order, begins
 
 
 @parallel_jit
@@ -239,11 +220,11 @@ def _residuals(z, u, v, beta, out):  # type: ignore[no-untyped-def]
 def _spread(residuals, scratch, floor):  # type: ignore[no-untyped-def]
     # Standard deviation by the median absolute deviation of evenly spread residuals, at least ``floor``.
     n = residuals.size
-    few = min(n, _SCALE_SAMPLES)
-    sample = scratch[:few]
-    for k in range(few):
-        sample[k] = residuals[k * n // few]
-    middle = smallest(sample, few // 2)
-    for k in range(few):
-        sample[k] = abs(residuals[k * n // few] - middle)
-    return max(MAD_TO_SIGMA * smallest(sample, few // 2), floor)
+    count = min(n, _SCALE_SAMPLES)
+    sample = scratch[:count]
+    for k in range(count):
+        sample[k] = residuals[k * n // count]
+    middle = smallest(sample, count // 2)
+    for k in range(count):
+        sample[k] = abs(residuals[k * n // count] - middle)
+    return max(MAD_TO_SIGMA * smallest(sample, count // 2), floor)

@@ -34,12 +34,9 @@ class Members:
         cls, labels: NDArray[np.int32], chosen: NDArray[np.bool_] | None = None, count: int | None = None
     ) -> Members:
         """Sort the pixels of an (H, W) map by label, all of them or only the ``chosen`` ones."""
-        flat = labels.ravel()
-        count = int(flat.max()) + 1 if count is None else count
-        picked = np.arange(flat.size) if chosen is None else np.flatnonzero(chosen)
-        order = picked[np.argsort(flat[picked], kind="stable")]
-        starts = np.concatenate([[0], np.cumsum(np.bincount(flat[picked], minlength=count))]).astype(np.int64)
-        return cls(order.astype(np.int64), starts)
+        count = int(labels.max()) + 1 if count is None else count
+        chosen = np.ones(labels.shape, np.bool_) if chosen is None else chosen
+        return cls(*_counting_sort(np.ascontiguousarray(labels).ravel(), np.ascontiguousarray(chosen).ravel(), count))
 
     @property
     def sizes(self) -> NDArray[np.int64]:
@@ -76,6 +73,24 @@ class Planes:
             np.concatenate([s.support for s in sets]),
             np.concatenate([s.center for s in sets]),
         )
+
+
+@jit
+def _counting_sort(labels, chosen, count):  # type: ignore[no-untyped-def]
+    starts = np.zeros(count + 1, np.int64)
+    for p in range(labels.size):
+        if chosen[p]:
+            starts[labels[p] + 1] += 1
+    for s in range(count):
+        starts[s + 1] += starts[s]
+    order = np.empty(starts[count], np.int64)
+    free = starts[:count].copy()
+    for p in range(labels.size):
+        if chosen[p]:
+            s = labels[p]
+            order[free[s]] = p
+            free[s] += 1
+    return order, starts
 
 
 def fit_segment_planes(

@@ -175,8 +175,8 @@ def _solve(sums: Any, slope_x: Any, slope_y: Any, offset: Any) -> None:
     one = np.float32(1)
     for i in range(BLOCK):
         s = sums[0, i]
-        few = s < _MIN_SAMPLES
-        scale = one if few else one / s
+        sparse = s < _MIN_SAMPLES
+        scale = one if sparse else one / s
         mx, my, md = sums[1, i] * scale, sums[2, i] * scale, sums[6, i] * scale
         xx = sums[3, i] * scale - mx * mx + _RIDGE
         xy = sums[4, i] * scale - mx * my
@@ -186,6 +186,6 @@ def _solve(sums: Any, slope_x: Any, slope_y: Any, offset: Any) -> None:
         a, b = plane_slopes(xx, xy, yy, xd, yd, xx * yy - xy * xy)
         a = min(max(a, -_MAX_SLOPE), _MAX_SLOPE)
         b = min(max(b, -_MAX_SLOPE), _MAX_SLOPE)
-        slope_x[i] = np.float32(0) if few else a
-        slope_y[i] = np.float32(0) if few else b
-        offset[i] = np.float32(0) if few else md - a * mx - b * my
+        slope_x[i] = np.float32(0) if sparse else a
+        slope_y[i] = np.float32(0) if sparse else b
+        offset[i] = np.float32(0) if sparse else md - a * mx - b * my

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.algorithms.trws import trws
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Chosen by experiment; scripts/kinect_experiments.py has the figures of the presets.
 AGREEMENT = 4.0
@@ -122,15 +122,20 @@ def _costs(  # type: ignore[no-untyped-def]
                 here = value[v, u] - slope_x[v, u] * np.float32(dx) - slope_y[v, u] * np.float32(dy)
                 for i in range(count):
                     unary[n, i] += weight * min(abs(candidates[n, i] - here), truncation * noise)
-        # Keep the cheap ones, in order.
-        cheapest = np.float32(np.inf)
-        for i in range(count):
-            cheapest = min(cheapest, unary[n, i])
-        kept = 0
-        for i in range(count):
-            cost, candidate = unary[n, i], candidates[n, i]
-            unary[n, i] = np.inf
-            if cost <= cheapest + np.float32(_MAX_EXTRA_COST):
-                unary[n, kept] = cost
-                candidates[n, kept] = candidate
-                kept += 1
+        _drop_expensive(unary[n], candidates[n], count)
+
+
+@jit
+def _drop_expensive(unary, candidates, count):  # type: ignore[no-untyped-def]
+    # Moves the cheap candidates to the front, in order; the cost of the others becomes infinite.
+    cheapest = np.float32(np.inf)
+    for i in range(count):
+        cheapest = min(cheapest, unary[i])
+    kept = 0
+    for i in range(count):
+        cost, candidate = unary[i], candidates[i]
+        unary[i] = np.inf
+        if cost <= cheapest + np.float32(_MAX_EXTRA_COST):
+            unary[kept] = cost
+            candidates[kept] = candidate
+            kept += 1

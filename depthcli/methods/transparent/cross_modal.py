@@ -76,7 +76,7 @@ class Selection(BaseModel):
         0.3, ge=0, le=1, description="share of the votes around that a match that confirms the sensor needs"
     )
     texture: float = Field(4.0, ge=0, description="standard deviation of the color in 9 x 9 that it needs, grey levels")
-    speckle: int = Field(50, ge=0, description="smaller regions of like disparity are removed, pixels")
+    speckle: int = Field(50, ge=0, description="smaller regions of similar disparity are removed, pixels")
     widening: int = Field(5, ge=0, le=64, description="distance by which stereo may widen a surface, pixels")
     tolerance: float = Field(1.5, ge=0, description="difference from the sensor that still confirms it, pixels")
 

@@ -13,13 +13,16 @@ from depthcli.core.method import Method, method_of
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 
+Disparity = NDArray[np.float32]
+"""A map in pixels, (H, W), NaN = unknown."""
+
 
 class KinectPipeline(Method):
     """A complete refinement of one frame; in a config its name stands under ``pipeline``."""
 
     @abstractmethod
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
-        """Refine ``frame``.
+        """Refine the depth map of ``frame``.
 
         A pixel that no model and no neighbor reaches stays NaN with status ``EMPTY``.
 
@@ -41,9 +44,7 @@ class FilterPipeline(KinectPipeline):
     """Estimate of the peak working memory."""
 
     @abstractmethod
-    def filtered(
-        self, frame: RgbdFrame, measured: NDArray[np.float32], noise: float, clock: Clock
-    ) -> NDArray[np.float32]:
+    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
         """Compute the refined disparity.
 
         Parameters

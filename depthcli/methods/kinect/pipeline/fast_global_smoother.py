@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.algorithms.filters import single_thread
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
-from depthcli.methods.kinect.pipeline import FilterPipeline
+from depthcli.methods.kinect.pipeline import Disparity, FilterPipeline
 
 
 class FastGlobalSmoother(FilterPipeline):
@@ -30,9 +30,7 @@ class FastGlobalSmoother(FilterPipeline):
     edge_confidence: float = Field(0.01, ge=0, le=1, description="confidence of the unreliable pixels")
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
 
-    def filtered(
-        self, frame: RgbdFrame, measured: NDArray[np.float32], noise: float, clock: Clock
-    ) -> NDArray[np.float32]:
+    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
         if self.edge_band:
@@ -73,9 +71,9 @@ def _edge_band(disparity: NDArray[np.float32], jump: float, reach: int) -> NDArr
     for axis in (0, 1):
         with np.errstate(invalid="ignore"):
             step = (np.abs(np.diff(disparity, axis=axis)) > jump) | np.diff(np.isnan(disparity), axis=axis)
-        after, before = (np.s_[1:], np.s_[:-1]) if axis == 0 else (np.s_[:, 1:], np.s_[:, :-1])
-        edge[after] |= step
-        edge[before] |= step
+        second, first = (np.s_[1:], np.s_[:-1]) if axis == 0 else (np.s_[:, 1:], np.s_[:, :-1])
+        edge[second] |= step
+        edge[first] |= step
     side = 2 * reach + 1
     band: NDArray[np.bool_] = cv2.dilate(edge, np.ones((side, side), np.uint8)) > 0
     return band

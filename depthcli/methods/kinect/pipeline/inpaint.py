@@ -6,12 +6,11 @@ from typing import ClassVar, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
-from depthcli.methods.kinect.pipeline import FilterPipeline
+from depthcli.methods.kinect.pipeline import Disparity, FilterPipeline
 
 _ALGORITHMS = {"telea": cv2.INPAINT_TELEA, "navier-stokes": cv2.INPAINT_NS}
 
@@ -27,9 +26,7 @@ class Inpaint(FilterPipeline):
     algorithm: Literal["telea", "navier-stokes"] = Field("telea", description="fast marching, or fluid dynamics")
     radius: float = Field(3.0, gt=0, le=50, description="neighborhood that a pixel is filled from, pixels")
 
-    def filtered(
-        self, frame: RgbdFrame, measured: NDArray[np.float32], noise: float, clock: Clock
-    ) -> NDArray[np.float32]:
+    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
         gaps = np.isnan(measured)
         values = np.where(gaps, np.float32(0), measured)
         if gaps.any():

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.method import Odd
 from depthcli.core.result import Clock
-from depthcli.methods.kinect.pipeline import FilterPipeline
+from depthcli.methods.kinect.pipeline import Disparity, FilterPipeline
 
 
 class JointBilateral(FilterPipeline):
@@ -27,9 +25,7 @@ class JointBilateral(FilterPipeline):
     sigma_space: float = Field(5.0, gt=0, description="standard deviation of the weight by distance, pixels")
     sigma_color: float = Field(15.0, gt=0, description="standard deviation of the weight by color, grey levels")
 
-    def filtered(
-        self, frame: RgbdFrame, measured: NDArray[np.float32], noise: float, clock: Clock
-    ) -> NDArray[np.float32]:
+    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
         values = joint_bilateral_fill(frame.color, measured, self.window, self.sigma_space, self.sigma_color)
         clock.stop("fill")
         return values

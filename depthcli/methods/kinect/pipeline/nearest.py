@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
 from depthcli.methods.kinect.disparity import nearest_fill
-from depthcli.methods.kinect.pipeline import FilterPipeline
+from depthcli.methods.kinect.pipeline import Disparity, FilterPipeline
 
 
 class Nearest(FilterPipeline):
@@ -18,9 +15,7 @@ class Nearest(FilterPipeline):
 
     bytes_per_pixel: ClassVar[int] = 50
 
-    def filtered(
-        self, frame: RgbdFrame, measured: NDArray[np.float32], noise: float, clock: Clock
-    ) -> NDArray[np.float32]:
+    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
         values = nearest_fill(measured)
         clock.stop("fill")
         return values

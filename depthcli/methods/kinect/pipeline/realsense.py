@@ -100,19 +100,19 @@ class Realsense(SequencePipeline):
 def _smooth_line(line, alpha, delta):  # type: ignore[no-untyped-def]
     # There and back; edges are steps of the unfiltered values, as in librealsense.
     for back in range(2):
-        before = state = np.float32(np.nan)
+        previous = state = np.float32(np.nan)
         for k in range(line.size):
             i = line.size - 1 - k if back else k
             value = line[i]
             if np.isnan(value):
-                before = value
+                previous = value
                 continue
-            if abs(before - value) < delta:
+            if abs(previous - value) < delta:
                 state = alpha * value + (np.float32(1) - alpha) * state
                 line[i] = state
             else:
                 state = value
-            before = value
+            previous = value
 
 
 @parallel_jit

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.polynomials import Surfaces, surface_at
+from depthcli.algorithms.plane_fitting.polynomials import surface_at
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, RefinedDepth
@@ -21,7 +20,6 @@ from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.methods.kinect.surfaces import SHADOW_PENALTY
 
 _FILLED, _FALLBACK, _CARRIED = int(DepthStatus.GAP_FILLED), int(DepthStatus.FALLBACK), int(DepthStatus.CARRIED)
-_SURFACE = ("coefficients", "center", "bounds", "scale")  # arrays of Surfaces
 
 
 @dataclass(frozen=True)
@@ -42,33 +40,6 @@ class SequenceState:
     disparity: NDArray[np.float32]
     noise: float
     age: int
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the state as arrays by name, for ``np.savez``; :meth:`from_arrays` is the inverse."""
-        arrays: dict[str, NDArray[Any]] = {
-            "color": self.color,
-            "disparity": self.disparity,
-            "noise": np.array(self.noise),
-            "age": np.array(self.age),
-        }
-        for k, layer in enumerate(self.layers):
-            arrays |= {f"labels_{k}": layer.labels, f"own_{k}": layer.own, f"unit_{k}": np.array(layer.surfaces.unit)}
-            arrays |= {f"{name}_{k}": getattr(layer.surfaces, name) for name in _SURFACE}
-        return arrays
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> SequenceState:
-        """Restore the state from :meth:`arrays`; KeyError where one is missing."""
-        layers: list[Layer] = []
-        while f"labels_{len(layers)}" in arrays:
-            k = len(layers)
-            surfaces = Surfaces(
-                **{name: arrays[f"{name}_{k}"] for name in _SURFACE}, unit=float(arrays[f"unit_{k}"])
-            )  # fmt: skip
-            layers.append(Layer(arrays[f"labels_{k}"], surfaces, arrays[f"own_{k}"]))
-        return cls(
-            tuple(layers), arrays["color"], arrays["disparity"], float(arrays["noise"]), int(arrays["age"])
-        )  # fmt: skip
 
 
 class Sequence(SequencePipeline, Dsrm):

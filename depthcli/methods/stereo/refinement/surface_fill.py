@@ -13,6 +13,14 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.volume import RefinementContext
 
+# Chosen with the presets on the Middlebury pairs; the device kernel (fills.cl) has the same values.
+_MAX_STEP = 1.0  # pixels of disparity between neighbors of one surface
+_EDGE_SHIFT = 12  # columns by which the gap's edge may move from row to row
+_MAX_INTERRUPTION = 3  # pixels of other surfaces, or without a value, within a row
+_FIT_STEPS = 4  # least squares, the first without weights
+_HUBER_LIMIT = 0.5  # pixels
+_RIDGE = 1.0  # square pixels added to the variance of positions: a thin sample must not yield a steep plane
+
 
 class SurfaceFill(Refinement):
     """Continue the surfaces at both ends of a gap along its row and take the one that lies farther back.
@@ -74,7 +82,7 @@ def _continue_surfaces(values: Any, filled: Any, rows: int, reach: int, support:
 def _plane_along_row(
     values: Any, y: int, x: int, step: int, rows: int, reach: int, support: int, sample: Any
 ) -> tuple[float, float]:
-    """Slope along the row and value at (y, x) of the surface that (y, x) belongs to, seen towards ``step``."""
+    # Slope along the row and value at (y, x) of the surface of (y, x), which lies towards ``step``.
     height, width = values.shape
     start = values[y, x]
     count = 0
@@ -85,44 +93,43 @@ def _plane_along_row(
             if v < 0 or v >= height:
                 break
             # The gap's edge moves from row to row: look for the surface near where it was.
-            found = -1
-            for offset in range(12):
+            first = -1
+            for offset in range(_EDGE_SHIFT):
                 for side in (step, -step):
                     u = column + offset * side
-                    if found < 0 and 0 <= u < width and abs(values[v, u] - level) <= 1.0:
-                        found = u
-            if found < 0:
+                    if first < 0 and 0 <= u < width and abs(values[v, u] - level) <= _MAX_STEP:
+                        first = u
+            if first < 0:
                 break
-            column, level = found, values[v, found]
-            last, strangers = level, 0
+            column, level = first, values[v, first]
+            last, interruption = level, 0
             for n in range(reach):
-                u = found + n * step
+                u = first + n * step
                 if u < 0 or u >= width:
                     break
-                if abs(values[v, u] - last) <= 1.0:
-                    strangers = 0
+                if abs(values[v, u] - last) <= _MAX_STEP:
+                    interruption = 0
                     last = values[v, u]
                     sample[0, count] = u - x
                     sample[1, count] = v - y
                     sample[2, count] = np.float32(last - start)
                     count += 1
                 else:  # another surface, or no value
-                    strangers += 1
-                    if strangers > 3:
+                    interruption += 1
+                    if interruption > _MAX_INTERRUPTION:
                         break
     if count < support:
         return 0.0, float(start)
     across, down, d, weights = sample[0, :count], sample[1, :count], sample[2, :count], sample[3, :count]
     slope_x = slope_y = offset_d = 0.0
-    for iteration in range(4):
+    for iteration in range(_FIT_STEPS):
         for i in range(count):
             residual = d[i] - (slope_x * across[i] + slope_y * down[i] + offset_d)
-            weights[i] = 1.0 if iteration == 0 else huber_weight(residual, 0.5)
+            weights[i] = 1.0 if iteration == 0 else huber_weight(residual, _HUBER_LIMIT)
         s, sx, sy, sd, sxx, sxy, syy, sxd, syd = plane_moments(across, down, d, weights)
         mean_x, mean_y, mean_d = sx / s, sy / s, sd / s
-        # One pixel of variance is added: a thin sample must not yield a steep plane.
-        xx = sxx / s - mean_x * mean_x + 1.0
-        yy = syy / s - mean_y * mean_y + 1.0
+        xx = sxx / s - mean_x * mean_x + _RIDGE
+        yy = syy / s - mean_y * mean_y + _RIDGE
         xy = sxy / s - mean_x * mean_y
         xd = sxd / s - mean_x * mean_d
         yd = syd / s - mean_y * mean_d
