@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TextIO
 
 from depthcli.batch.json_csv import Row, to_json_line, write_csv
-from depthcli.batch.run_folder import PARTS_FOLDER, REPORT_FILES, SceneRecord, is_inside, read_record, read_report
+from depthcli.batch.run_folder import PARTS_FOLDER, REPORT_FILES, SceneRecord, read_report, reported_record
 from depthcli.batch.sharing import FolderLock, Shard
 from depthcli.core.errors import OutputError
 from depthcli.data.formats.files import atomic_path
@@ -107,7 +107,7 @@ def joined_rows(output: Path, run: str, names: Iterable[str] = ()) -> list[Row]:
     rows: dict[str, Row] = {name: {} for name in names} | read_report(output)
     found = []
     for name, row in sorted(rows.items()):
-        known = read_record(output / name) if is_inside(name) else None
+        known = reported_record(output, name)
         if known is not None and known.run == run:
             found.append(finished_row(known, row))
         elif row.get("status") == "failed":

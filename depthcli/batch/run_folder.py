@@ -192,6 +192,11 @@ def read_record(folder: Path) -> SceneRecord | None:
     return record if all(is_inside(name) for name in record.files) else None
 
 
+def reported_record(output: Path, name: str) -> SceneRecord | None:
+    """Return the record of a scene that a report names; None also where the name leads out of the run folder."""
+    return read_record(output / name) if is_inside(name) else None
+
+
 def remove_scene(folder: Path, record: SceneRecord) -> None:
     """Delete the files that a record lists, the record first; other files in the folder stay."""
     (folder / RECORD_FILE).unlink(missing_ok=True)

@@ -15,23 +15,10 @@ import sys
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from depthcli.batch import cluster, processes, report_writer
+from depthcli.batch import cluster, processes, report_writer, run_folder
 from depthcli.batch.command import ConfigT, SceneT
 from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import Row
-from depthcli.batch.run_folder import (
-    RECORD_FILE,
-    SceneRecord,
-    digest,
-    file_digest,
-    is_inside,
-    join_run,
-    open_run,
-    read_record,
-    read_report,
-    remove_scene,
-    run_text,
-)
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
 from depthcli.batch.task import Run, RunOptions, Task, Work, discard, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
@@ -108,22 +95,22 @@ def _check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
 
 def _open_folder(run: Run, scenes: Sequence[Scene], output: Path, lock: FolderLock) -> dict[str, Row]:
     """Make ``output`` the folder of this run; return scene -> what only its earlier report holds."""
-    text = run_text(run.work.name, run.config)
+    text = run_folder.run_text(run.work.name, run.config)
     earlier = {
         name: {key: row[key] for key in ("seconds", "peak_memory", "source") if row.get(key)}
-        for name, row in read_report(output, facts=False).items()
+        for name, row in run_folder.read_report(output, facts=False).items()
     }
     if lock.alone:
-        open_run(output, text, run.options.overwrite)
+        run_folder.open_run(output, text, run.options.overwrite)
         _remove_leftovers(output)
         if run.options.overwrite:  # scenes of the run that is replaced go; those that its report does not list stay
-            chosen, identity = {scene.name for scene in scenes}, digest(text.encode())
+            chosen, identity = {scene.name for scene in scenes}, run_folder.digest(text.encode())
             for name in earlier:
-                known = read_record(output / name) if name not in chosen and is_inside(name) else None
+                known = None if name in chosen else run_folder.reported_record(output, name)
                 if known is not None and known.run != identity:
-                    remove_scene(output / name, known)
+                    run_folder.remove_scene(output / name, known)
     lock.settle()
-    join_run(output, text)
+    run_folder.join_run(output, text)
     return earlier
 
 
@@ -142,7 +129,7 @@ class Inspector:
 
     def __init__(self, run: Run, output: Path) -> None:
         self.run, self.output = run, output
-        self.identity = digest(run_text(run.work.name, run.config).encode())
+        self.identity = run_folder.digest(run_folder.run_text(run.work.name, run.config).encode())
         self._digests: dict[Path, str] = {}
 
     def task(self, scene: Scene, workspace: Path, number: int) -> Task:
@@ -155,9 +142,9 @@ class Inspector:
         source = str(next(iter(files.values()), scene.folder).absolute())
         return Task(scene, self.output, workspace, number, self.identity, inputs, source, keep)
 
-    def finished(self, task: Task, measured: Mapping[str, object]) -> tuple[Row | None, SceneRecord | None]:
+    def finished(self, task: Task, measured: Mapping[str, object]) -> tuple[Row | None, run_folder.SceneRecord | None]:
         """Return the row of a scene that is done, and its record; None where it is not done, or has no record."""
-        known = read_record(task.target)
+        known = run_folder.read_record(task.target)
         if known is None or not known.is_done(task.target, task.run, task.inputs):
             return None, known
         return report_writer.finished_row(known, {**measured, "source": task.source}), known
@@ -166,7 +153,7 @@ class Inspector:
         if file not in self._digests:
             if len(self._digests) >= _MAX_REMEMBERED:
                 self._digests.pop(next(iter(self._digests)))
-            self._digests[file] = file_digest(file)
+            self._digests[file] = run_folder.file_digest(file)
         return self._digests[file]
 
 
@@ -213,7 +200,7 @@ class _Batch:
         """Rows of scenes of the same run that are not part of this call."""
         chosen, rows = {scene.name for scene in self.scenes}, []
         for name, row in earlier.items():
-            known = read_record(self.output / name) if name not in chosen and is_inside(name) else None
+            known = None if name in chosen else run_folder.reported_record(self.output, name)
             if known is not None and known.run == self.inspector.identity:
                 rows.append(report_writer.finished_row(known, row))
         return rows
@@ -280,7 +267,7 @@ class _Batch:
                 self.rows[task.scene.name] = _with_interned_keys(row)
         for task in self.tasks:
             row = self.rows.get(task.scene.name)
-            if row is not None and row["status"] == "done" and not (task.target / RECORD_FILE).is_file():
+            if row is not None and row["status"] == "done" and not (task.target / run_folder.RECORD_FILE).is_file():
                 self.rows[task.scene.name] = task.failed(f"{task.target}: was computed, but its files have gone since")
         discard(self.workspace)
         self.writer.close(self.lock)

@@ -17,6 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 from depthcli.batch.command import SceneT
 from depthcli.core.errors import ConfigError, OutputError
 from depthcli.data.scenes import Scene
@@ -135,8 +140,8 @@ class FolderLock:
     def _lock_folder(self) -> None:
         end = time.monotonic() + (_SETUP_TIMEOUT if self.shared else 0)
         try:
-            import fcntl
-
+            if fcntl is None:
+                raise OSError("no locks on this system")
             while True:
                 for kind in (fcntl.LOCK_EX, fcntl.LOCK_SH) if self.shared else (fcntl.LOCK_EX,):
                     with contextlib.suppress(BlockingIOError):
@@ -146,17 +151,15 @@ class FolderLock:
                 if time.monotonic() > end:
                     raise ConfigError(f"{self.output}: another depthcli is writing there now")
                 time.sleep(_POLL_SECONDS)
-        except (ImportError, OSError):
+        except OSError:
             self.alone = not self.shared
             self.warn(f"{self.output}: no locks on this file system; make sure that no other run writes there")
 
     def settle(self) -> None:
         """Let other processes of the same shared run in, when the folder is set up."""
-        if not self.shared:
+        if not self.shared or fcntl is None:
             return
-        with contextlib.suppress(ImportError, OSError):
-            import fcntl
-
+        with contextlib.suppress(OSError):
             if self.alone:
                 fcntl.flock(self._folder, fcntl.LOCK_SH)
             self._scenes = os.open(self.output / LOCKS_FILE, os.O_RDWR | os.O_CREAT, 0o666)
@@ -165,8 +168,6 @@ class FolderLock:
     def claim(self, name: str) -> bool:
         """Claim a scene; return False where another process has it."""
         if self._scenes >= 0 and name not in self._held:
-            import fcntl
-
             try:
                 fcntl.lockf(self._scenes, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _byte(name))
             except (BlockingIOError, PermissionError):
@@ -179,8 +180,6 @@ class FolderLock:
     def release(self, name: str) -> None:
         """Release a scene."""
         if name in self._held:
-            import fcntl
-
             self._held.discard(name)
             with contextlib.suppress(OSError):
                 fcntl.lockf(self._scenes, fcntl.LOCK_UN, 1, _byte(name))
@@ -191,8 +190,6 @@ class FolderLock:
         if self._scenes < 0:
             yield
             return
-        import fcntl
-
         with contextlib.suppress(OSError):
             fcntl.lockf(self._scenes, fcntl.LOCK_EX, 1, _REPORT_BYTE)
         try:
@@ -203,11 +200,9 @@ class FolderLock:
 
     def last(self) -> bool:
         """Return True where all other processes have left; from then on the folder is locked against new ones."""
-        if not self.shared:
-            return True
-        with contextlib.suppress(ImportError, OSError):
-            import fcntl
-
+        if not self.shared or fcntl is None:
+            return not self.shared
+        with contextlib.suppress(OSError):
             fcntl.flock(self._folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self.alone = True
             (self.output / LOCKS_FILE).unlink(missing_ok=True)

@@ -7,7 +7,7 @@ The calibration lies beside the images that the run was made from (``calib.txt``
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
 from depthcli.batch.command import Values
 from depthcli.batch.json_csv import Row
@@ -227,7 +227,7 @@ def _mask(
     return measured
 
 
-def _same_size(path: Path | None, values: NDArray[Any], disparity: NDArray[np.float32]) -> None:
+def _same_size(path: Path | None, values: NDArray[np.generic], disparity: NDArray[np.float32]) -> None:
     if values.shape[:2] != disparity.shape:
         raise InputError(
             f"{path}: {values.shape[1]} x {values.shape[0]}, but the disparity map is "
