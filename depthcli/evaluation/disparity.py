@@ -140,10 +140,6 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         """Return the values that are compared, here the estimate as it is."""
         return self.resized(estimate, truth)
 
-    def nothing(self, truth: DisparityTruth) -> Disparity:
-        """Return a map of NaN."""
-        return np.full_like(truth.disparity, np.nan)
-
     def reference(self, truth: DisparityTruth, region: str) -> Disparity:
         """Return the truth that a region is compared with."""
         return truth.disparity

@@ -125,9 +125,9 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     # One map
 
-    @abstractmethod
-    def nothing(self, truth: Truth) -> Estimate:
-        """Return the estimate that has no value anywhere."""
+    def nothing(self, truth: Truth) -> Any:
+        """Return the estimate without any value: NaN for every true value; overridden where ``true_values`` is None."""
+        return np.full_like(self.true_values(truth), np.nan)
 
     @abstractmethod
     def regions(self, truth: Truth) -> dict[str, NDArray[np.bool_]]:

@@ -117,10 +117,6 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         resized: NDArray[Any] = cv2.resize(array, self.settings.resize, interpolation=cv2.INTER_NEAREST)
         return resized
 
-    def nothing(self, truth: DepthTruth) -> Depth:
-        """Return a map of NaN."""
-        return np.full_like(truth.depth, np.nan)
-
     def regions(self, truth: DepthTruth) -> dict[str, NDArray[np.bool_]]:
         """Return the masks, where the truth is known."""
         return truth.regions

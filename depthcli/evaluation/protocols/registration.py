@@ -180,10 +180,6 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Return (N,) confidences at the points of the truth."""
         return _at_points(path, truth)
 
-    def nothing(self, truth: PreparedTruth) -> Errors:
-        """Return NaN for every point."""
-        return np.full_like(truth.error, np.nan)
-
     def regions(self, truth: PreparedTruth) -> dict[str, NDArray[np.bool_]]:
         """Return the one region, of all points."""
         return {truth.region: np.ones(truth.error.shape, np.bool_)}
