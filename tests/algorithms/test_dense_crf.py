@@ -1,4 +1,4 @@
-"""Mean field against all pairs of points; the lattice against a point-by-point twin."""
+"""Mean field against all pairs of points; the lattice against a point-by-point reference."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def _features(seed, count, dimensions, spread):
     return (np.random.default_rng(seed).random((count, dimensions)) * spread).astype(np.float32)
 
 
-def _unary(seed, count, labels, most=3.0):
-    return (np.random.default_rng(seed).random((count, labels)) * most).astype(np.float32)
+def _unary(seed, count, labels, max_energy=3.0):
+    return (np.random.default_rng(seed).random((count, labels)) * max_energy).astype(np.float32)
 
 
 def _linear(labels, truncation):
@@ -25,7 +25,7 @@ def _linear(labels, truncation):
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 3, 4, 5, 6, 8])
-def test_the_lattice_filters_as_its_twin(dimensions):
+def test_the_lattice_filters_as_the_naive_reference(dimensions):
     features = _features(dimensions, 60, dimensions, 3) - np.float32(1.2)
     values = _unary(1, 60, 3)
     lattice = Lattice.of(features)
@@ -64,7 +64,7 @@ def test_marginals_are_those_of_all_pairs(dimensions, labels, truncation):
 
 
 @pytest.mark.slow
-def test_marginals_are_those_of_the_twin_with_the_lattices_own_kernel():
+def test_marginals_agree_with_the_naive_reference_for_the_kernel_of_the_lattice():
     features, unary = _features(4, 200, 3, 2), _unary(5, 200, 7)
     expected = naive.mean_field(unary, [naive.lattice_matrix(features.astype(float))], [2.0], _linear(7, 3), 4)
     ours = mean_field(unary, [GaussianKernel(features, 2.0)], TruncatedLinear(3), 4)

@@ -10,8 +10,8 @@ import pytest
 from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 
 
-def _weights(rng, shape, most=1.0):
-    return tuple(rng.random(np.empty(shape)[edge_ends(shape, step)[0]].shape) * most for step in STEPS)
+def _weights(rng, shape, max_weight=1.0):
+    return tuple(rng.random(np.empty(shape)[edge_ends(shape, step)[0]].shape) * max_weight for step in STEPS)
 
 
 def _value(labels, score, weights):

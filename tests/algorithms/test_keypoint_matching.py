@@ -1,4 +1,4 @@
-"""Matching along epipolar lines: against a naive twin, and against the truth of real scenes."""
+"""Matching along epipolar lines: against a naive reference, and against the truth of real scenes."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def test_tiny_and_textureless_images(name, shape):
         assert labels.max() == 0
 
 
-def test_size_of_superpixels_is_what_was_asked_for():
+def test_superpixels_have_the_requested_size():
     image = scene()
     for size in (50, 200):
         count = method("slic", size=size, min_size=1)(image).max() + 1

@@ -90,12 +90,12 @@ def test_the_bound_holds_and_the_answer_is_the_same_at_any_number_of_threads():
     rng = np.random.default_rng(3)
     active = rng.random((97, 61)) < 0.8
     values, unary, weights = random_problem(rng, active, 4)
-    most = numba.get_num_threads()
+    max_threads = numba.get_num_threads()
     results = []
-    for threads in (1, most):
+    for threads in (1, max_threads):
         numba.set_num_threads(threads)
         results.append(trws(values, unary, active, weights, 4.0, 8))
-    numba.set_num_threads(most)
+    numba.set_num_threads(max_threads)
     np.testing.assert_array_equal(results[0].labels, results[1].labels)
     assert results[0].lower_bound == results[1].lower_bound <= results[0].energy
     first = np.where(np.isfinite(unary), unary, np.inf).argmin(axis=1)

@@ -54,12 +54,12 @@ def segment_window(costs, labels, radius):
     return out
 
 
-def penalize_outside(costs, zones, ranges, penalty, most):
+def penalize_outside(costs, zones, ranges, penalty, limit):
     out = costs.astype(np.float64)
     for y, x, d in np.ndindex(costs.shape):
         low, high = ranges[zones[y, x]]
         if low <= x and not low <= d <= high:
-            out[y, x, d] = min(out[y, x, d] + penalty, most)
+            out[y, x, d] = min(out[y, x, d] + penalty, limit)
     return out
 
 

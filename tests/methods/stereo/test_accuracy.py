@@ -46,7 +46,10 @@ def errors(values, truth):
 )
 def test_peers_have_their_known_error(peer, golden):
     """Both ways: a peer that we run worse than it is would make our own figures look good."""
-    rated = [errors(peer(pair, most).disparity.values, truth) for pair, truth, most in real_scenes().values()]
+    rated = [
+        errors(peer(pair, max_disparity).disparity.values, truth)
+        for pair, truth, max_disparity in real_scenes().values()
+    ]
     assert np.mean(rated) == pytest.approx(golden, abs=0.4)
 
 
@@ -62,13 +65,13 @@ def test_peers_have_their_known_error(peer, golden):
 def test_aggregation_without_refinement(cost, aggregate, golden):
     """A point of figure 3.3: winner-takes-all, non-occluded."""
     rated = []
-    for pair, truth, most in real_scenes().values():
-        rated.append(errors(winners(aggregate(cost(pair, most + 1), pair).costs)[0], truth)[0])
+    for pair, truth, max_disparity in real_scenes().values():
+        rated.append(errors(winners(aggregate(cost(pair, max_disparity + 1), pair).costs)[0], truth)[0])
     assert np.mean(rated) <= golden + 0.2
 
 
 @pytest.mark.parametrize(
-    ("preset", "folder", "most"),
+    ("preset", "folder", "max_error"),
     [
         ("fast", V2, 7.8),
         ("cross", V2, 5.2),
@@ -80,12 +83,12 @@ def test_aggregation_without_refinement(cost, aggregate, golden):
         ("accurate", "middlebury_2006", 5.95),
     ],
 )
-def test_presets_keep_their_accuracy(preset, folder, most):
+def test_presets_keep_their_accuracy(preset, folder, max_error):
     """Mean of nonocc, all and disc over the scenes of a data set."""
     pipeline = load_config(StereoConfig, find_config("stereo", preset)).pipeline
     found = real_scenes(folder).values()
     rated = [errors(pipeline(pair, top).disparity.values, truth) for pair, truth, top in found]
-    assert np.mean(rated) <= most
+    assert np.mean(rated) <= max_error
 
 
 def test_accurate_beats_sgbm_on_a_street():

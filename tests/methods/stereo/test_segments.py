@@ -73,7 +73,7 @@ def test_ranges_follow_equations_2_3_to_2_5():
     assert search_ranges(labels, _matches((4, 2, 19.5)), 20, 0.0).tolist() == [[0, 20], [19, 20], [0, 20]]
 
 
-def test_ranges_can_borrow_from_key_points_around():
+def test_ranges_can_include_nearby_key_points():
     labels = np.repeat(np.arange(3, dtype=np.int32), 10)[None].repeat(4, axis=0)
     matches = _matches((5, 1, 8.0), (6, 2, 9.0))
     assert search_ranges(labels, matches, 20, 0.0, neighbors=2).tolist() == [[8, 9]] * 3
@@ -91,9 +91,9 @@ def test_a_segment_has_a_zone_in_every_cell():
     assert SearchRanges(zones, ranges).by_segment(labels).tolist() == [[0, 7], [8, 11]]
 
 
-@pytest.mark.parametrize(("dtype", "most"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, np.inf)])
+@pytest.mark.parametrize(("dtype", "limit"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, np.inf)])
 @pytest.mark.parametrize("penalty", [0.0, 20.0, 90.0])
-def test_disparities_outside_the_range_cost_more(dtype, most, penalty):
+def test_disparities_outside_the_range_cost_more(dtype, limit, penalty):
     rng = np.random.default_rng(7)
     costs = rng.integers(0, 250, (9, 12, 6)).astype(dtype)
     ranges = np.array([[0, 5], [2, 3], [4, 5], [1, 1]], np.int32)
@@ -101,7 +101,7 @@ def test_disparities_outside_the_range_cost_more(dtype, most, penalty):
     volume = Ranges(penalty=penalty).penalize(CostVolume(costs, 2.0), SearchRanges(_labels(), ranges))
     assert np.array_equal(costs, raw)
     assert volume.costs.dtype == dtype
-    assert np.array_equal(volume.costs, naive.penalize_outside(costs, _labels(), ranges, 2 * penalty, most))
+    assert np.array_equal(volume.costs, naive.penalize_outside(costs, _labels(), ranges, 2 * penalty, limit))
 
 
 def test_clear_costs_overrule_a_wrong_range():
@@ -118,7 +118,7 @@ def test_more_key_points_than_pixels():
     assert search_ranges(labels, matches, 8, 0.0).tolist() == [[0, 8]]
 
 
-def test_key_points_that_nobody_around_agrees_with_are_dropped():
+def test_key_points_that_disagree_with_their_neighbors_are_dropped():
     points = [(x, y, 5.0) for x in range(4) for y in range(4)]
     kept = consistent(_matches(*points, (1.5, 1.5, 12.0)))
     assert len(kept) == 16 and kept.disparity.max() == 5
@@ -171,7 +171,7 @@ def test_degenerate_segments_get_a_flat_plane():
     assert FIT.constant(values, Members.of(np.zeros((1, 5), np.int32)), np.array([0])).support.tolist() == [1]
 
 
-def test_near_duplicates_are_dropped_and_stood_for():
+def test_near_duplicates_are_dropped_and_represented():
     planes = _planes((0, 0, 5), (0.001, 0, 5.1), (0, 0, 9), (0.5, 0, 5))
     kept, stands_for = distinct(planes, 0.01, 0.25, 10)
     assert kept.coefficients.tolist() == [[0, 0, 5], [0, 0, 9], [0.5, 0, 5]]
@@ -270,7 +270,7 @@ def test_same_bytes_at_any_number_of_threads_and_inputs_untouched():
     assert np.array_equal(scene.left, left) and np.array_equal(scene.right, right)
 
 
-def test_details_when_asked_for():
+def test_details_are_written_on_request():
     scene = make_scene("planes", seed=1, height=90, width=120, max_disparity=16)
     pair = StereoPair(scene.left, scene.right)
     assert not _preset()(pair, 16).tables
@@ -286,7 +286,7 @@ def test_details_when_asked_for():
     assert sum(row["segments"] for row in result.tables["planes"]) == result.figures["segments"]
 
 
-def test_a_flat_image_knows_nothing():
+def test_a_uniform_image_has_no_values():
     flat = np.full((40, 60, 3), 90, np.uint8)
     result = _preset(details=True)(StereoPair(flat, flat.copy()), 8)
     assert result.figures["segments"] == 1 and result.figures["keypoints"] == 0

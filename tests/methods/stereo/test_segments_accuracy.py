@@ -27,10 +27,10 @@ def _mean_error(name, folder):
 
 
 @pytest.mark.parametrize(
-    ("folder", "most"), [("middlebury_v2", 4.5), ("middlebury_2001", 1.7), ("middlebury_2005", 10.0)]
+    ("folder", "max_error"), [("middlebury_v2", 4.5), ("middlebury_2001", 1.7), ("middlebury_2005", 10.0)]
 )
-def test_segments_keeps_its_accuracy(folder, most):
-    assert _mean_error("segments", folder) <= most
+def test_segments_keeps_its_accuracy(folder, max_error):
+    assert _mean_error("segments", folder) <= max_error
 
 
 def test_dedc_is_better_than_matching_costs():
