@@ -21,9 +21,7 @@ class Surf(Detector):
     those of disjoint cells when a point is displaced a little.
     """
 
-    threshold: float = Field(
-        5e-6, gt=0, le=1, description="smallest determinant of the Hessian, image values in [0, 1]"
-    )
+    threshold: float = Field(5e-6, gt=0, le=1, description="smallest Hessian determinant, image values in [0, 1]")
     octaves: int = Field(2, ge=1, le=6, description="number of octaves (doublings of scale) that are searched")
 
     def __call__(self, image: NDArray[np.uint8]) -> KeyPoints:

@@ -14,9 +14,7 @@ class Slic(Segmenter):
     """Compute compact superpixels of similar size: k-means in color and position, started from a grid."""
 
     size: float = Field(200.0, ge=4, le=1e6, description="approximate size of a region, pixels")
-    compactness: float = Field(
-        10.0, gt=0, le=1000, description="weight of distance against color: small follows edges, large gives squares"
-    )
+    compactness: float = Field(10.0, gt=0, le=1000, description="weight of distance against color: larger is squarer")
     iterations: int = Field(10, ge=1, le=100, description="number of k-means iterations")
     min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor, pixels")
 

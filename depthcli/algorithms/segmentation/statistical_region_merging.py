@@ -27,15 +27,11 @@ class StatisticalRegionMerging(Segmenter):
     extend over the gaps of a sensor's map.
     """
 
-    complexity: float = Field(
-        128, gt=0, le=65536, description="Q, number of statistical sources; more regions if large"
-    )
+    complexity: float = Field(128, gt=0, le=65536, description="Q, statistical sources; a larger Q gives more regions")
     coarser: tuple[Annotated[float, Field(gt=0, le=65536)], ...] = Field(
         (), description="Q of further layers, falling: each goes on merging the regions of the one before"
     )
-    depth_guidance: float = Field(
-        16, ge=0, le=65536, description="Q of the test on depth; 0: depth is ignored (plain SRM)"
-    )
+    depth_guidance: float = Field(16, ge=0, le=65536, description="Q of the test on depth; 0: plain SRM, without depth")
     smoothing: float = Field(1.0, ge=0, le=10, description="sigma of the 3 x 3 Gaussian before merging; 0: none")
     min_size: int = Field(20, ge=1, le=10**8, description="smaller regions finally join a neighbor, pixels")
 

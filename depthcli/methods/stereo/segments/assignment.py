@@ -28,9 +28,7 @@ class Candidates(PlaneFit):
 
     flat: bool = Field(False, description="also offer the flat plane of every segment")
     min_size: int = Field(100, ge=3, le=10**6, description="smaller segments contribute no plane, pixels")
-    min_trusted: float = Field(
-        0.5, ge=0, le=1, description="segments with a smaller part of trusted pixels contribute no plane"
-    )
+    min_trusted: float = Field(0.5, ge=0, le=1, description="smallest part of trusted pixels of a contributing segment")
     same_slope: float = Field(0.01, ge=0, le=16, description="planes this similar in slope may be duplicates")
     same_offset: float = Field(0.25, ge=0, le=16384, description="planes this similar at their center too are, pixels")
     max_planes: int = Field(400, ge=1, le=5000, description="number of planes kept, the best supported ones")

@@ -24,19 +24,11 @@ class Energy(Step):
         BeforeValidator(lambda name: name.lower() if isinstance(name, str) else name),
     ] = Field("dedc", description="distance from the first disparities, or matching cost")
     data_weight: float = Field(10.0, ge=0, le=1e6, description="lambda (eq. 2.9), weight of the dedc data term")
-    truncation: float | None = Field(
-        None, gt=0, le=16384, description="largest distance from a first disparity that counts, pixels; null: no limit"
-    )
+    truncation: float | None = Field(None, gt=0, le=16384, description="largest counted difference, pixels; null: none")
     cost_weight: float = Field(10.0, ge=0, le=1e6, description="weight of the matching_cost data term")
-    visibility: float = Field(
-        0.0, ge=0, le=1e6, description="cost of an untrusted pixel that would be in front of the right view's surface"
-    )
-    smoothness: float = Field(
-        25.0, ge=0, le=1e6, description="w (eq. 2.12): cost of a boundary between two planes, per pixel"
-    )
-    color_scale: float = Field(
-        150.0, gt=0, le=1e6, description="sigma (eq. 2.12): color difference that makes boundaries cheap, grey levels"
-    )
+    visibility: float = Field(0.0, ge=0, le=1e6, description="cost of an untrusted pixel in front of the right surface")
+    smoothness: float = Field(25.0, ge=0, le=1e6, description="w (eq. 2.12): cost of a boundary, per pixel")
+    color_scale: float = Field(150.0, gt=0, le=1e6, description="sigma (eq. 2.12): color difference scale, grey levels")
 
     def __call__(self, segments: SegmentedImage, volume: CostVolume, planes: Planes) -> NDArray[np.float64]:
         """Return the cost of every plane in every segment, (n, L) float64."""

@@ -40,9 +40,7 @@ class Selection(Step):
     would pass the check.
     """
 
-    tolerance: float = Field(
-        1.0, ge=0, le=16384, description="largest difference between the views at a trusted pixel, pixels"
-    )
+    tolerance: float = Field(1.0, ge=0, le=16384, description="largest difference of views at trusted pixels, pixels")
     subpixel: bool = Field(False, description="move disparities to the minimum of a parabola through three costs")
 
     def __call__(self, volume: CostVolume) -> FirstEstimate:

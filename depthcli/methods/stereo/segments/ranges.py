@@ -42,21 +42,13 @@ class SearchRanges:
 class Ranges(Step):
     """Search every segment around the disparities of its key points, and penalize all others."""
 
-    margin: float = Field(
-        0.25, ge=0, le=1, description="alpha (eq. 2.5): part of the whole range by which ranges grow on each side"
-    )
-    neighbors: int = Field(
-        0, ge=0, le=1000, description="number of nearest key points that a range also covers; 0: only its own"
-    )
+    margin: float = Field(0.25, ge=0, le=1, description="alpha (eq. 2.5): growth on each side, part of the whole range")
+    neighbors: int = Field(0, ge=0, le=1000, description="number of nearest key points that count as the segment's own")
     reach: float = Field(
-        40.0, gt=0, le=16384, description="largest distance of these; where one is farther, none counts, pixels"
+        40.0, gt=0, le=16384, description="largest distance of these; else none of them counts, pixels"
     )
-    cell: int = Field(
-        0, ge=0, le=4096, description="width of cells that divide a segment into parts with own ranges, pixels; 0: none"
-    )
-    penalty: float = Field(
-        100.0, ge=0, le=65535, description="added to the cost of disparities outside the range, in units of the cost"
-    )
+    cell: int = Field(0, ge=0, le=4096, description="width of parts of a segment with own ranges, pixels; 0: one range")
+    penalty: float = Field(100.0, ge=0, le=65535, description="cost added outside the range, in units of the cost")
 
     def __call__(self, labels: NDArray[np.int32], matches: Matches | None, max_disparity: int) -> SearchRanges:
         """Return the ranges of the segments ``labels`` (H, W), 0 .. n - 1."""

@@ -34,9 +34,7 @@ class Split(Step):
         (), max_length=8, description="sides of the grids' cells, pass after pass, pixels; empty: no cuts"
     )
     tolerance: float = Field(1.0, gt=0, le=16384, description="largest distance of a pixel that fits the plane, pixels")
-    misfits: float = Field(
-        0.1, ge=0, le=1, description="a segment is cut where more than this part of its trusted pixels does not fit"
-    )
+    misfits: float = Field(0.1, ge=0, le=1, description="part of trusted pixels off the plane above which it is cut")
 
     def __call__(self, labels: NDArray[np.int32], first: FirstEstimate, fit: PlaneFit) -> NDArray[np.int32]:
         """Return (H, W) int32 connected segments: ``labels``, or pieces of them.

@@ -34,19 +34,13 @@ def _none(value: Any) -> Any:
 class SegmentSteps(Step):
     """Explain every segment of the left image by a plane, chosen for all segments at once."""
 
-    segmentation: Segmentation = Field(
-        default_factory=MeanShift, description="how the left image is cut into segments; too many are fine"
-    )
+    segmentation: Segmentation = Field(default_factory=MeanShift, description="segmentation of the left image")
     keypoints: Annotated[Detection | None, BeforeValidator(_none)] = Field(
         None, description="surf, sift or none: matched key points limit the disparities of their segment"
     )
-    window_radius: int = Field(
-        4, ge=0, le=20, description="half side of the window that averages costs in a segment, pixels; 0: none"
-    )
+    window_radius: int = Field(4, ge=0, le=20, description="half side of the averaging window, pixels; 0: no averaging")
     ranges: Ranges = Field(default_factory=Ranges, description="search ranges from key points")
-    optimization: Optimization = Field(
-        default_factory=WinnerTakesAll, description="smoothness over the image first, or winner_takes_all"
-    )
+    optimization: Optimization = Field(default_factory=WinnerTakesAll, description="smoothness before the selection")
     selection: Selection = Field(default_factory=Selection, description="the first disparities")
     split: Split = Field(default_factory=Split, description="cuts of segments that are not planar")
     planes: Candidates = Field(default_factory=Candidates, description="the planes that segments may lie on")
