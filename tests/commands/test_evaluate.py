@@ -21,8 +21,8 @@ from depthcli.data.formats.disparity import read_disparity, write_disparity_png,
 from depthcli.data.formats.images import read_image, write_png
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
-from depthcli.evaluation.disparity import DisparityProtocol
 from depthcli.evaluation.protocols import Settings
+from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.results import Result
 from depthcli.evaluation.tables import report_tables, report_text
 from tests.scenes import DATA, needs_data

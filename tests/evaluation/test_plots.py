@@ -14,9 +14,9 @@ import pytest
 from depthcli.commands.evaluate import evaluate
 from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.evaluation.curves import sparsification
-from depthcli.evaluation.disparity import DisparityTruth
 from depthcli.evaluation.plots import Line, curve_plot, line_plot
 from depthcli.evaluation.protocols import Settings, load, names
+from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
 from depthcli.evaluation.results import MEAN
 

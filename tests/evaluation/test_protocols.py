@@ -16,8 +16,8 @@ from depthcli.data.formats.disparity import read_disparity, write_pfm
 from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
-from depthcli.evaluation.disparity import DisparityProtocol, DisparityTruth, scale_warning
 from depthcli.evaluation.protocols import Settings
+from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, scale_warning
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
 from depthcli.evaluation.results import Result
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, bad_rate, find_score

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth
+from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally
 
 QUANTILES = (50, 90, 95, 99)  # percent, as printed by the program

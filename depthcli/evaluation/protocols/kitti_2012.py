@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from depthcli.data.formats.disparity import KITTI_SCALE
 from depthcli.data.scenes.stereo import StereoTruth
-from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks, difference
+from depthcli.evaluation.protocols._disparity import (
+    PRESENTATION,
+    Disparity,
+    DisparityProtocol,
+    DisparityTruth,
+    Masks,
+    difference,
+)
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, float_sum
 
 INTERPOLATED = "background-interpolated"

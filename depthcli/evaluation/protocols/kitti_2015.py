@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.data.scenes.stereo import StereoTruth
-from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityTruth, Masks, difference
+from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityTruth, Masks, difference
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, Kitti2012
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, percent
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.filters import discontinuity_mask
 from depthcli.data.scenes.stereo import StereoTruth
-from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks
+from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks
 from depthcli.evaluation.scores import Score
 
 

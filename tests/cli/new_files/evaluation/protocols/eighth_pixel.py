@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from depthcli.evaluation.disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth
+from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth
 from depthcli.evaluation.scores import Score
 
 
