@@ -56,16 +56,16 @@ def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[Nam
         Nothing matches a pattern, or no two files belong together beyond doubt.
     """
     suffixes = tuple(suffixes)
-    found = [_matching(pattern, suffixes) for pattern in (left, right)]
-    for pattern, files in zip((left, right), found, strict=True):
+    matches = [_matching(pattern, suffixes) for pattern in (left, right)]
+    for pattern, files in zip((left, right), matches, strict=True):
         if not files:
             raise ConfigError(f"{pattern}: matches no image")
     for key in (_wildcards, _whole_name, _last_number):
-        sides = [_keyed(files, key) for files in found]
+        sides = [_keyed(files, key) for files in matches]
         if set(sides[0]) & set(sides[1]):
             names = sorted(set(sides[0]) | set(sides[1]))
             return [NamedPair(name, sides[0].get(name), sides[1].get(name)) for name in names]
-    raise ConfigError(f"{left} and {right}: no two names belong together ({found[0][0].path.name}, ...)")
+    raise ConfigError(f"{left} and {right}: no two names belong together ({matches[0][0].path.name}, ...)")
 
 
 def read_table(path: Path) -> list[NamedPair]:

@@ -68,14 +68,14 @@ def _wanted(kinds: tuple[type[Scene], ...] | None, layout: str | None) -> tuple[
 
 def _scenes_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Scene]:
     """Scenes that ``folder`` itself holds: one by its own files, or many as a KITTI root."""
-    found = {each.name: scenes for each in wanted if (scenes := each.scenes(folder))}
-    if len(found) > 1:
-        raise InputError(f"{folder.path}: fits the layouts {' and '.join(sorted(found))}; say which with --layout")
-    return next(iter(found.values()), [])
+    matching = {each.name: scenes for each in wanted if (scenes := each.scenes(folder))}
+    if len(matching) > 1:
+        raise InputError(f"{folder.path}: fits the layouts {' and '.join(sorted(matching))}; say which with --layout")
+    return next(iter(matching.values()), [])
 
 
 def _scenes_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], requested: str = "") -> list[Scene]:
-    """As ``_scenes_of``; a folder that cannot be used is one scene with its problem, and spoils no other."""
+    # A folder that cannot be used is one scene with its problem, and spoils no other.
     try:
         return _scenes_of(Folder(path, name, name + "/", requested), wanted)
     except InputError as error:
@@ -123,13 +123,13 @@ def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path 
     InputError
         A pattern matches none of them; ``place`` is where they are.
     """
-    found = sorted(scenes, key=lambda scene: scene.name)
-    chosen = [scene for scene in found if matches_any(scene.name, patterns)]
+    ordered = sorted(scenes, key=lambda scene: scene.name)
+    chosen = [scene for scene in ordered if matches_any(scene.name, patterns)]
     for pattern in patterns:
-        if not any(matches_any(scene.name, [pattern]) for scene in found):
-            there = ", ".join(scene.name for scene in found[:6])
+        if not any(matches_any(scene.name, [pattern]) for scene in ordered):
+            there = ", ".join(scene.name for scene in ordered[:6])
             raise InputError(
-                f"{place}: no scene matches {pattern!r}; there are: {there}{', ...' if len(found) > 6 else ''}"
+                f"{place}: no scene matches {pattern!r}; there are: {there}{', ...' if len(ordered) > 6 else ''}"
             )
     return chosen
 
@@ -142,16 +142,16 @@ def scene_with_file(file: Path) -> Scene | None:
 def scenes_with_files(files: Iterable[Path]) -> dict[Path, Scene]:
     """Return file -> the scene that it belongs to, as :func:`scene_with_file`, of those that belong to one."""
     known: dict[Path, dict[Path, Scene]] = {}
-    found: dict[Path, Scene] = {}
+    scene_of: dict[Path, Scene] = {}
     for file in files:
         path = file.absolute()
         for place in path.parents[:2]:
             if place not in known:
                 known[place] = _files_in(place)
             if path in known[place]:
-                found[file] = known[place][path]
+                scene_of[file] = known[place][path]
                 break
-    return found
+    return scene_of
 
 
 def _files_in(place: Path) -> dict[Path, Scene]:
@@ -160,12 +160,12 @@ def _files_in(place: Path) -> dict[Path, Scene]:
         inside = [scene for each in layouts() for scene in each.scenes(Folder(place, place.name, ""))]
     except InputError:
         return {}
-    found: dict[Path, Scene] = {}
+    scene_of: dict[Path, Scene] = {}
     for scene in inside:
         for value in vars(scene).values():
             if isinstance(value, Path):
-                found.setdefault(value, scene)
-    return found
+                scene_of.setdefault(value, scene)
+    return scene_of
 
 
 def matches_any(name: str, patterns: Sequence[str]) -> bool:

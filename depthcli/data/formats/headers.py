@@ -279,7 +279,6 @@ def holds_floats(data: bytes) -> bool:
 
 
 def _tiff_tags(data: bytes) -> Any:
-    """Tags of the first image, as Pillow parses them; it need not know the kind of samples."""
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
     with decoding("tiff"):

@@ -40,7 +40,7 @@ _OTHER_BITS = bytes(range(7, 247, 5)) * 2
 
 
 def read_image(path: Path | str, max_bytes: int | None = None) -> Image:
-    """Return the pixels of a PNG, JPEG, PGM, PPM, TIFF or BMP file, whose kind is found by its content.
+    """Return the pixels of a PNG, JPEG, PGM, PPM, TIFF or BMP file, whose kind is match by its content.
 
     Parameters
     ----------
@@ -163,10 +163,10 @@ def _jpeg_scan_ends(data: bytes) -> list[int]:
     # Where the Huffman codes of every scan and restart interval end; none for arithmetic codes, which may end early.
     ends = []
     at, coded, restarts = 2, False, 0
-    while (found := _JPEG_MARKER.search(data, at)) is not None:
-        marker, at = found[1][0], found.end()
+    while (match := _JPEG_MARKER.search(data, at)) is not None:
+        marker, at = match[1][0], match.end()
         if coded:
-            ends.append(found.start())
+            ends.append(match.start())
         if marker == 0xD9:
             return ends
         if 0xD0 <= marker <= 0xD7:

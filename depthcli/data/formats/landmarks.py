@@ -58,8 +58,8 @@ def _is_row(line: str) -> bool:
 def _header(line: str) -> list[int]:
     """Columns of x, y and z by their names; the first three where none says so."""
     names = [_COLUMNS.search(name.lower()) for name in _split(line)]
-    found = {match[1]: k for k, match in enumerate(names) if match}
-    return [found[axis] for axis in "xyz"] if len(found) == 3 else [0, 1, 2]
+    columns = {match[1]: k for k, match in enumerate(names) if match}
+    return [columns[axis] for axis in "xyz"] if len(columns) == 3 else [0, 1, 2]
 
 
 def _numbers(lines: list[str], columns: list[int], first: int) -> NDArray[np.float64]:

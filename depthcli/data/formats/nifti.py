@@ -34,9 +34,9 @@ def check_whole(path: Path) -> NDArray[np.int64]:
         kind = fields["float"]
         if kind:
             values = np.frombuffer(block, kind, len(block) // np.dtype(kind).itemsize)
-            found = np.flatnonzero(~np.isfinite(values))
-            if found.size:
-                bad.append(found + (length - fields["offset"]) // np.dtype(kind).itemsize)
+            places = np.flatnonzero(~np.isfinite(values))
+            if places.size:
+                bad.append(places + (length - fields["offset"]) // np.dtype(kind).itemsize)
 
     with open_regular(path) as file:
         if path.name.lower().endswith(".nii.gz"):

@@ -86,6 +86,7 @@ def _declared_bits(data: bytes) -> int | None:
         return None if top in (255, 65535) else top.bit_length()
     return None
 
+
 def _kind(image: Image) -> str:
     color = "grey" if image.ndim == 2 else "colour"
     return f"{image.shape[1]} x {image.shape[0]} {color} {image.dtype}"

@@ -63,12 +63,12 @@ def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]
 
 
 def _elastix_fields(text: str) -> dict[str, list[str]]:
-    found = {}
+    fields = {}
     for line in text.splitlines():
         match = re.match(r"\s*\((\w+)\s+(.*?)\)\s*(//.*)?$", line)
         if match:
-            found[match[1]] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', match[2])]
-    return found
+            fields[match[1]] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', match[2])]
+    return fields
 
 
 def _elastix_transform(fields: dict[str, list[str]]) -> Any:

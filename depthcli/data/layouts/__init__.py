@@ -49,19 +49,19 @@ class Folder:
 
     def starting(self, start: str, suffixes: Iterable[str]) -> dict[str, Path]:
         """Return what follows ``start`` in the stem -> file."""
-        found = {}
+        files = {}
         for stem in sorted(self._by_stem):
             file = self.one(stem, suffixes) if stem.startswith(start) else None
             if file is not None:
-                found[stem.removeprefix(start)] = file
-        return found
+                files[stem.removeprefix(start)] = file
+        return files
 
     @cached_property
     def _by_stem(self) -> dict[str, list[str]]:
-        found: dict[str, list[str]] = {}
+        by_stem: dict[str, list[str]] = {}
         for name in sorted(self.names):
-            found.setdefault(Path(name).stem, []).append(name)
-        return found
+            by_stem.setdefault(Path(name).stem, []).append(name)
+        return by_stem
 
     def meta(self) -> dict[str, Any]:
         """Return the fields of ``meta.json`` that have a value; empty where there is no such file."""
@@ -134,12 +134,12 @@ class Layout(ABC):
 @cache
 def layouts() -> tuple[Layout, ...]:
     """Return every layout, sorted by name."""
-    found = []
+    known = []
     for module in sorted(pkgutil.iter_modules(__path__), key=lambda m: m.name):
         if module.name.startswith("_"):
             continue
         loaded = importlib.import_module(f"{__name__}.{module.name}")
         own = [v for v in vars(loaded).values() if isinstance(v, type) and v.__module__ == loaded.__name__]
         (layout,) = (v for v in own if issubclass(v, Layout))
-        found.append(layout())
-    return tuple(found)
+        known.append(layout())
+    return tuple(known)

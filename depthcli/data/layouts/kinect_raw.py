@@ -29,12 +29,12 @@ class KinectRaw(Layout):
             depth = next(iter(single.values()))
             return [frame(folder, folder.name, color, depth, "", self.name, raw=True, calibration=calibration)]
         colors, depths = (numbered(folder, start, IMAGE_SUFFIXES) for start in ("color_", "disparity_"))
-        found: list[Scene] = []
+        scenes: list[Scene] = []
         for number, depth in sorted(depths.items()):
             digits = depth.stem.rpartition("_")[2]
             problem = "" if number in colors else f"{depth}: a frame without its color"
-            found.append(
+            scenes.append(
                 frame(folder, folder.prefix + digits, colors.get(number, depth), depth, problem, self.name, raw=True,
                       calibration=calibration, sequence=folder.name, number=number)
             )  # fmt: skip
-        return found
+        return scenes

@@ -27,11 +27,11 @@ class Kitti2015(Layout):
         views = next((pair for pair in self.views if folder.has(pair[0])), None)
         if views is None:
             return []
-        found: list[Scene] = []
+        scenes: list[Scene] = []
         for left in sorted(folder.path.joinpath(views[0]).glob("*_10.png")):
             right, occ, noc, objects = (_beside(folder, where, left) for where in (views[1], *self.truths))
             frame = left.with_name(left.stem.partition("_")[0] + ".txt")
-            found.append(
+            scenes.append(
                 StereoScene(
                     name=folder.prefix + left.stem,
                     folder=folder.path,
@@ -49,7 +49,7 @@ class Kitti2015(Layout):
                     cameras=(0, 1) if views[0] == "image_0" else (2, 3),
                 )
             )
-        return found
+        return scenes
 
 
 def _beside(folder: Folder, where: str, left: Path) -> Path | None:

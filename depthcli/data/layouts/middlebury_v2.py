@@ -52,7 +52,7 @@ class MiddleburyV2(Layout):
             later = left_stem == "view1"
             scale, top = (None, None) if later else _FACTS.get(folder.path.name.lower(), (None, None))
             meta = folder.meta()
-            found = {m: folder.one(m, IMAGE_SUFFIXES) or folder.one(f"mask_{m}", IMAGE_SUFFIXES)
+            masks = {m: folder.one(m, IMAGE_SUFFIXES) or folder.one(f"mask_{m}", IMAGE_SUFFIXES)
                      for m in ("nonocc", "all", "disc")}  # fmt: skip
             return [
                 StereoScene(
@@ -67,7 +67,7 @@ class MiddleburyV2(Layout):
                     disparity_right=truth_right,
                     disparity_scale=folder.positive(meta, "disp_scale") or scale,
                     scale_by_width=later,
-                    masks={mask: file for mask, file in found.items() if file is not None},
+                    masks={mask: file for mask, file in masks.items() if file is not None},
                     max_disparity=folder.whole(meta, "max_disparity") or top,
                 )
             ]

@@ -25,12 +25,12 @@ class RgbIr(Layout):
         infrared = folder.one("ir", IMAGE_SUFFIXES)
         if infrared is None:
             return []
-        found: list[Scene] = []
+        scenes: list[Scene] = []
         for scene in Rgbd().frames(folder):
             known = {field.name: getattr(scene, field.name) for field in dataclasses.fields(scene)}
             calibration = folder.one("calib", (".json", ".yml", ".yaml"))
             known |= {"layout": self.name, "calibration": calibration}
             plain = folder.one("ir_noprojector", IMAGE_SUFFIXES)
             top = folder.whole(folder.meta(), "max_disparity")
-            found.append(RgbIrScene(**known, infrared=infrared, infrared_plain=plain, max_disparity=top))
-        return found
+            scenes.append(RgbIrScene(**known, infrared=infrared, infrared_plain=plain, max_disparity=top))
+        return scenes

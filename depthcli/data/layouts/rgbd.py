@@ -68,10 +68,10 @@ def intrinsics(folder: Folder, meta: dict[str, Any]) -> tuple[float, float, floa
     inner = meta.get("intrinsics", meta)
     if not isinstance(inner, dict):
         raise InputError(f"{folder.path / 'meta.json'}: intrinsics: want fx, fy, cx, cy (got {str(inner)[:60]!r})")
-    found = [folder.positive(inner, key) for key in ("fx", "fy", "cx", "cy")]
-    if all(value is None for value in found):
+    numbers = [folder.positive(inner, key) for key in ("fx", "fy", "cx", "cy")]
+    if all(value is None for value in numbers):
         return None
-    fx, fy, cx, cy = found
+    fx, fy, cx, cy = numbers
     if fx is None or fy is None or cx is None or cy is None:
         raise InputError(f"{folder.path / 'meta.json'}: intrinsics: want all of fx, fy, cx, cy")
     return fx, fy, cx, cy

@@ -30,7 +30,7 @@ class RgbdSequence(Layout):
             depths = {n: f for n, f in numbered(folder, "depth_", DEPTH_SUFFIXES).items() if "true" not in f.stem}
         if not colors or not depths:
             return []
-        found: list[Scene] = []
+        scenes: list[Scene] = []
         for number in sorted({**colors, **depths}):
             color, depth = colors.get(number), depths.get(number)
             there = color or depth
@@ -39,23 +39,23 @@ class RgbdSequence(Layout):
             problem = ""
             if color is None or depth is None:
                 problem = f"{there}: a frame without its {'color' if color is None else 'depth'}"
-            found.append(
+            scenes.append(
                 frame(folder, folder.prefix + digits, color or there, depth or there, problem, self.name,
                       sequence=folder.name, number=number)
             )  # fmt: skip
-        return found
+        return scenes
 
 
 def numbered(folder: Folder, start: str, suffixes: tuple[str, ...]) -> dict[int, Path]:
     """Number at the end of the stem -> file, of the files whose names begin with ``start``."""
-    found: dict[int, Path] = {}
+    files: dict[int, Path] = {}
     for rest, file in folder.starting(start, suffixes).items():
         if _NUMBER.search(rest) and not rest.startswith("true"):
             number = int(_digits(file))
-            if number in found:
-                raise InputError(f"{folder.path}: both {found[number].name} and {file.name} are frame {number}")
-            found[number] = file
-    return found
+            if number in files:
+                raise InputError(f"{folder.path}: both {files[number].name} and {file.name} are frame {number}")
+            files[number] = file
+    return files
 
 
 def _digits(file: Path) -> str:

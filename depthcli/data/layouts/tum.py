@@ -30,7 +30,7 @@ class Tum(Layout):
                 pairs = [(c, d, a, b) for a, b, c, d in pairs]
         else:
             pairs = _nearest(folder)
-        found: list[Scene] = []
+        scenes: list[Scene] = []
         for number, (time, color, depth_time, depth) in enumerate(pairs):
             apart = abs(time - depth_time)
             problem = ""
@@ -38,13 +38,13 @@ class Tum(Layout):
                 problem = (
                     f"{folder.path / color}: the nearest depth is {apart:.3f} s off, at most {_MAX_DELAY} s may be"
                 )
-            found.append(
+            scenes.append(
                 frame(folder, f"{folder.prefix}{time:.6f}", folder.path / color, folder.path / depth, problem,
                       self.name, depth_scale=_SCALE, sequence=folder.name, number=number)
             )  # fmt: skip
-        if not found:
+        if not scenes:
             raise InputError(f"{folder.path}: no line pairs a color image with a depth image")
-        return found
+        return scenes
 
 
 def _nearest(folder: Folder) -> list[tuple[float, str, float, str]]:
@@ -52,15 +52,15 @@ def _nearest(folder: Folder) -> list[tuple[float, str, float, str]]:
     if not depths:
         raise InputError(f"{folder.path / 'depth.txt'}: names no file")
     colors = sorted((float(time), file) for time, file in _lines(folder.path / "rgb.txt", 2))
-    found = []
+    pairs = []
     for time, color in colors:
         _, depth_time, depth = min((abs(t - time), t, file) for t, file in depths)
-        found.append((time, color, depth_time, depth))
-    return found
+        pairs.append((time, color, depth_time, depth))
+    return pairs
 
 
 def _lines(path: Path, fields: int) -> list[list[str]]:
-    found = []
+    rows = []
     for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
         words = line.split()
         if not words or words[0].startswith("#"):
@@ -71,5 +71,5 @@ def _lines(path: Path, fields: int) -> list[list[str]]:
             times = []
         if len(words) < fields or len(times) * 2 != fields or any(".." in Path(w).parts for w in words[1:fields:2]):
             raise InputError(f"{path}:{number}: want {'time file ' * (fields // 2)}(got {line[:60]!r})")
-        found.append(words[:fields])
-    return found
+        rows.append(words[:fields])
+    return rows

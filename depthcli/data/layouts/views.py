@@ -44,13 +44,13 @@ def pair_scenes(
     low, top = folder.integer(meta, "min_disparity") or 0, folder.integer(meta, "max_disparity")
     if top is not None and top <= low:
         raise InputError(f"{folder.path / 'meta.json'}: max_disparity: want a number above {low} (got {top})")
-    found: list[Scene] = []
+    scenes: list[Scene] = []
     for name in sorted({**left, **right}):
         one, other = left.get(name), right.get(name)
         problem = ""
         if one is None or other is None:
             problem = f"{one or other}: only one image of the pair, no {'right' if one else 'left'} one"
-        found.append(
+        scenes.append(
             StereoScene(
                 name=folder.prefix + name,
                 folder=folder.path,
@@ -66,18 +66,18 @@ def pair_scenes(
                 calibration=folder.one("calib", (".txt",)),
             )
         )
-    return found
+    return scenes
 
 
 def view_images(place: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     """Return stem -> file of a folder; InputError where two files have one stem."""
     if not place.is_dir():
         return {}
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for name in sorted(Folder(place, "", "").names):
         path = place / name
         if path.suffix.lower() in suffixes:
-            if path.stem in found:
-                raise InputError(f"{place}: both {found[path.stem].name} and {name}; keep one")
-            found[path.stem] = path
-    return found
+            if path.stem in files:
+                raise InputError(f"{place}: both {files[path.stem].name} and {name}; keep one")
+            files[path.stem] = path
+    return files

@@ -34,14 +34,14 @@ class SequenceScene(Scene):
 def sequences(scenes: Sequence[Scene]) -> list[Scene]:
     """Return the scenes with the frames of every sequence as one scene, by name; a single frame is one as well."""
     groups: dict[tuple[Path, str], list[RgbdScene]] = {}
-    found: list[Scene] = []
+    others: list[Scene] = []
     for scene in scenes:
         if isinstance(scene, RgbdScene) and not scene.problem:
             groups.setdefault((scene.folder, scene.sequence or scene.name), []).append(scene)
         else:
-            found.append(scene)
+            others.append(scene)
     for (folder, sequence), frames in groups.items():
         ordered = tuple(sorted(frames, key=lambda frame: frame.number))
         name = ordered[0].name.rpartition("/")[0] if ordered[0].sequence else ordered[0].name
-        found.append(SequenceScene(name=name or sequence.rpartition("/")[2], folder=folder, frames=ordered))
-    return sorted(found, key=lambda scene: scene.name)
+        others.append(SequenceScene(name=name or sequence.rpartition("/")[2], folder=folder, frames=ordered))
+    return sorted(others, key=lambda scene: scene.name)

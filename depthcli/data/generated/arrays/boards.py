@@ -48,14 +48,13 @@ class Canvas:
         self.truth = self._plane((width / 2, height / 2), far, 0.06 * far)
 
     def _plaster(self, paint: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A painted surface: fine grain and large stains, the same for all that has the paint."""
         height, width = self._rows.shape
         relief = textures.noise(self._rng, height, width, 6.0, 3) + textures.noise(self._rng, height, width, 60.0, 2)
         painted: NDArray[np.float32] = np.clip(paint * (1 + 0.03 * relief[:, :, None]), 0, 1).astype(np.float32)
         return painted
 
     def _plane(self, center: tuple[float, float], disparity: float, max_tilt: float) -> Disparity:
-        """A plane, tilted by at most ``max_tilt`` pixels of disparity over a quarter of the picture."""
+        """Plane, tilted by at most ``max_tilt`` pixels of disparity over a quarter of the picture."""
         height, width = self._rows.shape
         tilt_x, tilt_y = self._rng.uniform(-max_tilt, max_tilt, 2) * (4 / width, 4 / height)
         plane = disparity + tilt_x * (self._columns - center[0]) + tilt_y * (self._rows - center[1])

@@ -29,7 +29,7 @@ class DeformedPair:
 def make_deformed_pair(
     seed: int, shape: tuple[int, int, int] = (40, 56, 56), largest: float = 4.0, noise: float = 10.0
 ) -> DeformedPair:
-    """An ellipsoid body with organs of their own texture, and a smooth residual up to ``largest`` voxels.
+    """Return an ellipsoid body with organs of their own texture, and a smooth residual up to ``largest`` voxels.
 
     The fixed volume is the warped one sampled at x + residual(x), so that the residual is exact.
 
@@ -60,7 +60,7 @@ def make_deformed_pair(
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int, int], sigma: float) -> NDArray[np.float32]:
-    """Gaussian noise of that correlation length, deviation 1."""
+    """Return Gaussian noise of that correlation length, deviation 1."""
     margin = int(3 * sigma) + 1
     wide = rng.standard_normal([n + 2 * margin for n in shape]).astype(np.float32)
     smooth = blurred(wide, sigma)[(slice(margin, -margin),) * 3]
@@ -68,7 +68,7 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int, int], sigma: f
 
 
 def blurred(volume: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    """Gaussian along all three axes, borders repeated."""
+    """Return a volume filtered by a Gaussian along all three axes, borders repeated."""
     for axis in range(3):
         lines = np.ascontiguousarray(np.moveaxis(volume, axis, -1))
         flat = lines.reshape(-1, lines.shape[-1])

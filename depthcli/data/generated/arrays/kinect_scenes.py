@@ -77,7 +77,7 @@ def simulate_kinect(
     disc_radius: tuple[float, float] = (8.0, 22.0),
     jump: float = 1.0,
 ) -> KinectSample:
-    """A Kinect-like measurement of a scene.
+    """Return a Kinect-like measurement of a scene.
 
     At every step of more than ``jump`` between neighbors of a row, the nearer surface's edge value is written over
     ``fattening`` pixels of the farther one. Then what lies in shadow is taken out: left of every such edge, as many
@@ -108,12 +108,12 @@ def simulate_kinect(
     if not known.any():
         raise ValueError("no pixel has a true disparity")
     surface = _behind(np.where(known, truth, np.nan).astype(np.float32))
-    seen = _fattened(surface, fattening, jump)
-    shadow = _shadow(seen, jump)
+    fattened = _fattened(surface, fattening, jump)
+    shadow = _shadow(fattened, jump)
     rng = np.random.Generator(np.random.PCG64([seed, 0x4B1]))
     spots = _discs(rng, (truth.shape[0], truth.shape[1]), discs, disc_radius)
-    values = seen + noise * rng.standard_normal(truth.shape, np.float32)
-    wrong = np.abs(seen - surface) > jump
+    values = fattened + noise * rng.standard_normal(truth.shape, np.float32)
+    wrong = np.abs(fattened - surface) > jump
     missing = shadow | spots
     return KinectSample(
         color=color,
@@ -153,17 +153,17 @@ def _fattened(surface: Disparity, width: int, jump: float) -> Disparity:
     return result
 
 
-def _shadow(seen: Disparity, jump: float) -> Mask:
+def _shadow(fattened: Disparity, jump: float) -> Mask:
     """Pixels whose projected position ``x - d`` is hidden behind a surface to their right, nearer by over ``jump``."""
-    position = np.arange(seen.shape[1], dtype=np.float32) - seen
-    shadow = np.zeros(seen.shape, bool)
+    position = np.arange(fattened.shape[1], dtype=np.float32) - fattened
+    shadow = np.zeros(fattened.shape, bool)
     front = position[:, -1].copy()
-    front_value = seen[:, -1].copy()
-    for x in range(seen.shape[1] - 2, -1, -1):
-        shadow[:, x] = (position[:, x] >= front) & (front_value - seen[:, x] > jump)
+    front_value = fattened[:, -1].copy()
+    for x in range(fattened.shape[1] - 2, -1, -1):
+        shadow[:, x] = (position[:, x] >= front) & (front_value - fattened[:, x] > jump)
         ahead = position[:, x] < front
         front = np.where(ahead, position[:, x], front)
-        front_value = np.where(ahead, seen[:, x], front_value)
+        front_value = np.where(ahead, fattened[:, x], front_value)
     return shadow
 
 
@@ -183,7 +183,7 @@ def _discs(rng: np.random.Generator, shape: tuple[int, int], count: int, radius:
 def make_kinect_scene(
     kind: SceneKind, seed: int = 0, width: int = 400, height: int = 300, max_disparity: int = 48
 ) -> tuple[NDArray[np.uint8], Disparity]:
-    """Color (H, W, 3) uint8 RGB and exact disparity (H, W) float32, pixels; the same arguments give the same scene.
+    """Return color (H, W, 3) uint8 RGB and exact disparity (H, W) float32, pixels, the same for the same arguments.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def make_kinect_sequence(
     fattening: int = 4,
     noise: float = 0.3,
 ) -> list[KinectSample]:
-    """A sequence as a Kinect on a tripod sees it: new noise in color and depth in every frame, exact truth.
+    """Return a sequence as a Kinect on a tripod records it: new noise in color and depth in every frame, exact truth.
 
     Parameters
     ----------

@@ -16,7 +16,6 @@ Kind = Literal["planes", "foreground", "repetitive", "curved", "street"]
 
 
 def _blob(rng: np.random.Generator) -> Outline:
-    """A wavy round outline."""
     waves = np.arange(2, 7)
     amounts = rng.uniform(0.02, 0.3, waves.size) / waves**0.7
     phases = rng.uniform(0, 2 * np.pi, waves.size)
@@ -31,7 +30,6 @@ def _blob(rng: np.random.Generator) -> Outline:
 
 
 def _saw(rng: np.random.Generator) -> Outline:
-    """A board with a toothed upper edge."""
     teeth, depth = int(rng.integers(2, 5)), rng.uniform(0.3, 0.7)
 
     def inside(x: Array, y: Array) -> NDArray[np.bool_]:

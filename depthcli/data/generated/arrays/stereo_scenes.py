@@ -64,11 +64,11 @@ class Radiometry:
 
     @classmethod
     def of_strength(cls, strength: float) -> Radiometry:
-        """From 0 (both cameras alike) to 1 (another exposure, gamma 0.8, dark corners)."""
+        """Return a change from 0 (both cameras alike) to 1 (another exposure, gamma 0.8, dark corners)."""
         return cls(1 + 0.25 * strength, -12 * strength, 1 - 0.2 * strength, 0.35 * strength)
 
     def apply(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(H, W, 3) float32 in [0, 1] -> the same, as the right camera records it (not clipped)."""
+        """Return an image, (H, W, 3) float32 in [0, 1], as the right camera records it (not clipped)."""
         if self == Radiometry():
             return image
         height, width = image.shape[:2]
@@ -136,8 +136,8 @@ def _photograph(room: Room, radiometry: Radiometry, noise: float, rays: int) -> 
     disparity = room.focal / depth
     depth_right, _ = trace(room, columns, rows, True)
     matched = columns - disparity
-    seen, _ = trace(room, matched, rows, True)
-    nonocc = (matched >= 0) & (seen >= depth * (1 - 1e-9))
+    visible_depth, _ = trace(room, matched, rows, True)
+    nonocc = (matched >= 0) & (visible_depth >= depth * (1 - 1e-9))
     periods = np.array([s.period for s in room.surfaces])[owner]
     repetition = np.where(periods > 0, periods * disparity, np.nan)
     return SyntheticScene(

@@ -20,7 +20,7 @@ _LETTERS = "ABCDEFGHKLMNPQRSTUVWXYZ23456789"
 
 
 def color(rng: np.random.Generator, value: tuple[float, float] = (0.35, 0.9)) -> NDArray[np.float32]:
-    """One random paint, (3,) float32: any hue, moderate saturation."""
+    """Return one random paint, (3,) float32: any hue, moderate saturation."""
     hsv = np.array([[[rng.uniform(0, 360), rng.uniform(0.1, 0.55), rng.uniform(*value)]]], np.float32)
     rgb: NDArray[np.float32] = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0, 0]
     return rgb
@@ -29,7 +29,7 @@ def color(rng: np.random.Generator, value: tuple[float, float] = (0.35, 0.9)) ->
 def noise(
     rng: np.random.Generator, height: int, width: int, feature: float, octaves: int = 4, stretch: float = 1.0
 ) -> NDArray[np.float32]:
-    """Fractal noise, (H, W) float32, zero mean, unit deviation; ``stretch`` lengthens it along x."""
+    """Return fractal noise, (H, W) float32, zero mean, unit deviation; ``stretch`` lengthens it along x."""
     total = np.zeros((height, width), np.float32)
     for octave in range(octaves):
         cell = max(feature / 2**octave, 1.0)
@@ -43,25 +43,24 @@ def noise(
 
 
 def _soft(picture: NDArray[Any], sigma: float) -> Texture:
-    """Blur as a lens and ink do; 8-bit drawings come to [0, 1]."""
+    # Blurred as by a lens and ink; 8-bit drawings come to [0, 1].
     scale = 255 if picture.dtype == np.uint8 else 1
     return np.asarray(cv2.GaussianBlur(picture.astype(np.float32) / np.float32(scale), (0, 0), sigma), np.float32)
 
 
 def _tint(rng: np.random.Generator, base: NDArray[Any], relief: NDArray[Any], amount: float) -> Texture:
-    """Paint ``base`` with ``relief`` as brightness and a little of it as hue."""
     hue = (1.0 + rng.uniform(-0.35, 0.35, 3)).astype(np.float32)
     return np.clip(base * (1.0 + amount * relief[:, :, None] * hue), 0.02, 0.98).astype(np.float32)
 
 
 def plaster(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Rough painted wall: low-contrast noise with stains."""
+    """Return a rough painted wall: low-contrast noise with stains."""
     relief = 0.7 * noise(rng, height, width, feature / 2, 3) + 0.7 * noise(rng, height, width, feature * 3, 2)
     return _tint(rng, color(rng, (0.6, 0.85)), relief, 0.075)
 
 
 def wood(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Planks along x, each with its own grain and tone."""
+    """Return planks along x, each with its own grain and tone."""
     base = np.array([0.62, 0.42, 0.25], np.float32) * rng.uniform(0.75, 1.3)
     grain = noise(rng, height, width, feature / 4, 3, stretch=9.0)
     rings = np.sin(2.2 * noise(rng, height, width, feature, 2, stretch=6.0) + 0.5 * grain)
@@ -82,12 +81,12 @@ def wood(rng: np.random.Generator, height: int, width: int, feature: float) -> T
 
 
 def floorboards(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Planks along y: running away from the viewer, a floor has contrast along the rows of the image."""
+    """Return planks along y: running away from the viewer, a floor has contrast along the rows of the image."""
     return np.ascontiguousarray(wood(rng, width, height, feature).transpose(1, 0, 2))
 
 
 def bricks(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Brick wall: every brick has its own tone, so that the courses do not repeat exactly."""
+    """Return a brick wall: every brick has its own tone, so that the courses do not repeat exactly."""
     picture = _tint(rng, np.array([0.72, 0.69, 0.64], np.float32), noise(rng, height, width, feature / 4, 2), 0.05)
     base = np.array([0.62, 0.33, 0.25], np.float32) * rng.uniform(0.8, 1.25)
     rough = noise(rng, height, width, feature / 2, 4)
@@ -104,7 +103,7 @@ def bricks(rng: np.random.Generator, height: int, width: int, feature: float) ->
 
 
 def cloth(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Woven stripes of random widths in a few colors."""
+    """Return woven stripes of random widths in a few colors."""
     picture = np.empty((height, width, 3), np.float32)
     paints = [color(rng) for _ in range(4)]
     left = 0
@@ -122,7 +121,7 @@ def cloth(rng: np.random.Generator, height: int, width: int, feature: float) -> 
 
 
 def checker(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Tiles in two colors, every tile with its own tone."""
+    """Return tiles in two colors, every tile with its own tone."""
     size = max(3, round(feature))
     rows, columns = height // size + 1, width // size + 1
     paints = np.stack([color(rng, (0.25, 0.5)), color(rng, (0.7, 0.95))])
@@ -134,7 +133,7 @@ def checker(rng: np.random.Generator, height: int, width: int, feature: float) -
 
 
 def poster(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Printed poster: colored shapes and big letters on paper."""
+    """Return a printed poster: colored shapes and big letters on paper."""
     # OpenCV anti-aliases drawings in 8 bits only.
     picture = np.empty((height, width, 3), np.uint8)
     picture[:] = 255 * color(rng, (0.55, 0.95))
@@ -172,7 +171,7 @@ def poster(rng: np.random.Generator, height: int, width: int, feature: float) ->
 
 
 def newspaper(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Columns of small print with headlines and a grey picture or two."""
+    """Return columns of small print with headlines and a grey picture or two."""
     picture = np.empty((height, width, 3), np.uint8)
     picture[:] = 255 * np.array([0.86, 0.84, 0.78]) * rng.uniform(0.9, 1.05)
     ink = (38.0, 36.0, 38.0)
@@ -196,14 +195,14 @@ def newspaper(rng: np.random.Generator, height: int, width: int, feature: float)
 
 
 def marble(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Veined stone."""
+    """Return veined stone."""
     cloud = noise(rng, height, width, feature * 1.2, 5)
     veins = np.abs(noise(rng, height, width, feature * 1.5, 4))
     return _tint(rng, color(rng, (0.5, 0.85)), 0.5 * cloud - 1.2 * np.exp(-6 * veins), 0.22)
 
 
 def camouflage(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Patches in four paints with soft outlines."""
+    """Return patches in four paints with soft outlines."""
     level = noise(rng, height, width, feature, 4) + 0.12 * noise(rng, height, width, 3.0, 1)
     paints = np.stack([color(rng, (0.25, 0.9)) for _ in range(4)])
     picture = paints[np.digitize(level, [-0.7, 0.0, 0.7])]
@@ -211,7 +210,7 @@ def camouflage(rng: np.random.Generator, height: int, width: int, feature: float
 
 
 def asphalt(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """Grey with fine grain and wide stains, here and there a bright line along y."""
+    """Return asphalt: grey with fine grain and wide stains, here and there a bright line along y."""
     relief = 0.5 * noise(rng, height, width, 3.0, 2) + 0.8 * noise(rng, height, width, feature * 4, 3)
     picture = _tint(rng, np.full(3, rng.uniform(0.25, 0.5), np.float32), relief, rng.uniform(0.03, 0.1))
     for _ in range(int(rng.integers(1, 4))):
@@ -221,7 +220,7 @@ def asphalt(rng: np.random.Generator, height: int, width: int, feature: float) -
 
 
 def bodywork(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """The side of a car: bare paint, dark panes with a sheen, a few seams."""
+    """Return the side of a car: bare paint, dark panes with a sheen, a few seams."""
     shade = np.linspace(1.1, 0.75, height, dtype=np.float32)[:, None, None]
     picture = np.ones((height, width, 1), np.float32) * shade * color(rng, (0.15, 0.9))
     for k in range(2):
@@ -235,14 +234,14 @@ def bodywork(rng: np.random.Generator, height: int, width: int, feature: float) 
 
 
 def surroundings(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """What paint and panes mirror: bright sky, dark shapes."""
+    """Return what paint and panes mirror: bright sky, dark shapes."""
     level = noise(rng, height, width, feature * 2, 3, rng.uniform(1, 3))
     bright = (level > rng.uniform(-0.5, 0.8)).astype(np.float32) + np.float32(0.2) * level
     return np.repeat(cv2.GaussianBlur(np.clip(bright, 0, 1), (0, 0), 1.0)[:, :, None], 3, axis=2)
 
 
 def windows(rng: np.random.Generator, height: int, width: int, feature: float) -> Texture:
-    """A house front: plaster with rows of windows that are all alike."""
+    """Return a house front: plaster with rows of windows that are all the same."""
     picture = plaster(rng, height, width, feature)
     wide, tall = (max(8, int(feature * rng.uniform(1.2, 2.5))) for _ in range(2))
     pane = np.full((max(3, int(0.6 * tall)), max(3, int(0.5 * wide)), 3), rng.uniform(0.08, 0.3), np.float32)
@@ -254,7 +253,7 @@ def windows(rng: np.random.Generator, height: int, width: int, feature: float) -
 
 
 def repeated(rng: np.random.Generator, height: int, width: int, tile: int, landmarks: int, feature: float) -> Texture:
-    """A pattern that repeats exactly every ``tile`` texels along x (and y), with unique stickers on it.
+    """Return a pattern that repeats exactly every ``tile`` texels along x (and y), with unique stickers on it.
 
     The stickers (``landmarks`` of them) are what tells the repetitions apart.
     """

@@ -191,8 +191,8 @@ def _behind(disparity: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[
     plane = np.array([0.0, 0.0, depth])
     if np.count_nonzero(far) > 50:
         system = np.stack([x[far], y[far], np.ones(np.count_nonzero(far))], axis=1)
-        found = np.linalg.lstsq(system, values[far], rcond=None)[0]
-        plane = found if np.abs(found[:2]).max() < 0.15 else plane
+        fitted = np.linalg.lstsq(system, values[far], rcond=None)[0]
+        plane = fitted if np.abs(fitted[:2]).max() < 0.15 else plane
     rows, columns = np.mgrid[: disparity.shape[0], : disparity.shape[1]]
     behind = plane[0] * columns + plane[1] * rows + plane[2]
     return np.asarray(np.clip(behind, 0.5, max(depth + 3, 0.5)), np.float32)

@@ -85,7 +85,7 @@ def scenes_from(
     """
     from depthcli.data.walk import discover_scenes
 
-    found = []
+    scenes = []
     for scene in discover_scenes(folder, kinds):
         truth = {role: getattr(scene, role, None) for role in ("depth_true", "disparity_left", "disparity_right")}
         files = scene.input_files | {role: file for role, file in truth.items() if file is not None}
@@ -93,9 +93,9 @@ def scenes_from(
         problem = scene.problem
         if needs_truth and not problem and not scene.has_truth:
             problem = f"{scene.folder}: {needs_truth} to start from"
-        found.append(SampleScene(name=scene.name, folder=scene.folder, problem=problem, origin=scene, files=files,
+        scenes.append(SampleScene(name=scene.name, folder=scene.folder, problem=problem, origin=scene, files=files,
                                  settings=settings))  # fmt: skip
-    return found
+    return scenes
 
 
 def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:

@@ -29,7 +29,7 @@ class CrossModalSample(StereoSample):
     )  # fmt: skip
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
-        """One for every scene of the folder, where there is one."""
+        """Return a scene for every one of ``--from``, or those of ``stereo``."""
         if values["from_"] is None:
             return super().scenes(values)
         from depthcli.data.scenes.stereo import StereoScene
@@ -37,7 +37,7 @@ class CrossModalSample(StereoSample):
         return scenes_from(values["from_"], (StereoScene,), {"seed": values["seed"]})
 
     def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
-        """As ``stereo``; from another folder with the truth and masks that are there."""
+        """Write a pair as ``stereo`` does; of a scene of another folder, with its truth and masks."""
         if scene.origin is None:
             return super().make(values, scene, folder)
         from depthcli.data.scenes.stereo import StereoScene
@@ -60,7 +60,7 @@ class CrossModalSample(StereoSample):
         )  # fmt: skip
 
     def views(self, values: Mapping[str, Any], left: Image, right: Image, seed: int) -> tuple[Image, Image]:
-        """Grey, and infrared with a projector's dots."""
+        """Return grey, and infrared with a projector's dots."""
         from depthcli.data.generated.arrays.infrared import cross_modal_pair
 
         return cross_modal_pair(left, right, seed, values["speckles"])

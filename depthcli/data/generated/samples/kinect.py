@@ -34,7 +34,7 @@ class KinectSampleKind(Sample):
     )
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
-        """A frame of every kind and two sequences, or one frame a scene of ``--from``."""
+        """Return a frame of every kind and two sequences, or one frame a scene of ``--from``."""
         seed = {"seed": values["seed"]}
         if values["from_"] is None:
             kinds = (*_KINDS, *(_SEQUENCES if values["frames"] else ()))
@@ -44,7 +44,7 @@ class KinectSampleKind(Sample):
         return scenes_from(values["from_"], (StereoScene,), seed, needs_truth="no true disparity")
 
     def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
-        """Color, measured and true depth, masks and meta.json."""
+        """Write color, measured and true depth, masks and meta.json."""
         from depthcli.data.generated.arrays.kinect_scenes import (
             make_kinect_scene,
             make_kinect_sequence,

@@ -30,7 +30,7 @@ class RegistrationSample(Sample):
     )  # fmt: skip
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
-        """Small, large and tiny errors in turn."""
+        """Return pairs with small, large and tiny errors in turn."""
         return [
             SampleScene(
                 name=f"pair_{values['seed'] + k}", folder=Path(),
@@ -40,7 +40,7 @@ class RegistrationSample(Sample):
         ]  # fmt: skip
 
     def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
-        """Both volumes, the body's mask, the dense true error and meta.json."""
+        """Write both volumes, the body's mask, the dense true error and meta.json."""
         import numpy as np
 
         from depthcli.core.volumes import Grid

@@ -51,7 +51,7 @@ class TransparentSample(Sample):
         return scenes_from(values["from_"], (RgbdScene, StereoScene), {"seed": values["seed"]}, "no true depth")
 
     def make(self, values: Mapping[str, Any], item: SampleScene, folder: Path) -> dict[str, Any]:
-        """Color, infrared, depth of the sensor, sparse and true depth, mask, calib.json and meta.json."""
+        """Write color, infrared, depth of the sensor, sparse and true depth, mask, calib.json and meta.json."""
         from depthcli.core.cameras.triangulation import depth_of_disparity
         from depthcli.data.formats.files import write_text
         from depthcli.data.formats.images import write_png
