@@ -22,7 +22,7 @@ _DEVICE = Option(
 
 
 class StereoCommand(PairCommand["StereoConfig"]):
-    """Any pipeline of ``methods/stereo/pipeline/``."""
+    """Stereo matching by a pipeline of ``methods/stereo/pipeline/``, here or on a device."""
 
     @property
     def options(self) -> tuple[Option, ...]:

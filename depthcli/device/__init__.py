@@ -201,7 +201,7 @@ class Device(ABC):
     @property
     @abstractmethod
     def has_double(self) -> bool:
-        """Whether kernels may use double precision."""
+        """Return whether kernels may use double precision."""
 
 
 def first_line(error: Exception) -> str:

@@ -99,5 +99,5 @@ class CudaDevice(Device):
 
     @property
     def has_double(self) -> bool:
-        """Whether kernels may use double precision: always."""
+        """Return whether kernels may use double precision: always."""
         return True

@@ -134,11 +134,11 @@ class OpenClDevice(Device):
 
     @property
     def has_double(self) -> bool:
-        """Whether kernels may use double precision: an extension of the driver."""
+        """Return whether kernels may use double precision: an extension of the driver."""
         return "cl_khr_fp64" in self._handle.extensions
 
 
 def _message(error: Exception) -> str:
-    """A compiler's error, which follows the command that ran; else the first line."""
+    # A compiler's error follows the command that ran.
     errors = [line.strip() for line in str(error).splitlines() if "error:" in line]
     return errors[0] if errors else first_line(error)

@@ -1,7 +1,7 @@
 """Device implementations of the aggregations; see :mod:`depthcli.methods.stereo.on_device`.
 
-Each has ``run``, made for the device, and ``naive``, the obvious way: a thread a cell that reads its window from
-global memory. They are the two columns of the thesis's figure 3.2.
+Each has ``run``, made for the device, and ``naive``, a thread a cell that reads its window from global memory. They
+are the two columns of the thesis's figure 3.2.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _FIXED = Kernels(__name__, "fixed_point.cl")
 
 
 def fixed_point(volume: DeviceVolume) -> DeviceVolume:
-    """As :func:`depthcli.methods.stereo.volume.as_fixed_point`; float32 volumes go through the host."""
+    """Convert costs as :func:`depthcli.methods.stereo.volume.as_fixed_point` does; float32 ones on the host."""
     if volume.costs.dtype == np.uint16:
         return volume
     if volume.costs.dtype == np.float32:

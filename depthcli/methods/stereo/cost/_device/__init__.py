@@ -16,7 +16,7 @@ def fill_volume(
     kernel: str, pair: DevicePair, left: DeviceArray, right: DeviceArray, disparities: int, outside: int, *more: Any,
     **macros: Any,
 ) -> DeviceArray:  # fmt: skip
-    """An (H, W, D) uint8 volume by a kernel of ``fill.cl`` from two feature images."""
+    """Compute an (H, W, D) uint8 volume from two feature images by a kernel of ``fill.cl``."""
     height, width = pair.shape
     costs = pair.device.empty((height, width, disparities), np.uint8)
     kernels = _FILL.with_macros(**macros) if macros else _FILL

@@ -22,7 +22,7 @@ def run(method: Census, pair: DevicePair, disparities: int) -> DeviceVolume:
 def window_feature(
     kernel: str, pair: DevicePair, image: DeviceArray, window: tuple[int, int], dtype: type
 ) -> DeviceArray:
-    """A kernel of ``features.cl`` over the window of every pixel."""
+    """Compute a feature image by a kernel of ``features.cl`` over the window of every pixel."""
     height, width = pair.shape
     out = pair.device.empty((height, width), dtype)
     kernels = FEATURES.with_macros(GREY=c_type(image.dtype))

@@ -40,7 +40,7 @@ def run(method: SlantedMedian, disparity: DeviceMap, context: DeviceContext) -> 
 def _slopes(
     known: DeviceArray, trust: DeviceArray, image: DeviceArray, radius: int, context: DeviceContext
 ) -> DeviceArray:
-    """As :func:`depthcli.algorithms.plane_fitting.window_slopes.slopes`, (2, H, W)."""
+    # As :func:`depthcli.algorithms.plane_fitting.window_slopes.slopes`, (2, H, W).
     device = context.pair.device
     height, width = known.shape
     step, limits, spread = difference_limits(radius)
