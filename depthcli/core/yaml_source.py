@@ -17,6 +17,7 @@ from depthcli.core.errors import ConfigError
 
 Location = tuple[str | int, ...]
 
+# Far above any config, far below what would take long or much memory (anchors can multiply nodes).
 _MAX_BYTES = 1 << 20
 _MAX_NODES = 50_000
 _MAX_DEPTH = 60

@@ -29,13 +29,13 @@ PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 # Chunks that carry pixels. The others (colour profiles, text, transparency, animation) are not
 # wanted and are a common cause of decoder warnings.
 _PNG_NEEDED = {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
-_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # by color type; of a palette those of its colors
 _PNM_HEADER = re.compile(rb"P\d(?:\s|#[^\n]*\n)+" + rb"(\d{1,9})(?:\s|#[^\n]*\n)+" * 2 + rb"(\d{1,9})\s")
 # Comment lines, as some programs write them, may stand between the numbers.
 _PFM_GAP = rb"\s+(?:#[^\n]*\n\s*)*"
 _PFM_HEADER = re.compile(rb"(P[fF])" + (_PFM_GAP + rb"(\d{1,9})") * 2 + _PFM_GAP + rb"([-+0-9.eE]{1,40})(?:\r\n|\s)")
 
-_MAX_DECODED_BYTES = 1 << 31
+_MAX_DECODED_BYTES = 1 << 31  # unless the caller has another limit
 _HEADER_BYTES = 1 << 14  # first part of a file, which nearly always holds the size of the image
 # Decoded bytes a stored one: 12 bits of LZW stand for up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
 _MAX_EXPANSION = 3000

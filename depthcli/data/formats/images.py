@@ -35,8 +35,8 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".pnm", ".tif", ".tif
 
 _MAX_TEXT_BYTES = 1 << 25  # every number takes 50 bytes while it is read
 _JPEG_MARKER = re.compile(rb"\xff+([^\x00\xff])")  # a coded 0xff is followed by 0, and markers by fill bytes of 0xff
-_ARITHMETIC = (0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF)
-_OTHER_BITS = bytes(range(7, 247, 5)) * 2
+_ARITHMETIC = (0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF)  # markers of frames with arithmetic codes
+_OTHER_BITS = bytes(range(7, 247, 5)) * 2  # put after every scan, to see whether a decoder needs more bits
 
 
 def read_image(path: Path | str, max_bytes: int | None = None) -> Image:

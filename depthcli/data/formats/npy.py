@@ -16,7 +16,7 @@ from depthcli.data.formats.files import naming, open_regular
 
 NPY_MAGIC = b"\x93NUMPY"
 
-_HEADER_BYTES = 1 << 16
+_HEADER_BYTES = 1 << 16  # longest header of version 1
 _DTYPE = re.compile(rb"""['"]descr['"]\s*:\s*['"]([<>=|]?(?:[iuf][1248]|b1))['"]""")
 _ORDER = re.compile(rb"""['"]fortran_order['"]\s*:\s*(True|False)""")
 _SHAPE = re.compile(rb"""['"]shape['"]\s*:\s*\(([\d\sL,]{0,200})\)""")

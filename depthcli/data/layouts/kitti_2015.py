@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar
 
+from depthcli.data.formats.disparity import KITTI_SCALE
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 
-_KITTI_SCALE = 256.0
-_RANGE = 255  # the largest disparity a file can hold: the frames come without a range of their own
+_MAX_DISPARITY = 255  # the largest disparity a file can hold: the frames come without a range of their own
 
 
 class Kitti2015(Layout):
@@ -42,9 +42,9 @@ class Kitti2015(Layout):
                     right=right,
                     disparity_left=occ,
                     disparity_noc=noc,
-                    disparity_scale=_KITTI_SCALE,
+                    disparity_scale=KITTI_SCALE,
                     objects=objects,
-                    max_disparity=_RANGE,
+                    max_disparity=_MAX_DISPARITY,
                     calibration=_beside(folder, self.calibrations, frame),
                     cameras=(0, 1) if views[0] == "image_0" else (2, 3),
                 )

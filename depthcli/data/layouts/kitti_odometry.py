@@ -8,7 +8,7 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 
 _VIEWS = (("image_2", "image_3"), ("image_0", "image_1"))
-_RANGE = 255  # as of the other KITTI sets, which come without a range of their own
+_MAX_DISPARITY = 255  # as of the other KITTI sets, which come without a range of their own
 
 
 class KittiOdometry(Layout):
@@ -33,7 +33,7 @@ class KittiOdometry(Layout):
                         problem="" if name in left and name in right else f"{folder.path}: {name}.png lacks a view",
                         left=left.get(name, folder.path / left_view / f"{name}.png"),
                         right=right.get(name),
-                        max_disparity=_RANGE,
+                        max_disparity=_MAX_DISPARITY,
                         calibration=folder.one("calib", (".txt",)),
                         cameras=(2, 3) if left_view == "image_2" else (0, 1),
                     )

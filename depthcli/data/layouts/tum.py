@@ -11,7 +11,7 @@ from depthcli.data.layouts.rgbd import frame
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
 
-_SCALE = 5000.0
+_DEPTH_SCALE = 5000.0  # codes a meter, of the benchmark's files
 _MAX_DELAY = 0.02  # seconds, as the benchmark's associate.py
 
 
@@ -40,7 +40,7 @@ class Tum(Layout):
                 )
             scenes.append(
                 frame(folder, f"{folder.prefix}{time:.6f}", folder.path / color, folder.path / depth, problem,
-                      self.name, depth_scale=_SCALE, sequence=folder.name, number=number)
+                      self.name, depth_scale=_DEPTH_SCALE, sequence=folder.name, number=number)
             )  # fmt: skip
         if not scenes:
             raise InputError(f"{folder.path}: no line pairs a color image with a depth image")

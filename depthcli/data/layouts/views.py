@@ -11,6 +11,7 @@ from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 
+# Folders of the left and the right view that are recognized.
 _VIEWS = (
     ("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"), ("image_left", "image_right"),
     ("left_images", "right_images"), ("cam0", "cam1"), ("cam0/data", "cam1/data"),

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from depthcli.data.formats.images import Image
 
-_INFRARED_WEIGHTS = np.array([0.6, 0.3, 0.1], np.float32)
+# Of the model in :func:`infrared_like`, set by hand: red counts most, and the gain changes across the image.
+_RGB_WEIGHTS = np.array([0.6, 0.3, 0.1], np.float32)
 _GAMMA = 0.7
-_GAIN = (0.7, 1.3)
-_NOISE = 4.0
+_GAIN_RANGE = (0.7, 1.3)
+_NOISE_SIGMA = 4.0  # grey levels
 
 
 def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray[np.uint8]:
-    """What an infrared camera might have seen: ``255 * (0.6 R + 0.3 G + 0.1 B) ** 0.7 * gain + noise``.
+    """Return what an infrared camera might have recorded: ``255 * (0.6 R + 0.3 G + 0.1 B) ** 0.7 * gain + noise``.
 
     The power is taken on the range [0, 1], so that black and white keep their places. The gain is a smooth
     field that fills [0.7, 1.3]; the noise is Gaussian with sigma 4 grey levels; the result is clipped.
@@ -45,13 +46,13 @@ def infrared_like(image: Image, seed: int = 0, speckles: float = 0.0) -> NDArray
     top = np.float32(np.iinfo(image.dtype).max)
     light = image.astype(np.float32) / top
     if light.ndim == 3:
-        light = light @ _INFRARED_WEIGHTS
+        light = light @ _RGB_WEIGHTS
     height, width = light.shape
     result = 255 * np.power(light, np.float32(_GAMMA)) * _gain_field(rng, height, width)
     if speckles > 0:
         dots = (rng.random((height, width)) < speckles).astype(np.float32)
         result += 400 * cv2.GaussianBlur(dots, (0, 0), 0.7)
-    result += _NOISE * rng.standard_normal((height, width), np.float32)
+    result += _NOISE_SIGMA * rng.standard_normal((height, width), np.float32)
     return np.asarray(np.clip(np.rint(result), 0, 255), np.uint8)
 
 
@@ -61,13 +62,13 @@ def _gain_field(rng: np.random.Generator, height: int, width: int) -> NDArray[np
     field = cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC)
     low, high = float(field.min()), float(field.max())
     scaled = (field - low) / max(high - low, 1e-6)
-    return (_GAIN[0] + (_GAIN[1] - _GAIN[0]) * scaled).astype(np.float32)
+    return (_GAIN_RANGE[0] + (_GAIN_RANGE[1] - _GAIN_RANGE[0]) * scaled).astype(np.float32)
 
 
 def cross_modal_pair(
     left: Image, right: Image, seed: int = 0, speckles: float = 0.0
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Left picture as grey, right picture as infrared.
+    """Return the left picture as grey, the right picture as infrared.
 
     Parameters
     ----------

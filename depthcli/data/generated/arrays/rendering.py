@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from depthcli.data.generated.arrays.room import Room
 from depthcli.data.generated.arrays.surfaces import Array, Surface, Vector
 
-_AMBIENT = 0.45
-_BAND = 32
-_LIGHTMAP = 72
+_AMBIENT_LIGHT = 0.45  # share of the brightness that needs no lamp; set by eye
+_BAND_ROWS = 32  # rendered at a time, which bounds the memory
+_LIGHTMAP_SIDE = 72  # samples of the light on a plane along each side; shadows are blurred
 
 
 def _rays(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Vector, Vector]:
@@ -64,7 +64,7 @@ def light_maps(room: Room) -> list[NDArray[np.float32] | None]:
 def _lightmap(room: Room, index: int) -> NDArray[np.float32]:
     """Light on a plane, with the soft shadows of the other surfaces, over its square: (n, n) float32."""
     surface = room.surfaces[index]
-    side = np.linspace(-1, 1, _LIGHTMAP)
+    side = np.linspace(-1, 1, _LIGHTMAP_SIDE)
     a, b = np.meshgrid(side * surface.half_size[0], side * surface.half_size[1])
     x, y, z = (surface.center[i] + a * surface.axes[0, i] + b * surface.axes[1, i] for i in range(3))
     to_light: Vector = (room.light[0] - x, room.light[1] - y, room.light[2] - z)
@@ -77,7 +77,7 @@ def _lightmap(room: Room, index: int) -> NDArray[np.float32]:
             t = caster.hit((x, y, z), to_light)
             lit[(t > 1e-3) & (t < 1)] = 0.0
     soft = cv2.GaussianBlur(lit, (0, 0), 1.3) if not lit.all() else lit
-    return np.asarray(_AMBIENT + (1.15 - _AMBIENT) * np.sqrt(facing) * (0.35 + 0.65 * soft), np.float32)
+    return np.asarray(_AMBIENT_LIGHT + (1.15 - _AMBIENT_LIGHT) * np.sqrt(facing) * (0.35 + 0.65 * soft), np.float32)
 
 
 def render(room: Room, lightmaps: list[NDArray[np.float32] | None], right: bool, rays: int) -> NDArray[np.float32]:
@@ -85,8 +85,8 @@ def render(room: Room, lightmaps: list[NDArray[np.float32] | None], right: bool,
     offsets = (np.arange(rays) + 0.5) / rays - 0.5
     columns = (np.arange(room.width)[:, None] + offsets).ravel()[None].astype(np.float32)
     image = np.empty((room.height, room.width, 3), np.float32)
-    for top in range(0, room.height, _BAND):
-        bottom = min(top + _BAND, room.height)
+    for top in range(0, room.height, _BAND_ROWS):
+        bottom = min(top + _BAND_ROWS, room.height)
         rows = (np.arange(top, bottom)[:, None] + offsets).ravel()[:, None].astype(np.float32)
         depth, owner = trace(room, columns, rows, right)
         colors = np.zeros((*owner.shape, 3), np.float32)
@@ -115,7 +115,7 @@ def _shade(room: Room, surface: Surface, lightmap: NDArray[np.float32] | None, p
     paint = cv2.remap(surface.texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
     if lightmap is not None:
         height, width = surface.texture.shape[:2]
-        side = _LIGHTMAP - 1
+        side = _LIGHTMAP_SIDE - 1
         light = cv2.remap(
             lightmap,
             column * np.float32(side / max(width - 1, 1)),
@@ -127,6 +127,6 @@ def _shade(room: Room, surface: Surface, lightmap: NDArray[np.float32] | None, p
         nx, ny, nz = surface.normal(point)
         lx, ly, lz = (np.float32(room.light[i]) - point[i] for i in range(3))
         facing = np.maximum(0.0, (nx * lx + ny * ly + nz * lz) / np.sqrt(lx * lx + ly * ly + lz * lz))
-        light = np.asarray(_AMBIENT + (1.15 - _AMBIENT) * np.sqrt(facing), np.float32)
+        light = np.asarray(_AMBIENT_LIGHT + (1.15 - _AMBIENT_LIGHT) * np.sqrt(facing), np.float32)
     shaded: NDArray[np.float32] = np.asarray(paint * light[:, :, None], np.float32)
     return shaded

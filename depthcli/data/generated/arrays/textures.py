@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Texture = NDArray[np.float32]
 TextureMaker = Callable[[np.random.Generator, int, int, float], Texture]
 
-_LETTERS = "ABCDEFGHKLMNPQRSTUVWXYZ23456789"
+_LETTERS = "ABCDEFGHKLMNPQRSTUVWXYZ23456789"  # on posters and newspapers
 
 
 def color(rng: np.random.Generator, value: tuple[float, float] = (0.35, 0.9)) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from depthcli.data.generated.arrays.deformed_volumes import DeformedPair
 
 _SPACING = (1.5, 1.5, 2.0)  # x, y, z, mm
-_SHAPE = (40, 56, 56)
+_SHAPE = (40, 56, 56)  # z, y, x, voxels
 _LARGEST = (3.0, 6.0, 1.0)  # largest error, voxels, in turn
 
 

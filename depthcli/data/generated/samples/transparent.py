@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _FB = 24.0  # pixel meters: a room of one to a few meters
-_SCENES = 2
+_N_SCENES = 2  # where they come from nothing
 
 
 class TransparentSample(Sample):
@@ -43,7 +43,7 @@ class TransparentSample(Sample):
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
         """Two generated scenes, or one for every frame and pair of the folder."""
         if values["from_"] is None:
-            seeds = range(values["seed"], values["seed"] + _SCENES)
+            seeds = range(values["seed"], values["seed"] + _N_SCENES)
             return [SampleScene(name=f"glass_{seed}", folder=Path(), settings={"seed": seed}) for seed in seeds]
         from depthcli.data.scenes.rgbd import RgbdScene
         from depthcli.data.scenes.stereo import StereoScene
