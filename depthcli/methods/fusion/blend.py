@@ -17,7 +17,7 @@ UNIT = 255
 
 
 def squash(volume: CostVolume, scale: float | None, outside: float | None = None) -> CostVolume:
-    """Costs of any measure brought to [0, 1]: ``1 - exp(-C / scale)`` (the form of Mei et al. 2011).
+    """Bring costs of any measure to [0, 1]: ``1 - exp(-C / scale)`` (the form of Mei et al. 2011).
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def _sample(costs: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def blend(volumes: list[CostVolume], weights: NDArray[np.float32]) -> CostVolume:
-    """Weighted mean of volumes of one scale.
+    """Compute the weighted mean of volumes of one scale.
 
     Parameters
     ----------

@@ -87,18 +87,19 @@ class Ballot:
             yield first, block
 
     def shares(self, disparities: NDArray[np.int32]) -> NDArray[np.float32]:
-        """(N, H, W) float32 in [0, 1]: share of the votes that (N, H, W) ``disparities`` got."""
+        """Return (N, H, W) float32 in [0, 1], the share of the votes that (N, H, W) ``disparities`` got."""
         shares = np.zeros(disparities.shape, np.float32)
         for first, block in self._blocks(fading=False):
             _look_up(block, self.support.share, disparities, first, shares)
         return np.minimum(shares, np.float32(1.0))
 
     def costs(self, base: CostVolume | None, strength: float, largest: int) -> CostVolume:
-        """``base`` plus ``strength`` for a disparity nobody votes for, as uint16 fixed point up to ``largest``.
+        """Add ``strength`` to the costs of a disparity that nobody votes for, less the more votes it has.
 
         Parameters
         ----------
         base : (H, W, depth) uint16 costs, whose unit is ``base.scale``; None: the votes alone
+        largest : largest cost of the result, which is uint16 fixed point
         """
         shape = (*self.disparities.shape[1:], self.depth)
         out: NDArray[np.uint16] = memory.empty(shape, np.uint16)

@@ -142,29 +142,11 @@ def _add_scaled(row: Any, factor: Any, out: Any) -> None:
 
 
 @jit
-def _measure_row(
-    costs: Any,
-    offsets: Any,
-    lengths: Any,
-    edge: Any,
-    neighbors: Any,
-    power: Any,
-    scale: Any,
-    every: bool,
-    rows: Any,
-    out: Any,
-) -> None:
-    """Measures of one row of curves, (K, n) uint16 costs with displacement zero first, into (planes, n) ``out``.
-
-    Leaves the mean cost in ``rows[1]`` and the index of the smallest one in ``rows[8]``.
-
-    Every loop touches few arrays: beyond that the compiler no longer proves them apart, and does not vectorize.
-    """
-    count = costs.shape[0]
-    n = rows.shape[1]
-    lowest, sums, squares, rate = rows[0], rows[1], rows[2], rows[3]
-    weight, soft, hard, cheaper = rows[4], rows[5], rows[6], rows[7]
-    t, e, base = rows[8], rows[9], rows[10]
+def _spread(costs: Any, rows: Any) -> None:
+    # Smallest cost, mean cost, 1 / deviation and number of cheaper displacements of (K, n) curves: into
+    # rows[0, 1, 3, 7]; the costs of displacement zero: into rows[10].
+    count, n = costs.shape[0], rows.shape[1]
+    lowest, sums, squares, rate, cheaper, t, base = rows[0], rows[1], rows[2], rows[3], rows[7], rows[8], rows[10]
     first = costs[0]
     for i in range(n):
         base[i] = np.float32(first[i])
@@ -189,15 +171,36 @@ def _measure_row(
         sums[i] = mean + base[i]
         # A curve without any variation says nothing against displacement zero.
         rate[i] = np.float32(1.0) / np.sqrt(variance) if variance > 0 else np.float32(0.0)
+
+
+@jit
+def _raise(values: Any, power: Any, out: Any) -> None:
+    # out = values ** power, by squares and products instead of as many products as the power
+    out[:] = values
+    bit = 1
+    while 2 * bit <= power:
+        bit *= 2
+    bit //= 2
+    while bit > 0:
+        for i in range(out.size):
+            out[i] *= out[i]
+        if power & bit:
+            for i in range(out.size):
+                out[i] *= values[i]
+        bit //= 2
+
+
+@jit
+def _likelihoods(costs: Any, offsets: Any, lengths: Any, power: Any, every: bool, rows: Any, out: Any) -> None:
+    # Sums of likelihoods into rows[4, 5, 6], of lengths and displacements weighted by their powers into out[:5].
+    n = rows.shape[1]
+    lowest, rate, weight, soft, hard, t, e = rows[0], rows[3], rows[4], rows[5], rows[6], rows[8], rows[9]
     weight[:] = 0
     soft[:] = 0
     hard[:] = 0
     out[:5] = 0
     tiny = np.float32(np.exp(-80.0 / power))  # no power of the likelihood may become denormal
-    leading = 1
-    while 2 * leading <= power:
-        leading *= 2
-    for k in range(count):
+    for k in range(costs.shape[0]):
         row = costs[k]
         for i in range(n):
             t[i] = (np.float32(row[i]) - lowest[i]) * rate[i]
@@ -211,15 +214,7 @@ def _measure_row(
         for i in range(n):
             soft[i] += t[i]
             t[i] = max(t[i], tiny)
-            e[i] = t[i]
-        bit = leading // 2
-        while bit > 0:  # squares and products instead of as many products as the power
-            for i in range(n):
-                e[i] *= e[i]
-            if power & bit:
-                for i in range(n):
-                    e[i] *= t[i]
-            bit //= 2
+        _raise(t, power, e)
         for i in range(n):
             weight[i] += e[i]
         _add_scaled(e, lengths[k], out[0])
@@ -227,7 +222,25 @@ def _measure_row(
         for axis in range(3):
             if offsets[k, axis] != 0:
                 _add_scaled(e, np.float32(offsets[k, axis]), out[2 + axis])
-    for i in range(n):
+
+
+@jit
+def _measure_row(
+    costs: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, power: Any, scale: Any, every: bool, rows: Any,
+    out: Any,
+) -> None:  # fmt: skip
+    """Measures of one row of curves, (K, n) uint16 costs with displacement zero first, into (planes, n) ``out``.
+
+    Leaves the mean cost in ``rows[1]`` and the index of the smallest one in ``rows[8]``.
+
+    Every loop touches few arrays: beyond that the compiler no longer proves them apart, and does not vectorize.
+    """
+    _spread(costs, rows)
+    _likelihoods(costs, offsets, lengths, power, every, rows, out)
+    lowest, rate, weight, soft, hard = rows[0], rows[3], rows[4], rows[5], rows[6]
+    cheaper, t, base = rows[7], rows[8], rows[10]
+    share = np.float32(1.0 / costs.shape[0])
+    for i in range(rows.shape[1]):
         flat = rate[i] == 0
         inverse = np.float32(0.0) if flat else np.float32(1.0) / weight[i]
         for m in range(5):
