@@ -126,6 +126,21 @@ def _sorted_pairs(image, depth):  # type: ignore[no-untyped-def]
 
 
 @jit
+def _pixel_sums(image, depth):  # type: ignore[no-untyped-def]
+    height, width, _ = image.shape
+    sums = np.zeros((height * width, 8), np.int32)  # a region's sums share a cache line
+    for p in range(height * width):
+        y, x = p // width, p % width
+        sums[p, _SIZE] = 1
+        for c in range(3):
+            sums[p, _COLOR + c] = image[y, x, c]
+        if depth.size > 0 and depth[y, x] >= 0:
+            sums[p, _KNOWN] = 1
+            sums[p, _DEPTH] = depth[y, x]
+    return sums
+
+
+@jit
 def _merge(image, depth, complexities, guidance, min_size, labels):  # type: ignore[no-untyped-def]
     height, width, _ = image.shape
     pixels = height * width
@@ -134,16 +149,8 @@ def _merge(image, depth, complexities, guidance, min_size, labels):  # type: ign
     pairs = _sorted_pairs(image, depth)
     n_left = pairs.size  # pairs that no layer has joined yet
     parent = np.arange(pixels).astype(np.int32)
-    sums = np.zeros((pixels, 8), np.int32)  # a region's sums share a cache line
+    sums = _pixel_sums(image, depth)
     bound = np.empty((pixels, 2), np.float32)
-    for p in range(pixels):
-        y, x = p // width, p % width
-        sums[p, _SIZE] = 1
-        for c in range(3):
-            sums[p, _COLOR + c] = image[y, x, c]
-        if guided and depth[y, x] >= 0:
-            sums[p, _KNOWN] = 1
-            sums[p, _DEPTH] = depth[y, x]
     depth_table = _bounds(log_pixels, guidance, _DEPTH_LEVELS) if guided else np.empty(0, np.float32)
     for layer in range(complexities.size):
         complexity = complexities[layer]

@@ -10,7 +10,7 @@ from pydantic import Field
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.aggregation import Aggregator
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
@@ -35,6 +35,18 @@ class ConstantWindow(Aggregator):
         return CostVolume(means, volume.scale * factor)
 
 
+@jit
+def _add(sums: Any, terms: Any) -> None:
+    for i in range(sums.size):
+        sums[i] += np.uint32(terms[i])
+
+
+@jit
+def _subtract(sums: Any, terms: Any) -> None:
+    for i in range(sums.size):
+        sums[i] -= np.uint32(terms[i])
+
+
 @parallel_jit
 def _box_means(costs: Any, means: Any, radius: int, factor: Any, bands: int) -> None:
     # One band of rows a task: a running sum of rows (columns), then along x a running sum of columns.
@@ -46,33 +58,21 @@ def _box_means(costs: Any, means: Any, radius: int, factor: Any, bands: int) -> 
         columns = np.zeros(width * depth, np.uint32)
         window = np.zeros(depth, np.uint32)
         for y in range(max(0, first - radius), min(height, first + radius)):
-            source = costs[y].reshape(width * depth)
-            for i in range(columns.size):
-                columns[i] += np.uint32(source[i])
+            _add(columns, costs[y].reshape(width * depth))
         for y in range(first, last):
             if y + radius < height:
-                source = costs[y + radius].reshape(width * depth)
-                for i in range(columns.size):
-                    columns[i] += np.uint32(source[i])
+                _add(columns, costs[y + radius].reshape(width * depth))
             if y - radius - 1 >= 0 and y > first:
-                source = costs[y - radius - 1].reshape(width * depth)
-                for i in range(columns.size):
-                    columns[i] -= np.uint32(source[i])
+                _subtract(columns, costs[y - radius - 1].reshape(width * depth))
             rows = min(height, y + radius + 1) - max(0, y - radius)
             window[:] = 0
             for x in range(min(radius, width)):
-                entering = columns[x * depth : (x + 1) * depth]
-                for i in range(window.size):
-                    window[i] += entering[i]
+                _add(window, columns[x * depth : (x + 1) * depth])
             for x in range(width):
                 if x + radius < width:
-                    entering = columns[(x + radius) * depth : (x + radius + 1) * depth]
-                    for i in range(window.size):
-                        window[i] += entering[i]
+                    _add(window, columns[(x + radius) * depth : (x + radius + 1) * depth])
                 if x - radius - 1 >= 0:
-                    leaving = columns[(x - radius - 1) * depth : (x - radius) * depth]
-                    for i in range(window.size):
-                        window[i] -= leaving[i]
+                    _subtract(window, columns[(x - radius - 1) * depth : (x - radius) * depth])
                 area = rows * (min(width, x + radius + 1) - max(0, x - radius))
                 scale = factor / np.float32(area)
                 out = means[y, x]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
-from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.refinement import Refinement, marked
 from depthcli.methods.stereo.volume import RefinementContext
 
@@ -68,6 +68,15 @@ class WeightedMedian(Refinement):
         return by_color, np.exp(-distance / self.distance_scale).astype(np.float32)
 
 
+@jit
+def _equal(low: Any, high: Any) -> Any:
+    # Whether every window of some pixels has at most one value.
+    varied = False
+    for i in range(low.size):
+        varied |= low[i] < high[i]
+    return not varied
+
+
 @parallel_jit
 def _filter(
     planes: Any, bins: Any, trust: Any, by_color: Any, by_distance: Any, lowest: Any, highest: Any, filtered: Any
@@ -81,11 +90,7 @@ def _filter(
         weights = np.empty((size * size, _BLOCK), np.float32)
         for x0 in range(0, width, _BLOCK):
             x1 = min(width, x0 + _BLOCK)
-            uniform = True
-            for x in range(x0, x1):
-                if lowest[y, x] < highest[y, x]:
-                    uniform = False
-            if uniform:
+            if _equal(lowest[y, x0:x1], highest[y, x0:x1]):
                 continue
             middle = x0 + size // 2
             reds = planes[0, y + size // 2, middle : middle + _BLOCK]
