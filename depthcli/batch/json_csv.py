@@ -30,7 +30,7 @@ def to_json_line(value: object) -> str:
 
 
 def _is_utf8(text: str) -> bool:
-    """A file name need not be UTF-8; its bytes are then escaped and read back as they are."""
+    """Return False for text with bytes of a file name that is not UTF-8; escaped they can be read back."""
     try:
         if not text.isascii():
             text.encode("utf-8")

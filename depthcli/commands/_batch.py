@@ -129,7 +129,7 @@ class ConfigCommand(BatchCommand[ModelT, SceneT]):
 
     @property
     def arguments(self) -> tuple[Option, ...]:
-        """The config."""
+        """The config argument."""
         return (CONFIG,)
 
     @property

@@ -1,4 +1,4 @@
-"""Tell where a registration of two volumes is doubtful: confidence, expected error and shift of every voxel."""
+"""Estimate where a registration of two volumes is wrong: confidence, expected error and shift of every voxel."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class SweepCommand(Command):
 
     @property
     def arguments(self) -> tuple[Option, ...]:
-        """The config."""
+        """The config argument."""
         return (CONFIG,)
 
     @property

@@ -1,4 +1,4 @@
-"""Depth of transparent objects: a sensor that sees through them, and stereo with infrared or other sparse depth."""
+"""Complete the depth of transparent objects, from a depth sensor and sparse depth or an infrared image."""
 
 from __future__ import annotations
 
