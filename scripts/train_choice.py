@@ -4,7 +4,7 @@
     python scripts/train_choice.py DATA OUT.json [--config accurate] [--samples FOLDER] [--held-out] [--seed 0]
         [--units 32 16] [--epochs 12]
 
-DATA is the folder of data sets. Only the tuning scenes of `stereo_groups.yaml` teach, each of them also from the
+DATA is the folder of data sets. Only the tuning scenes of `stereo_groups.yaml` are used, each of them also from the
 other side (both images mirrored and swapped) where the right view's truth is known, and with the right image lit in
 another way; with them generated scenes, streets above all, and two tuning scenes of twice the size.
 CONFIG is a preset or config of fuse whose `maps` are to be chosen among; its present choice plays no part. FOLDER
@@ -75,7 +75,7 @@ class Scene:
 
 
 def scenes(data: Path) -> Iterator[Scene]:
-    """Everything that teaches."""
+    """Yield all scenes to train on."""
     half = 0
     for folder, names in yaml.safe_load(GROUPS.read_text())["tuning"].items():
         if folder == "generated":
@@ -156,18 +156,18 @@ def generated(kind: Any, seed: int, contrast: float, noise: float = 0, light: fl
 
 
 def propose(fusion: Fusion, pair: StereoPair, max_disparity: int) -> Proposals:
-    """What the maps of a fusion offer: it is run with a choice that only listens."""
-    heard: list[Proposals] = []
+    """Return the proposals of a fusion, which is run with a choice that records them."""
+    recorded: list[Proposals] = []
 
-    class Listener(Chooser):
+    class Recorder(Chooser):
         def __call__(self, proposals: Proposals) -> Chosen:
-            heard.append(proposals)
+            recorded.append(proposals)
             return Chosen(proposals.values[0])
 
     assert fusion.maps is not None
-    maps = fusion.maps.model_copy(update={"choice": Listener(), "refinement": ()})
+    maps = fusion.maps.model_copy(update={"choice": Recorder(), "refinement": ()})
     fusion.model_copy(update={"maps": maps})(pair, max_disparity)
-    return heard[0]
+    return recorded[0]
 
 
 def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]]) -> NDArray[np.float64]:
@@ -180,7 +180,7 @@ def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Lessons:
+class Samples:
     """Pixels of a scene: inputs (P, N, F) float16, errors (P, N) float32 pixels, weights (P,)."""
 
     inputs: NDArray[np.float16]
@@ -188,7 +188,7 @@ class Lessons:
     weights: NDArray[np.float64]
 
     @classmethod
-    def of(cls, proposals: Proposals, truth: NDArray[np.float32], weights: NDArray[np.float64], part: int) -> Lessons:
+    def of(cls, proposals: Proposals, truth: NDArray[np.float32], weights: NDArray[np.float64], part: int) -> Samples:
         """Every ``part``-th pixel, by chance."""
         known = np.flatnonzero(weights.ravel() > 0)
         pixels = np.sort(np.random.default_rng(5).choice(known, known.size // part, replace=False))
@@ -198,7 +198,7 @@ class Lessons:
 
 
 def train(
-    lessons: list[tuple[float, Lessons]],
+    samples: list[tuple[float, Samples]],
     maps: tuple[str, ...],
     trained_on: list[str],
     seed: int,
@@ -206,10 +206,10 @@ def train(
     sizes: tuple[int, int],
     decay: float = 1e-3,
 ) -> TrainedNetwork:
-    """Fit a network to lessons, each of which counts as much as is said beside it."""
-    inputs = np.concatenate([one.inputs for _, one in lessons])
-    errors = np.concatenate([one.errors for _, one in lessons])
-    counts = np.concatenate([scale * one.weights / one.weights.sum() for scale, one in lessons])
+    """Fit a network to samples of scenes, each with its weight."""
+    inputs = np.concatenate([one.inputs for _, one in samples])
+    errors = np.concatenate([one.errors for _, one in samples])
+    counts = np.concatenate([scale * one.weights / one.weights.sum() for scale, one in samples])
     counts = np.minimum(counts / counts.mean(), 8).astype(np.float32)
     right = ((errors <= 1) + (errors <= 0.5).astype(np.float32)) / 2
     wide = inputs.astype(np.float32)
@@ -279,38 +279,38 @@ def main() -> int:
     options = parser.parse_args()
     fusion = load_config(FuseConfig, find_config("fuse", options.config), ("maps.choice=energy", "confidence=[]"))
     assert fusion.maps is not None
-    taught: list[tuple[int, float, Lessons]] = []
+    all_samples: list[tuple[int, float, Samples]] = []
     trained_on = []
     for scene in scenes(options.data):
         file = options.samples / f"{scene.name}.npz" if options.samples else None
         if file is not None and file.exists():
             stored = np.load(file)
-            lessons = Lessons(stored["inputs"], stored["errors"], stored["weights"])
+            samples = Samples(stored["inputs"], stored["errors"], stored["weights"])
         else:
             pair, max_disparity, truth, masks = scene.load()
             proposals = propose(fusion, pair, max_disparity)
-            lessons = Lessons.of(proposals, truth, pixel_weights(truth, masks), scene.part)
+            samples = Samples.of(proposals, truth, pixel_weights(truth, masks), scene.part)
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
-                np.savez(file, inputs=lessons.inputs, errors=lessons.errors, weights=lessons.weights)
-        taught.append((scene.half, scene.weight, lessons))
+                np.savez(file, inputs=samples.inputs, errors=samples.errors, weights=samples.weights)
+        all_samples.append((scene.half, scene.weight, samples))
         trained_on.append(scene.name)
-        print(f"{scene.name}: {100 * (lessons.errors.min(1) > 1).mean():.2f} % out of reach", file=sys.stderr)
+        print(f"{scene.name}: {100 * (samples.errors.min(1) > 1).mean():.2f} % out of reach", file=sys.stderr)
     kinds = fusion.maps.kinds
 
-    def learned(lessons: list[tuple[float, Lessons]]) -> TrainedNetwork:
-        return train(lessons, kinds, trained_on, options.seed, options.epochs, tuple(options.units))
+    def network_of(samples: list[tuple[float, Samples]]) -> TrainedNetwork:
+        return train(samples, kinds, trained_on, options.seed, options.epochs, tuple(options.units))
 
     if options.held_out:
         for half in (0, 1):
-            trained = learned([(w, one) for h, w, one in taught if h != half])
-            for name, (h, w, one) in zip(trained_on, taught, strict=True):
+            trained = network_of([(w, one) for h, w, one in all_samples if h != half])
+            for name, (h, w, one) in zip(trained_on, all_samples, strict=True):
                 if h == half and w == 1:
                     errors = np.take_along_axis(one.errors, answers(trained, one.inputs).argmax(1)[:, None], axis=1)
                     wrong = 100 * float((one.weights * (errors[:, 0] > 1)).sum() / one.weights.sum())
                     print(f"{name}: {wrong:.2f} % wrong")
         return 0
-    write_network(options.out, learned([(w, one) for _, w, one in taught]))
+    write_network(options.out, network_of([(w, one) for _, w, one in all_samples]))
     return 0
 
 
