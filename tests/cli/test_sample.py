@@ -36,6 +36,7 @@ def scenes(folder: Path) -> dict[str, StereoScene]:
     return found
 
 
+@pytest.mark.slow
 def test_scenes_are_what_the_generator_made(tmp_path: Path):
     assert sample(tmp_path, "-n", "5", "--noise", "2", "--radiometric", "0.5") == 0
     assert sorted(scenes(tmp_path)) == ["curved_0", "foreground_0", "planes_0", "planes_1", "repetitive_0"]
@@ -56,6 +57,7 @@ def test_scenes_are_what_the_generator_made(tmp_path: Path):
     assert set(meta) == {"protocol", "disp_scale", "max_disparity", "width", "height", "masks", "source", "notes"}
 
 
+@pytest.mark.slow
 def test_streets_are_made_where_they_are_asked_for(tmp_path: Path):
     assert sample(tmp_path, "-n", "2", "--kind", "street", "--kind", "planes") == 0
     assert sorted(scenes(tmp_path)) == ["planes_0", "street_0"]

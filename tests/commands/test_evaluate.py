@@ -276,6 +276,7 @@ def test_real_scenes_truth_is_zero_and_two_pixels_off_is_hundred(tmp_path: Path)
         assert all(s.value == 100 for s in rates if (s.measure.threshold or 9) <= 2)
 
 
+@pytest.mark.slow
 @needs_data
 def test_kitti_pairs_end_to_end(tmp_path: Path):
     """The D1 of DATA.md for maps as another program wrote them: one 16-bit PNG a scene."""

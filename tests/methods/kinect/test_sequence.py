@@ -57,6 +57,7 @@ def test_as_good_as_frame_by_frame(kind):
     assert errors[0] <= 1.05 * errors[1]
 
 
+@pytest.mark.slow
 def test_no_trail_where_an_object_has_just_left():
     errors = np.zeros(2)
     for seed in (0, 1):

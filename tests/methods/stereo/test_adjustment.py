@@ -108,6 +108,7 @@ def test_shifted_rows_are_aligned(scene):
     assert after < before / 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_uneven_light_is_corrected(seed):
     scene = make_scene("foreground", seed=5, height=260, width=360, max_disparity=40, wall_contrast=0.2)
