@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from depthcli.algorithms.graph_cut import binary_cut
+from depthcli.algorithms.regions import adjacency
 from depthcli.kernels.jit import jit
 
 
@@ -73,7 +74,8 @@ def alpha_expansion(
         raise ValueError(f"want {nodes} initial labels in [0, {label_count})")
 
     energy = energy_before = potts_energy(labels, costs, ends, strength)
-    graph = _Neighbors.of(nodes, ends, strength)
+    starts, other, weight = adjacency(nodes, ends, strength)
+    total = np.bincount(ends.T.ravel(), np.tile(strength, 2), nodes)
     by_label = np.ascontiguousarray(costs.T)  # a column of a large matrix misses the cache at every node
     keep = costs[np.arange(nodes), labels]
     since_change = 0  # labels tried since the last move that lowered the energy; after all of them, none can
@@ -82,38 +84,18 @@ def alpha_expansion(
             if since_change >= label_count:
                 break
             since_change += 1
-            moved = _expand(labels, alpha, by_label[alpha] - keep, graph)
-            if moved is None:
+            rise = by_label[alpha] - keep  # what switching to alpha adds to the unary cost of every node
+            chosen = _candidates(labels, alpha, rise, starts, other, weight, total)
+            if len(chosen) == 0:
                 continue
+            moved = labels.copy()
+            moved[chosen[binary_cut(*_binary_problem(labels, alpha, rise, starts, other, weight, chosen))]] = alpha
             moved_energy = potts_energy(moved, costs, ends, strength)
             # Rounding alone must not keep the loop alive.
             if moved_energy < energy - 1e-9 * max(1.0, abs(energy)):
                 labels, energy, since_change = moved, moved_energy, 0
                 keep = costs[np.arange(nodes), labels]
     return Labelling(labels, energy_before, energy)
-
-
-@dataclass(frozen=True)
-class _Neighbors:
-    # The edges of node n are ``starts[n] .. starts[n + 1] - 1``; ``total`` (N,) is the sum of their weights.
-
-    starts: NDArray[np.int64]
-    other: NDArray[np.int32]
-    weight: NDArray[np.float64]
-    total: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, nodes: int, ends: NDArray[np.int32], strength: NDArray[np.float64]) -> _Neighbors:
-        source = np.concatenate([ends[:, 0], ends[:, 1]])
-        order = np.argsort(source, kind="stable")
-        counts = np.bincount(source, minlength=nodes)
-        weight = np.concatenate([strength, strength])
-        return cls(
-            np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-            np.concatenate([ends[:, 1], ends[:, 0]])[order].astype(np.int32),
-            weight[order],
-            np.bincount(source, weight, nodes).astype(np.float64),
-        )
 
 
 def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArray[np.float64]) -> None:
@@ -127,24 +109,6 @@ def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArra
         raise ValueError("want weights >= 0 and edges between existing nodes")
     if len(ends) and np.any(ends[:, 0] == ends[:, 1]):
         raise ValueError("an edge must join two different nodes")
-
-
-def _expand(
-    labels: NDArray[np.int32], alpha: int, rise: NDArray[np.float64], neighbors: _Neighbors
-) -> NDArray[np.int32] | None:
-    # The labels of least energy that switching nodes to ``alpha`` gives, or None where no switch lowers it.
-    # ``rise`` (N,): what switching adds to the unary cost of every node.
-    starts, other, weight = neighbors.starts, neighbors.other, neighbors.weight
-    chosen = _candidates(labels, alpha, rise, starts, other, weight, neighbors.total)
-    if len(chosen) == 0:
-        return None
-    score, p, q, capacity = _binary_problem(labels, alpha, rise, starts, other, weight, chosen)
-    switched = binary_cut(score, p, q, capacity)
-    if not switched.any():
-        return None
-    moved = labels.copy()
-    moved[chosen[switched]] = alpha
-    return moved
 
 
 @jit

@@ -129,7 +129,30 @@ def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
     for one, other in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
         touching = one != other
         keys.append(_pair_keys(one[touching], other[touching], count))
-    return _graph(sizes.astype(np.int64), sums.astype(np.float64), np.concatenate(keys), None)
+    pairs = np.concatenate(keys)
+    return _graph(sizes.astype(np.int64), sums.astype(np.float64), pairs, np.ones(len(pairs), np.int64))
+
+
+def adjacency(
+    count: int, edges: NDArray[np.int32], weights: NDArray[Any]
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[Any]]:
+    """Return the neighbors of all nodes 0 .. count - 1 of an undirected graph, one node after the other.
+
+    Parameters
+    ----------
+    edges : (E, 2) int32, each edge once
+    weights : (E,) any number of an edge, such as its cost or the length of the common boundary
+
+    Returns
+    -------
+    starts : (count + 1,) int64; node n has the elements ``starts[n] .. starts[n + 1] - 1`` of the other arrays
+    neighbors : (2 E,) int32
+    weights : (2 E,) those of the edges to these neighbors
+    """
+    source = edges.T.ravel()
+    order = np.argsort(source, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(np.bincount(source, minlength=count))]).astype(np.int64)
+    return starts, edges[:, ::-1].T.ravel()[order], np.tile(weights, 2)[order]
 
 
 def _pair_keys(one: NDArray[np.int32], other: NDArray[np.int32], count: int) -> NDArray[np.int64]:
@@ -137,15 +160,12 @@ def _pair_keys(one: NDArray[np.int32], other: NDArray[np.int32], count: int) -> 
 
 
 def _graph(
-    sizes: NDArray[np.int64], sums: NDArray[np.float64], keys: NDArray[np.int64], lengths: NDArray[np.int64] | None
+    sizes: NDArray[np.int64], sums: NDArray[np.float64], keys: NDArray[np.int64], lengths: NDArray[np.int64]
 ) -> RegionGraph:
-    # Pairs are given as i * N + j, and count once each, or ``lengths`` times.
+    # Pairs i < j are given as keys i * N + j, with lengths of their boundary that add up.
     count = max(len(sizes), 1)
-    if lengths is None:
-        pairs, boundary = np.unique(keys, return_counts=True)
-    else:
-        pairs, place = np.unique(keys, return_inverse=True)
-        boundary = np.bincount(place, lengths, len(pairs)).astype(np.int64)
+    pairs, place = np.unique(keys, return_inverse=True)
+    boundary = np.bincount(place, lengths, len(pairs)).astype(np.int64)
     edges = np.stack([pairs // count, pairs % count], axis=1).astype(np.int32)
     return RegionGraph(sizes, sums / np.maximum(sizes, 1)[:, None], edges, boundary, sums)
 

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import parallel_jit, prange
 
 NO_EDGE = 255
 """Distance of pixels that no depth edge is near."""
-_COLUMNS = 64  # a task of the vertical pass: whole cache lines, so that no two threads write to one
 
 
 @dataclass(frozen=True)
@@ -49,63 +48,30 @@ def edge_distance(disparity: NDArray[np.float32], jump: float = 1.5, gap_toleran
     jump : pixels
     gap_tolerance : a gap is too wide from this many pixels above the step over it; ``np.inf``: never
     """
-    disparity = np.ascontiguousarray(disparity)
-    row, column = (np.full(disparity.shape, NO_EDGE, np.uint8) for _ in range(2))
-    _rows(disparity, np.float32(jump), np.float32(gap_tolerance), row)
-    _columns(disparity, np.float32(jump), column)
-    return EdgeDistance(row, column)
-
-
-@jit
-def _run_start(d, x, last, jump, tolerance, start):  # type: ignore[no-untyped-def]
-    # First pixel of the near side that x lies on, -1 for none; ``last`` is the previous known pixel.
-    if last < 0:
-        return start
-    apart = abs(d[x] - d[last])
-    if abs(x - last) - 1 > apart + tolerance:
-        return x
-    if apart > jump:
-        return x if d[x] > d[last] else -1
-    return start
+    distances = []
+    for values, tolerance in ((disparity, gap_tolerance), (disparity.T, np.inf)):  # no shadows fall along columns
+        distances.append(np.full(values.shape, NO_EDGE, np.uint8))
+        _distance_along_rows(np.ascontiguousarray(values), np.float32(jump), np.float32(tolerance), distances[-1])
+    return EdgeDistance(distances[0], np.ascontiguousarray(distances[1].T))
 
 
 @parallel_jit
-def _rows(disparity, jump, tolerance, nearest):  # type: ignore[no-untyped-def]
+def _distance_along_rows(disparity, jump, tolerance, nearest):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     for y in prange(height):
         d, out = disparity[y], nearest[y]
         for step in (1, -1):
-            start, last = -1, -1
+            start, last = -1, -1  # first pixel of the near side that x lies on, previous known pixel; -1: none
             for k in range(width):
                 x = k if step == 1 else width - 1 - k
-                if not np.isnan(d[x]):
-                    start = _run_start(d, x, last, jump, tolerance, start)
-                    last = x
-                    if start >= 0:
-                        out[x] = min(np.int64(out[x]), abs(x - start) + 1)
-
-
-@parallel_jit
-def _columns(disparity, jump, nearest):  # type: ignore[no-untyped-def]
-    height, width = disparity.shape
-    for task in prange((width + _COLUMNS - 1) // _COLUMNS):
-        first = task * _COLUMNS
-        end = min(first + _COLUMNS, width)
-        start = np.empty(end - first, np.int32)
-        last = np.empty(end - first, np.int32)
-        for step in (1, -1):
-            start[:] = -1
-            last[:] = -1
-            for k in range(height):
-                y = k if step == 1 else height - 1 - k
-                for x in range(first, end):
-                    i = x - first
-                    here = disparity[y, x]
-                    if not np.isnan(here):
-                        if last[i] >= 0:
-                            previous = disparity[last[i], x]
-                            if abs(here - previous) > jump:
-                                start[i] = y if here > previous else -1
-                        last[i] = y
-                        if start[i] >= 0:
-                            nearest[y, x] = min(np.int64(nearest[y, x]), abs(y - start[i]) + 1)
+                if np.isnan(d[x]):
+                    continue
+                if last >= 0:
+                    height_of_step = abs(d[x] - d[last])
+                    if abs(x - last) - 1 > height_of_step + tolerance:
+                        start = x
+                    elif height_of_step > jump:
+                        start = x if d[x] > d[last] else -1
+                last = x
+                if start >= 0:
+                    out[x] = min(np.int64(out[x]), abs(x - start) + 1)

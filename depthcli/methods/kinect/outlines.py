@@ -56,7 +56,10 @@ def _along_rows(
     # the near surface.
     inside = np.cumsum(offsets, axis=1) + _MIXED_PIXEL_SHARE * np.column_stack([offsets[:, 1:], np.zeros(2)])
     result = np.empty_like(disparity)
-    _probability(disparity, np.float32(jump), inside.astype(np.float32), np.float32(gap_probability), result)
+    inside = inside.astype(np.float32)
+    # Whether a measurement is wrong by its distance from the edge: on the near side, on the far side.
+    near, far = np.float32(1) - inside[:, -MIN_OFFSET:], np.ascontiguousarray(inside[:, -MIN_OFFSET::-1])
+    _probability(disparity, np.float32(jump), near, far, np.float32(gap_probability), result)
     return result
 
 
@@ -95,7 +98,7 @@ def outline_offsets(lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump
 
 @jit
 def _is_edge(d, last, x, jump):  # type: ignore[no-untyped-def]
-    return abs(d[x] - d[last]) > max(jump, np.float32(_MAX_SLOPE) * np.float32(x - last))
+    return abs(d[x] - d[last]) > max(jump, np.float32(_MAX_SLOPE) * np.float32(abs(x - last)))
 
 
 @parallel_jit
@@ -120,7 +123,7 @@ def _contrast_profiles(lab, disparity, jump, sums, counts):  # type: ignore[no-u
 
 
 @parallel_jit
-def _probability(disparity, jump, inside, gap_probability, out):  # type: ignore[no-untyped-def]
+def _probability(disparity, jump, near, far, gap_probability, out):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     for y in prange(height):
         d, q = disparity[y], out[y]
@@ -134,47 +137,32 @@ def _probability(disparity, jump, inside, gap_probability, out):  # type: ignore
                 step = d[x] - d[last]
                 if step > 0:
                     probability = np.float32(1 if gap <= step + WIDTH_TOLERANCE else _WIDE_GAP_PROBABILITY)
-                    _lower_near(d, q, x, 1, jump, inside[0], probability)
-                    _lower_far(d, q, last, x, jump, inside[0], probability)
+                    _lower(d, q, x, 1, 0, jump, near[0], probability)
+                    _lower(d, q, last, -1, gap + 1, jump, far[0], probability)
                 else:
                     probability = np.float32(1 if gap <= 2 else _WIDE_GAP_PROBABILITY)
-                    _lower_near(d, q, last, -1, jump, inside[1], probability)
-                    _lower_far(d, q, x, last, jump, inside[1], probability)
+                    _lower(d, q, last, -1, 0, jump, near[1], probability)
+                    _lower(d, q, x, 1, gap + 1, jump, far[1], probability)
             elif gap > 1:
-                _lower_near(d, q, x, 1, jump, inside[0], gap_probability)
+                _lower(d, q, x, 1, 0, jump, near[0], gap_probability)
                 if last >= 0:
-                    _lower_near(d, q, last, -1, jump, inside[1], gap_probability)
+                    _lower(d, q, last, -1, 0, jump, near[1], gap_probability)
             last = x
         _raise_thin_runs(d, q, jump)
 
 
 @jit
-def _lower_near(d, q, x, step, jump, inside, probability):  # type: ignore[no-untyped-def]
-    # From x, the first pixel of the near side, inwards.
-    last, u = x, x
-    for k in range(MAX_OFFSET + 1):
-        if u < 0 or u >= d.size:
-            break
-        if not np.isnan(d[u]):
-            if u != last and abs(d[u] - d[last]) > max(jump, np.float32(_MAX_SLOPE) * np.float32(abs(u - last))):
+def _lower(d, q, x, step, k, jump, wrong, probability):  # type: ignore[no-untyped-def]
+    # From x on, at distance k from the edge, as far as the surface and the probabilities ``wrong`` of distances reach.
+    last = x
+    while k < wrong.size and 0 <= x < d.size:
+        if not np.isnan(d[x]):
+            if x != last and _is_edge(d, last, x, jump):
                 break
-            last = u
-            q[u] *= np.float32(1) - probability * (np.float32(1) - inside[k - MIN_OFFSET])
-        u += step
-
-
-@jit
-def _lower_far(d, q, x, near, jump, inside, probability):  # type: ignore[no-untyped-def]
-    # From x, the last pixel of the far side, outwards: the outline may lie outside the measured near side.
-    step = 1 if x > near else -1
-    last, u = x, x
-    while 0 <= u < d.size and abs(u - near) <= -MIN_OFFSET:
-        if not np.isnan(d[u]):
-            if u != last and abs(d[u] - d[last]) > max(jump, np.float32(_MAX_SLOPE) * np.float32(abs(u - last))):
-                break
-            last = u
-            q[u] *= np.float32(1) - probability * inside[-abs(u - near) - MIN_OFFSET]
-        u += step
+            last = x
+            q[x] *= np.float32(1) - probability * wrong[k]
+        x += step
+        k += 1
 
 
 @jit

@@ -17,7 +17,6 @@ from depthcli.methods.kinect.disparity import measured_disparity, noise_level, r
 from depthcli.methods.kinect.pipeline import SequencePipeline
 
 _FRACTION = 32  # unit of the deltas: 1/32 pixel of disparity, as in librealsense
-_COLUMNS = 64  # a task of the vertical pass: whole cache lines, so that no two threads write to one
 # Values from 1 to 7: a pixel is carried over if valid in so many of so many last frames (librealsense).
 _PERSISTENCE = {1: (8, 8), 2: (2, 3), 3: (2, 4), 4: (2, 8), 5: (1, 2), 6: (1, 5), 7: (1, 8)}
 _HOLES = {"left": 0, "farthest": 1, "nearest": 2}
@@ -74,8 +73,8 @@ class Realsense(SequencePipeline):
             raise ValueError(f"the frame's size {frame.shape} is not that of the previous frames {state.last.shape}")
         values = measured.copy()
         for _ in range(self.magnitude):
-            _smooth_rows(values, np.float32(self.spatial_alpha), np.float32(self.spatial_delta / _FRACTION))
-            _smooth_columns(values, np.float32(self.spatial_alpha), np.float32(self.spatial_delta / _FRACTION))
+            for lines in (values, values.T):
+                _smooth_lines(lines, np.float32(self.spatial_alpha), np.float32(self.spatial_delta / _FRACTION))
         clock.stop("spatial")
         last, history = state.last.copy(), state.history.copy()
         min_valid, n_frames = (9, 8) if self.persistency == 0 else _PERSISTENCE.get(self.persistency, (0, 8))
@@ -96,37 +95,23 @@ class Realsense(SequencePipeline):
         return 60 * shape[0] * shape[1]
 
 
-@jit
-def _smooth_line(line, alpha, delta):  # type: ignore[no-untyped-def]
-    # There and back; edges are steps of the unfiltered values, as in librealsense.
-    for back in range(2):
-        previous = state = np.float32(np.nan)
-        for k in range(line.size):
-            i = line.size - 1 - k if back else k
-            value = line[i]
-            if np.isnan(value):
-                previous = value
-                continue
-            if abs(previous - value) < delta:
-                state = alpha * value + (np.float32(1) - alpha) * state
-                line[i] = state
-            else:
-                state = value
-            previous = value
-
-
 @parallel_jit
-def _smooth_rows(values, alpha, delta):  # type: ignore[no-untyped-def]
+def _smooth_lines(values, alpha, delta):  # type: ignore[no-untyped-def]
+    # Every row there and back; edges are steps of the unfiltered values, as in librealsense.
     for y in prange(values.shape[0]):
-        _smooth_line(values[y], alpha, delta)
-
-
-@parallel_jit
-def _smooth_columns(values, alpha, delta):  # type: ignore[no-untyped-def]
-    width = values.shape[1]
-    for task in prange((width + _COLUMNS - 1) // _COLUMNS):
-        for x in range(task * _COLUMNS, min(task * _COLUMNS + _COLUMNS, width)):
-            _smooth_line(values[:, x], alpha, delta)
+        line = values[y]
+        for back in range(2):
+            previous = state = np.float32(np.nan)
+            for k in range(line.size):
+                i = line.size - 1 - k if back else k
+                value = line[i]
+                if not np.isnan(value):
+                    if abs(previous - value) < delta:
+                        state = alpha * value + (np.float32(1) - alpha) * state
+                        line[i] = state
+                    else:
+                        state = value
+                previous = value
 
 
 @parallel_jit

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -138,21 +139,10 @@ def still_pixels(
 
     A pixel without a reliable disparity in both frames is judged by its color alone.
     """
-    still = np.empty(reliable.shape, np.bool_)
-    _still(color, previous_color, reliable, previous_disparity, color_change, np.float32(disparity_change), still)
+    changes = cv2.absdiff(color, previous_color)
+    same_color = cv2.inRange(changes, np.zeros(3), np.full(3, float(color_change))) > 0
+    still: NDArray[np.bool_] = same_color & ~(np.abs(reliable - previous_disparity) > np.float32(disparity_change))
     return still
-
-
-@parallel_jit
-def _still(color, previous_color, reliable, previous, color_change, change, still):  # type: ignore[no-untyped-def]
-    height, width = reliable.shape
-    for y in prange(height):
-        for x in range(width):
-            difference = np.int64(0)
-            for c in range(3):
-                difference = max(difference, abs(np.int64(color[y, x, c]) - np.int64(previous_color[y, x, c])))
-            moved = abs(reliable[y, x] - previous[y, x]) > change  # False where either is NaN
-            still[y, x] = difference <= color_change and not moved
 
 
 def carried_labels(
