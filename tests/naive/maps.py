@@ -46,5 +46,5 @@ def energy(values, slopes, cost, weights, truncation):
             if v < height and u < width:
                 step = float(values[v, u]) - float(values[y, x])
                 misfit = (abs(step - slopes[axis, y, x]) + abs(step - slopes[axis, v, u])) / 2
-                total += weights[axis, y, x] * min(truncation, misfit)
+                total += weights[axis][y, x] * min(truncation, misfit)
     return total

@@ -1,8 +1,8 @@
-"""The data flow of fusion, in order."""
+"""The data flow of fusion: :meth:`Fusion.fuse` from a pair to fused costs, :meth:`Fusion.__call__` on to a map."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -12,7 +12,6 @@ from pydantic import AfterValidator, ConfigDict, Field, ValidationError, model_v
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from depthcli.core.frames import StereoPair
-from depthcli.core.maps import DisparityMap
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
@@ -33,12 +32,11 @@ from depthcli.methods.stereo.segments.steps import SegmentSteps
 from depthcli.methods.stereo.stages import finish
 from depthcli.methods.stereo.volume import CostVolume, StereoResult
 
-_CONSENSUS, _AGREEMENT, _PROBABILITY = "consensus", "agreement", "probability"
-_OWN_CONFIDENCES = (_CONSENSUS, _AGREEMENT, _PROBABILITY)
-_WANTED_BESIDE = {
-    _AGREEMENT: "'agreement' is that of several maps; want 'maps'",
-    _PROBABILITY: "'probability' is known where a network chooses among maps; want 'maps' with 'choice: network'",
+_NEEDS_MAPS = {
+    "agreement": "'agreement' is that of several maps; want 'maps'",
+    "probability": "'probability' is known where a network chooses among maps; want 'maps' with 'choice: network'",
 }
+_OWN_CONFIDENCES = ("consensus", *_NEEDS_MAPS)
 _MAX_VOTED_COST = 4080  # 16 x 255, the fixed point of aggregated costs, which scanline optimizers can sum
 
 
@@ -92,24 +90,19 @@ class Fusion(AdjustingMatcher):
 
     @model_validator(mode="after")
     def _fields_fit_together(self) -> Fusion:
-        made = () if self.maps is None else (_AGREEMENT, *self.maps.choice.confidences)
-        lacking = [name for name in self.confidence if name in _WANTED_BESIDE and name not in made]
-        if lacking:
-            wrong = PydanticCustomError("in_vain", _WANTED_BESIDE[lacking[0]])
-            raise ValidationError.from_exception_data(
-                "Fusion", [{"type": wrong, "loc": ("confidence",), "input": list(self.confidence)}]
-            )
-        if self.segments is None:
-            return self
-        # Further rounds of the vote are those of the optimized map.
-        ignored = ("refinement", "maps", "confidence", *(("optimization",) if self.consensus.rounds == 0 else ()))
-        fields = type(self).model_fields
-        errors: list[InitErrorDetails] = [
-            {"type": PydanticCustomError("in_vain", "has no effect beside 'segments', which has its own; leave it out"),
-             "loc": (name,), "input": None}
-            for name in ignored
-            if getattr(self, name) != fields[name].get_default(call_default_factory=True)
-        ]  # fmt: skip
+        errors: list[InitErrorDetails] = []
+        made = () if self.maps is None else ("agreement", *self.maps.choice.confidences)
+        for name in self.confidence:
+            if name in _NEEDS_MAPS and name not in made:
+                wrong = PydanticCustomError("in_vain", _NEEDS_MAPS[name])
+                errors.append({"type": wrong, "loc": ("confidence",), "input": list(self.confidence)})
+        if self.segments is not None:
+            # Further rounds of the vote are those of the optimized map.
+            ignored = ("refinement", "maps", "confidence", *(("optimization",) if self.consensus.rounds == 0 else ()))
+            wrong = PydanticCustomError("in_vain", "has no effect beside 'segments', which has its own; leave it out")
+            for name in ignored:
+                if getattr(self, name) != type(self).model_fields[name].get_default(call_default_factory=True):
+                    errors.append({"type": wrong, "loc": (name,), "input": None})
         if errors:
             raise ValidationError.from_exception_data("Fusion", errors)
         return self
@@ -128,7 +121,8 @@ class Fusion(AdjustingMatcher):
             The network was trained for other maps.
         """
         assert self.maps is not None
-        return self.model_copy(update={"maps": self.maps.with_network(trained)})
+        choice = self.maps.choice.with_network(trained, self.maps.kinds)
+        return self.model_copy(update={"maps": self.maps.model_copy(update={"choice": choice})})
 
     def __call__(
         self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]] | None = None
@@ -147,81 +141,67 @@ class Fusion(AdjustingMatcher):
         clock = Clock()
         pair = adjusted(pair, max_disparity, self.adjust, clock)
         others = []
-        if self.maps is not None:
-            others = self.maps.matched(pair, max_disparity)
+        if self.maps is not None:  # before the fused costs: then their matchers need no memory beside them
+            others = [one.matcher(pair, max_disparity).disparity for one in self.maps.matchers]
             clock.stop("other_maps")
         fused = self.fuse(pair, max_disparity, volumes or {}, clock)
+        volume = fused.volume
         if self.segments is not None:
-            result = self.segments.from_volume(pair, fused.volume, max_disparity, clock)
+            result = self.segments.from_volume(pair, volume, max_disparity, clock)
         else:
-            known = [name for name in self.confidence if name not in _OWN_CONFIDENCES]
-            result, disparities, right = finish(pair, fused.volume, self.optimization, self.refinement, known, clock)
-            if _CONSENSUS in self.confidence:
-                result.confidence[_CONSENSUS] = fused.ballot.shares(disparities.astype(np.int32)[None])[0]
+            measured = [name for name in self.confidence if name not in _OWN_CONFIDENCES]
+            result, left, right = finish(pair, volume, self.optimization, self.refinement, measured, clock)
+            if "consensus" in self.confidence:
+                result.confidence["consensus"] = fused.ballot.shares(left.astype(np.int32)[None])[0]
                 clock.stop("confidence")
             if self.maps is not None:
-                self._mix(pair, fused.volume, right, others, result, clock)
-        result.figures |= fused.figures
+                again = [
+                    finish(pair, volume, one.optimization, self.refinement, (), clock)[0].disparity
+                    for one in self.maps.optimizations
+                ]
+                result.disparity, more = self.maps(pair, volume, right, [result.disparity, *others, *again], clock)
+                result.confidence |= {name: values for name, values in more.items() if name in self.confidence}
+        result.figures |= {f"weight_{k}": float(mean) for k, mean in enumerate(fused.weights.mean(axis=(1, 2)))}
         return result
-
-    def _mix(
-        self,
-        pair: StereoPair,
-        volume: CostVolume,
-        right: NDArray[np.uint16],
-        others: list[DisparityMap],
-        result: StereoResult,
-        clock: Clock,
-    ) -> None:
-        """Replace the map of ``result`` by the mix of it with ``others``."""
-        assert self.maps is not None
-        again = [
-            finish(pair, volume, one.optimization, self.refinement, (), clock)[0].disparity
-            for one in self.maps.optimizations
-        ]
-        mixed = self.maps(pair, volume, right, [result.disparity, *others, *again], clock)
-        result.disparity = mixed.disparity
-        if _AGREEMENT in self.confidence:
-            result.confidence[_AGREEMENT] = mixed.agreement
-        if _PROBABILITY in self.confidence and mixed.probability is not None:
-            result.confidence[_PROBABILITY] = mixed.probability
 
     def fuse(
         self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: Clock | None = None
     ) -> Fused:
-        """Compute the fused cost volume: costs -> votes of the measures -> weights -> blend -> aggregation -> votes."""
+        """Compute the fused cost volume.
+
+        Costs of every measure -> its disparities, which vote -> its weight at every pixel -> weighted mean of the costs
+        and aggregation -> cost of few votes, added; then further rounds, in which the optimized map votes.
+        """
         clock = clock or Clock()
-        depth = max_disparity + 1
-        parts = [
-            squash(measure.costs(pair, depth, volumes), measure.scale, self.outside) for measure in self.measures
-        ]
+        depth, tolerance = max_disparity + 1, self.consensus.tolerance
+        parts = [squash(measure.costs(pair, depth, volumes), measure.scale, self.outside) for measure in self.measures]
         clock.stop("cost")
-        chosen, trust = self._voters(self._vote_costs(parts, pair))
+        aggregate = self.vote_aggregation or (lambda part, pair: part)
+        disparities, trust = self._voters(self.vote_optimization(aggregate(part, pair), pair) for part in parts)
         clock.stop("voters")
         light = light_weights([measure.cost for measure in self.measures], pair)
         if light is not None:
             trust *= light
-        ballot = Ballot(chosen, trust, depth, self.consensus.tolerance, self.consensus.support_in(pair))
+        ballot = Ballot(disparities, trust, depth, tolerance, self.consensus.support_in(pair))
         weights = measure_weights(self.weights, ballot, self.exponent)
         if light is not None:
             weights = weights * light
             weights /= weights.sum(axis=0, keepdims=True)
         clock.stop("weights")
-        base = None if self.weights == "vote" else self._blend(parts, weights, pair)
+        blended = None if self.weights == "vote" else self._blend(parts, weights, pair)
         clock.stop("aggregation")
-        strength = self.consensus.vote_cost
-        volume = base
-        if base is None or strength:
-            volume = ballot.costs(base, 1.0 if base is None else strength, _MAX_VOTED_COST)
-        assert volume is not None
+        if blended is None:
+            volume = ballot.costs(None, 1.0, _MAX_VOTED_COST)
+        elif self.consensus.vote_cost:
+            volume = ballot.costs(blended, self.consensus.vote_cost, _MAX_VOTED_COST)
+        else:
+            volume = blended
         for _ in range(self.consensus.rounds):
             disparities, trust = self._voters([self.optimization(volume, pair)])
-            ballot = Ballot(disparities, trust, depth, self.consensus.tolerance, ballot.support)
-            volume = ballot.costs(base, self.consensus.map_vote_cost, _MAX_VOTED_COST)
+            ballot = Ballot(disparities, trust, depth, tolerance, ballot.support)
+            volume = ballot.costs(blended, self.consensus.map_vote_cost, _MAX_VOTED_COST)
         clock.stop("votes")
-        means = weights.mean(axis=(1, 2))
-        figures = {f"weight_{k}": float(mean) for k, mean in enumerate(means)}
-        return Fused(volume, weights, ballot, figures)
+        return Fused(volume, weights, ballot)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the peak working memory for images of ``shape``, in bytes."""
@@ -233,14 +213,8 @@ class Fusion(AdjustingMatcher):
             return need
         return max(need + self.maps.bytes_beside(shape), self.maps.peak_bytes(shape, max_disparity))
 
-    def _vote_costs(self, parts: list[CostVolume], pair: StereoPair) -> Iterator[CostVolume]:
-        for part in parts:
-            yield self.vote_optimization(
-                part if self.vote_aggregation is None else self.vote_aggregation(part, pair), pair
-            )
-
     def _voters(self, volumes: Iterable[CostVolume]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """(M, H, W) disparity of every volume, and how much it counts."""
+        # (M, H, W) disparities of every volume, and how much each counts
         chosen, trust = [], []
         for volume in volumes:
             left, right = winners(volume.costs)
@@ -277,10 +251,8 @@ class Fused:
     volume : uint16 (H, W, D), at most 4080
     weights : (M, H, W) float32, sum 1 over the measures
     ballot : the last vote
-    figures : mean weight of every measure
     """
 
     volume: CostVolume
     weights: NDArray[np.float32]
     ballot: Ballot
-    figures: dict[str, float]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,24 @@ from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.fusion.support import LANES, NOTHING, ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
+
+_ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
+NEIGHBORS = (((_ALL, _BUT_LAST), (_ALL, _BUT_FIRST)), ((_BUT_LAST, _ALL), (_BUT_FIRST, _ALL)))
+"""Pixels and the next ones in their rows; pixels and the next ones in their columns."""
+
+
+def misfit(
+    here: NDArray[np.float32],
+    there: NDArray[np.float32],
+    slope_here: NDArray[np.float32],
+    slope_there: NDArray[np.float32],
+    truncation: float,
+) -> NDArray[np.float32]:
+    """Return by how much the slopes of neighbors do not lead from one to the other, at most ``truncation``, pixels."""
+    step = there - here
+    mean = np.float32(0.5) * (np.abs(step - slope_here) + np.abs(step - slope_there))
+    cost: NDArray[np.float32] = np.minimum(np.float32(truncation), mean)
+    return cost
 
 
 @dataclass(frozen=True)
@@ -48,11 +67,11 @@ class Smoothness:
 
     Attributes
     ----------
-    weights : (2, H, W) float32 of the pairs along the rows and along the columns; 0 for those that leave the image
+    weights : of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W), float32
     truncation : pixels
     """
 
-    weights: NDArray[np.float32]
+    weights: tuple[NDArray[np.float32], NDArray[np.float32]]
     truncation: float
 
     @classmethod
@@ -61,18 +80,21 @@ class Smoothness:
     ) -> Smoothness:
         """Return weights ``strength max(exp(-color / color_scale), floor)``; color: the largest channel difference."""
         levels = image.astype(np.int16)
-        weights = np.zeros((2, *image.shape[:2]), np.float32)
-        across = np.abs(levels[:, 1:] - levels[:, :-1]).max(axis=2)
-        down = np.abs(levels[1:] - levels[:-1]).max(axis=2)
-        weights[0, :, :-1] = strength * np.maximum(np.exp(-across / color_scale), floor)
-        weights[1, :-1] = strength * np.maximum(np.exp(-down / color_scale), floor)
-        return cls(weights, truncation)
+        colors = (np.abs(levels[there] - levels[here]).max(axis=2) for here, there in NEIGHBORS)
+        across, down = ((strength * np.maximum(np.exp(-c / color_scale), floor)).astype(np.float32) for c in colors)
+        return cls((across, down), truncation)
 
     def energy(self, surface: Surface) -> float:
         """Return the sum of all costs of a surface."""
-        rows = np.zeros(surface.values.shape[0], np.float64)
-        _energy(surface.values, surface.slopes, surface.cost, self.weights, np.float32(self.truncation), rows)
-        return float(rows.sum())
+        return float(surface.cost.sum(dtype=np.float64)) + sum(
+            float(self._pair_costs(axis, surface, surface).sum(dtype=np.float64)) for axis in (0, 1)
+        )
+
+    def _pair_costs(self, axis: int, first: Surface, second: Surface) -> NDArray[np.float32]:
+        # of the pixels of ``first`` with the next ones of ``second``, along the rows or along the columns
+        here, there = NEIGHBORS[axis]
+        slopes = first.slopes[axis][here], second.slopes[axis][there]
+        return self.weights[axis] * misfit(first.values[here], second.values[there], *slopes, self.truncation)
 
     def move(self, current: Surface, proposal: Surface, min_difference: float) -> NDArray[np.bool_] | None:
         """Return the pixels (H, W) at which ``proposal`` replaces ``current`` in the best mix; None: nothing is gained.
@@ -85,21 +107,26 @@ class Smoothness:
         min_difference : where the two differ by less, ``current`` stays, pixels
         """
         shape = current.values.shape
-        index = np.full(shape, -1, np.int64)
         apart = np.abs(proposal.values - current.values) >= min_difference
-        count = int(apart.sum())
-        if count == 0:
+        if not apart.any():
             return None
-        index[apart] = np.arange(count)
-        score = np.zeros(count, np.float64)
-        p, q = np.empty(2 * count, np.int64), np.empty(2 * count, np.int64)
-        capacity = np.empty(2 * count, np.float64)
-        pairs = _binary_problem(
-            current.values, current.slopes, current.cost, proposal.values, proposal.slopes, proposal.cost,
-            self.weights, np.float32(self.truncation), index, score, p, q, capacity,
-        )  # fmt: skip
+        # Pair costs are E00 + (E10 - E00) x_p + (E11 - E10) x_q + (E01 + E10 - E00 - E11) (1 - x_p) x_q, with x = 1
+        # where a pixel switches; the last factor is raised to 0 where it is negative. Pixels that are not apart stay.
+        score = (proposal.cost - current.cost).astype(np.float64)
+        nodes = np.cumsum(apart).reshape(shape) - 1
+        pairs = []
+        for axis, (here, there) in enumerate(NEIGHBORS):
+            e00, e01, e10, e11 = (
+                self._pair_costs(axis, first, second)
+                for first, second in itertools.product((current, proposal), repeat=2)
+            )
+            both = apart[here] & apart[there]
+            score[here] += e10 - e00
+            score[there] += np.where(both, e11 - e10, e01 - e00)
+            pairs.append((nodes[here][both], nodes[there][both], np.maximum(e01 + e10 - e00 - e11, 0)[both]))
+        p, q, capacity = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
         chosen = np.zeros(shape, np.bool_)
-        chosen[apart] = binary_cut(score, p[:pairs], q[:pairs], capacity[:pairs])
+        chosen[apart] = binary_cut(score[apart], p, q, capacity.astype(np.float64))
         if not chosen.any() or self.energy(current.mixed(proposal, chosen)) >= self.energy(current):
             return None
         return chosen
@@ -232,71 +259,3 @@ def _contradict(maps: Any, first: int, right: Any, hidden: Any, block: Any) -> N
                     block[y, x, k] = min(nearer - one, one)
                 elif nearer < -one:
                     block[y, x, k] = hidden
-
-
-@jit
-def misfit(here: Any, there: Any, slope_here: Any, slope_there: Any, truncation: Any) -> Any:
-    """Return by how much the slopes of two neighbors do not lead from one to the other, pixels."""
-    step = there - here
-    return min(truncation, np.float32(0.5) * (abs(step - slope_here) + abs(step - slope_there)))
-
-
-@parallel_jit
-def _energy(values: Any, slopes: Any, cost: Any, weights: Any, truncation: Any, rows: Any) -> None:
-    height, width = values.shape
-    for y in prange(height):
-        total = 0.0
-        for x in range(width):
-            total += cost[y, x]
-            if x + 1 < width:
-                a, b = slopes[0, y, x], slopes[0, y, x + 1]
-                total += weights[0, y, x] * misfit(values[y, x], values[y, x + 1], a, b, truncation)
-            if y + 1 < height:
-                a, b = slopes[1, y, x], slopes[1, y + 1, x]
-                total += weights[1, y, x] * misfit(values[y, x], values[y + 1, x], a, b, truncation)
-        rows[y] = total
-
-
-@jit
-def _binary_problem(  # type: ignore[no-untyped-def]
-    values0, slopes0, cost0, values1, slopes1, cost1, weights, truncation, index, score, p, q, capacity
-):
-    """Cost of x = 1 (switch) minus cost of x = 0 of the nodes ``index`` >= 0, and the pairs between them.
-
-    Pair costs are E00 + (E10 - E00) x_p + (E11 - E10) x_q + (E01 + E10 - E00 - E11) (1 - x_p) x_q; the last factor is
-    raised to 0 where it is negative. A neighbor that is no node stays.
-    """
-    height, width = values0.shape
-    pairs = 0
-    for y in range(height):
-        for x in range(width):
-            i = index[y, x]
-            if i >= 0:
-                score[i] += cost1[y, x] - cost0[y, x]
-            for axis in range(2):
-                v, u = y + axis, x + 1 - axis
-                if v >= height or u >= width:
-                    continue
-                j = index[v, u]
-                if i < 0 and j < 0:
-                    continue
-                w = weights[axis, y, x]
-                here0, there0 = values0[y, x], values0[v, u]
-                here1, there1 = values1[y, x], values1[v, u]
-                slope_here0, slope_there0 = slopes0[axis, y, x], slopes0[axis, v, u]
-                slope_here1, slope_there1 = slopes1[axis, y, x], slopes1[axis, v, u]
-                e00 = w * misfit(here0, there0, slope_here0, slope_there0, truncation)
-                if j < 0:
-                    score[i] += w * misfit(here1, there0, slope_here1, slope_there0, truncation) - e00
-                elif i < 0:
-                    score[j] += w * misfit(here0, there1, slope_here0, slope_there1, truncation) - e00
-                else:
-                    e10 = w * misfit(here1, there0, slope_here1, slope_there0, truncation)
-                    e01 = w * misfit(here0, there1, slope_here0, slope_there1, truncation)
-                    e11 = w * misfit(here1, there1, slope_here1, slope_there1, truncation)
-                    score[i] += e10 - e00
-                    score[j] += e11 - e10
-                    p[pairs], q[pairs] = i, j
-                    capacity[pairs] = max(e01 + e10 - e00 - e11, np.float32(0))
-                    pairs += 1
-    return pairs

@@ -84,7 +84,7 @@ def test_moves_are_the_best_mix(seed):
     chosen = smoothness.move(a, b, 0.0)
     reached = energies[0] if chosen is None else smoothness.energy(a.mixed(b, chosen))
     assert reached <= energies[0]
-    weak = Smoothness(smoothness.weights * np.float32(0.02), 2.0)
+    weak = Smoothness(tuple(weights * np.float32(0.02) for weights in smoothness.weights), 2.0)
     chosen = weak.move(a, b, 0.0)
     best = min(weak.energy(a.mixed(b, mix)) for mix in mixes)
     assert chosen is not None

@@ -14,7 +14,14 @@ from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.fusion.choice import Proposals
-from depthcli.methods.fusion.surfaces import contradictions, cost_between, disagreements, matching_costs, misfit
+from depthcli.methods.fusion.surfaces import (
+    NEIGHBORS,
+    contradictions,
+    cost_between,
+    disagreements,
+    matching_costs,
+    misfit,
+)
 
 OWN = (
     "cost_far", "cost_near", "dissent_near", "dissent_far", "decorrelation", "color", "color_near",
@@ -31,7 +38,7 @@ SHARED = ("least_raw", "deviation_5", "deviation_13", "gradient", "filled_share"
 _MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
 _MAX_COLOR = np.float32(40.0)  # of color differences and deviations, grey levels
 _NOISE = np.float32(4.0)  # added to variances under a correlation, grey levels squared
-_MAX_MISFIT = np.float32(2.0)  # between neighbors, pixels
+_MAX_MISFIT = 2.0  # between neighbors, pixels
 _WINDOW = 7  # side of the windows that are correlated, pixels
 _REACH = 9  # half side of the window that slopes are fitted in, pixels
 RELATIVE_PLANES = np.array([OWN.index(name) for name in RELATIVE])
@@ -99,7 +106,7 @@ class Inputs:
             plane["decorrelation"][k] = 1 - _correlation(grey[0], moments, warped)
             slope = slopes(values, image, _REACH)
             plane["slope_x"][k], plane["slope_y"][k] = slope
-            _roughness(values, slope, plane["rough"][k])
+            plane["rough"][k] = _roughness(values, slope)
             plane["rough_near"][k] = cv2.blur(plane["rough"][k], (9, 9))
             for radius, name in ((5, "above_5"), (12, "above_12")):
                 side = 2 * radius + 1
@@ -207,20 +214,11 @@ def _look(
             color[y, x] = min(largest, _MAX_COLOR)
 
 
-@parallel_jit
-def _roughness(values: Any, slope: Any, rough: Any) -> None:
-    """Sum over the four neighbors of the misfits, at most 2 pixels each."""
-    height, width = values.shape
-    for y in prange(height):
-        for x in range(width):
-            total = np.float32(0)
-            here, slope_x, slope_y = values[y, x], slope[0, y, x], slope[1, y, x]
-            if x > 0:
-                total += misfit(values[y, x - 1], here, slope[0, y, x - 1], slope_x, _MAX_MISFIT)
-            if x + 1 < width:
-                total += misfit(here, values[y, x + 1], slope_x, slope[0, y, x + 1], _MAX_MISFIT)
-            if y > 0:
-                total += misfit(values[y - 1, x], here, slope[1, y - 1, x], slope_y, _MAX_MISFIT)
-            if y + 1 < height:
-                total += misfit(here, values[y + 1, x], slope_y, slope[1, y + 1, x], _MAX_MISFIT)
-            rough[y, x] = total
+def _roughness(values: NDArray[np.float32], slope: NDArray[np.float32]) -> NDArray[np.float32]:
+    # Sum of the misfits of the four neighbors: left, right, upper, lower
+    rough = np.zeros_like(values)
+    for axis, (here, there) in enumerate(NEIGHBORS):
+        cost = misfit(values[here], values[there], slope[axis][here], slope[axis][there], _MAX_MISFIT)
+        rough[there] += cost
+        rough[here] += cost
+    return rough
