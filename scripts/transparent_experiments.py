@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.dense_crf import GaussianKernel, TruncatedLinear, mean_field
+from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
 from depthcli.batch.presets import find_config
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.config_file import load_config
@@ -188,11 +188,11 @@ def speed(width: int, height: int, labels: int) -> None:
     place = np.stack([x, y], axis=-1).reshape(-1, 2)
     wide = np.concatenate([place / 20, color.reshape(-1, 3).astype(np.float32) / 20], axis=1)
     kernels = [GaussianKernel(wide, 1.0), GaussianKernel(place / 3, 0.3)]
-    mean_field(unary, kernels, TruncatedLinear(8), 5)
+    mean_field(unary, kernels, 8, 5)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     ours, theirs = [], []
     for _ in range(5):
-        ours.append(_seconds(lambda: mean_field(unary, kernels, TruncatedLinear(8), 5)))
+        ours.append(_seconds(lambda: mean_field(unary, kernels, 8, 5)))
         theirs.append(_peer(color, unary, label))
     best = [min(times, key=lambda pair: pair[0]) for times in (ours, theirs)]
     text = "  ".join(f"{name} {wall:.3f} s ({cpu:.3f} s CPU)" for name, (wall, cpu) in zip(
@@ -237,7 +237,7 @@ def agreement() -> None:
     place = np.stack([x, y], axis=-1).reshape(-1, 2)
     wide = np.concatenate([place / 20, color.reshape(-1, 3).astype(np.float32) / 20], axis=1)
     kernels = [GaussianKernel(wide, 2.0), GaussianKernel(place / 3, 1.0)]
-    ours = mean_field(unary, kernels, TruncatedLinear(1), 5)
+    ours = mean_field(unary, kernels, 1, 5)
     crf = dcrf.DenseCRF2D(width, height, labels)
     crf.setUnaryEnergy(np.ascontiguousarray(unary.T))
     crf.addPairwiseGaussian(sxy=3, compat=1.0)

@@ -2,30 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 _BAND = 24  # rows that one task visits in order; any number gives a valid order, this one keeps all cores busy
-
-
-@dataclass(frozen=True)
-class ValueLabelling:
-    """Result of :func:`trws`.
-
-    Attributes
-    ----------
-    labels : (N,) int32, index of the chosen candidate
-    energy : of ``labels``
-    lower_bound : of the energy of any labelling, up to rounding
-    """
-
-    labels: NDArray[np.int32]
-    energy: float
-    lower_bound: float
 
 
 def trws(
@@ -35,7 +17,7 @@ def trws(
     weights: NDArray[np.float32],
     truncation: float,
     iterations: int = 10,
-) -> ValueLabelling:
+) -> tuple[NDArray[np.int32], float]:
     """Choose one candidate a pixel that make ``sum unary + sum weight min(|v_p - v_q|, truncation)`` small.
 
     Kolmogorov, "Convergent tree-reweighted message passing for energy minimization", PAMI 2006, on the pixels that
@@ -53,6 +35,11 @@ def trws(
     truncation : largest cost of a difference
     iterations : number of forward and backward passes
 
+    Returns
+    -------
+    labels : (N,) int32, index of the chosen candidate
+    lower_bound : of the energy of any labelling, up to rounding
+
     Raises
     ------
     ValueError
@@ -67,7 +54,7 @@ def trws(
     if iterations < 1 or truncation < 0:
         raise ValueError(f"want iterations >= 1 and truncation >= 0, got {iterations}, {truncation}")
     if count == 0:
-        return ValueLabelling(np.empty(0, np.int32), 0.0, 0.0)
+        return np.empty(0, np.int32), 0.0
     if not (np.isfinite(unary[:, 0]).all() and np.isfinite(values[:, 0]).all()):
         raise ValueError("every active pixel needs a candidate with a finite cost")
     if not (weights >= 0).all():
@@ -88,7 +75,7 @@ def trws(
             _pass(nodes, values, unary, weights, cap, choices, share, earlier, messages, backward, row_bounds)
     labels = np.zeros(count, np.int32)
     _select(nodes, values, unary, weights, cap, choices, earlier, messages, labels)
-    return ValueLabelling(labels, _energy(nodes, values, unary, weights, cap, labels), float(row_bounds.sum()))
+    return labels, float(row_bounds.sum())
 
 
 # Neighbor k of a pixel lies at (_DY[k], _DX[k]); pair k < 4 is stored with the pixel, pair k >= 4 with the
@@ -231,19 +218,3 @@ def _select(nodes, values, unary, weights, truncation, choices, earlier, message
                         if cost < lowest:
                             lowest = cost
                             labels[n] = i
-
-
-@jit
-def _energy(nodes, values, unary, weights, truncation, labels):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for y in range(1, nodes.shape[0] - 1):
-        for x in range(1, nodes.shape[1] - 1):
-            n = nodes[y, x]
-            if n < 0:
-                continue
-            total += unary[n, labels[n]]
-            for k in range(4):
-                m = nodes[y + _DY[k], x + _DX[k]]
-                if m >= 0:
-                    total += weights[n, k] * min(abs(values[n, labels[n]] - values[m, labels[m]]), truncation)
-    return total

@@ -275,19 +275,13 @@ def gather_vertices(partial: Any, order: Any, first: Any, values: Any, width: in
             for s in range(first[v] + 1, first[v + 1]):
                 value += load(partial, order[s] * width + k)
             store(values, to + k, value)
-        for k in range(width - width % LANES, width):
-            values[to + k] = partial[order[first[v]] * width + k]
-            for s in range(first[v] + 1, first[v + 1]):
-                values[to + k] += partial[order[s] * width + k]
 
 
 @parallel_jit
 def blur_axis(source: Any, left: Any, right: Any, target: Any, width: int) -> None:
     """Blur vertices, rows of ``width``, by [1/2 1 1/2] along one axis."""
-    half = np.float32(0.5)
+    half = splat(np.float32(0.5))
     for v in prange(left.size):
         at, low, high = v * width, left[v] * width, right[v] * width
         for k in range(0, width - LANES + 1, LANES):
-            store(target, at + k, load(source, at + k) + splat(half) * (load(source, low + k) + load(source, high + k)))
-        for k in range(width - width % LANES, width):
-            target[at + k] = source[at + k] + half * (source[low + k] + source[high + k])
+            store(target, at + k, load(source, at + k) + half * (load(source, low + k) + load(source, high + k)))

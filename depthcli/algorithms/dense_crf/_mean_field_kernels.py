@@ -31,10 +31,10 @@ def join_lattices(
 
 @parallel_jit
 def start(
-    unary: Any, q: Any, given: bool, labels: int, slots: Any, weights: Any, corners: int, bands: Any, width: int,
+    unary: Any, q: Any, labels: int, slots: Any, weights: Any, corners: int, bands: Any, width: int,
     partial: Any, finite: Any,
 ) -> None:  # fmt: skip
-    """Write the initial marginals to ``q``, unless they are ``given``, and spread them over the lattices.
+    """Write the initial marginals, softmax(-unary), to ``q`` and spread them over the lattices.
 
     ``finite`` becomes False for bands that have an energy that is not finite.
     """
@@ -48,13 +48,11 @@ def start(
             size = min(_TILE, stop - first)
             for k in range(first * labels, (first + size) * labels):
                 largest = max(largest, np.int32(float_bits(unary[np.uint64(k)]) & np.int32(0x7FFFFFFF)))
-            source = q if given else unary
             for p in range(size):
                 for k in range(labels):
-                    tile[np.uint64(p * width + k)] = source[np.uint64((first + p) * labels + k)]
-            if not given:
-                _softmax(tile, width, labels, width, size, total)
-                _write(tile, width, total, q, first, labels, size)
+                    tile[np.uint64(p * width + k)] = unary[np.uint64((first + p) * labels + k)]
+            _softmax(tile, width, labels, width, size, total)
+            _write(tile, width, total, q, first, labels, size)
             _spread(tile, width, total, slots, weights, corners, first, size, width, partial)
         # A number that is not finite has larger bits than all others.
         finite[b] = largest < np.int32(0x7F800000)
@@ -63,12 +61,12 @@ def start(
 @parallel_jit
 def update(
     unary: Any, q: Any, labels: int, near: Any, slots: Any, vertex: Any, weights: Any, corners: int, own: Any,
-    truncation: int, matrix: Any, bands: Any, width: int, more: bool, partial: Any,
+    truncation: int, bands: Any, width: int, more: bool, partial: Any,
 ) -> None:  # fmt: skip
     """Run one step of mean field for all points: read messages, write marginals to ``q``, spread them (if ``more``)."""
     count = own.size
     # Rows of a tile lie one behind the other, with zeros between them for the windows that reach beyond their ends.
-    margin = max(truncation - 1, 0)
+    margin = truncation - 1
     lead = -(-margin // LANES) * LANES
     stride = -(-(labels + margin) // LANES) * LANES
     for b in prange(bands.shape[0]):
@@ -84,15 +82,11 @@ def update(
             _read(
                 near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride, spare
             )  # fmt: skip
-            if truncation:
-                # min(|k|, T) is T less a triangle, which is a window of length T over another one. T times the sum
-                # of all messages is the same for every label of a point, and makes no difference to its marginals.
-                _window(message, truncation, once)
-                _window(once, truncation, twice)
-                _energies(unary, labels, first, size, np.float32(-1.0), twice, lead - margin, stride, once)
-            else:
-                _product(matrix, message, stride, size, twice)
-                _energies(unary, labels, first, size, np.float32(1.0), twice, 0, stride, once)
+            # min(|k|, T) is T less a triangle, which is a window of length T over another one. T times the sum
+            # of all messages is the same for every label of a point, and makes no difference to its marginals.
+            _window(message, truncation, once)
+            _window(once, truncation, twice)
+            _energies(unary, labels, first, size, twice, lead - margin, stride, once)
             _softmax(once, stride, labels, width, size, total)
             _write(once, stride, total, q, first, labels, size)
             if more:
@@ -189,30 +183,16 @@ def _window(source: Any, length: int, target: Any) -> None:
 
 
 @jit
-def _product(matrix: Any, message: Any, stride: int, size: int, cost: Any) -> None:
-    # cost = matrix times message, row by row; ``matrix`` is transposed.
-    labels = matrix.shape[0]
-    for p in range(size):
-        for k in range(labels):
-            cost[np.uint64(p * stride + k)] = np.float32(0.0)
-        for j in range(labels):
-            factor = message[p * stride + j]
-            for k in range(labels):
-                cost[np.uint64(p * stride + k)] += factor * matrix[j, k]
-
-
-@jit
 def _energies(
-    unary: Any, labels: int, first: int, size: int, sign: Any, cost: Any, begin: int, stride: int, tile: Any
+    unary: Any, labels: int, first: int, size: int, gain: Any, begin: int, stride: int, tile: Any
 ) -> None:  # fmt: skip
-    # tile = unary + sign cost, row by row.
-    signs = splat(sign)
+    # tile = unary - gain, row by row.
     for p in range(size):
         at, source, to = (first + p) * labels, begin + p * stride, p * stride
         for k in range(0, labels - LANES + 1, LANES):
-            store(tile, to + k, load(unary, at + k) + signs * load(cost, source + k))
+            store(tile, to + k, load(unary, at + k) - load(gain, source + k))
         for k in range(labels - labels % LANES, labels):
-            tile[to + k] = unary[at + k] + sign * cost[source + k]
+            tile[to + k] = unary[at + k] - gain[source + k]
 
 
 @jit

@@ -25,6 +25,7 @@ from depthcli.algorithms.dense_crf._lattice_kernels import (
     spread,
 )  # fmt: skip
 from depthcli.core import memory
+from depthcli.kernels.lanes import LANES
 
 BAND = 16384  # points that one thread processes with one table of vertices, which fits into the cache
 _MAX_DIMENSIONS = 8  # of any features here; the remainder of a vertex must fit into 4 bits of its key
@@ -123,10 +124,9 @@ class Lattice:
 
     def filter(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Blur (N, C) float32 ``values``; the Gaussian's value at distance 0 is about ``1 + 2^-d``."""
-        width = values.shape[1]
-        partial = memory.empty((self.vertex.size * width,), np.float32)
-        near: NDArray[np.float32] = memory.empty(((self.vertices + 1) * width,), np.float32)
-        far: NDArray[np.float32] = memory.empty(((self.vertices + 1) * width,), np.float32)
+        width = -(-values.shape[1] // LANES) * LANES
+        partial, near, far = (memory.empty((rows * width,), np.float32)
+                              for rows in (self.vertex.size, self.vertices + 1, self.vertices + 1))  # fmt: skip
         result = np.empty(values.shape, np.float32)
         spread(values, self.slots, self.weights, self.first_slot, BAND, partial.reshape(-1, width))
         blur(self, width, partial, near, far)
@@ -137,7 +137,7 @@ class Lattice:
 def blur(
     lattice: Lattice, width: int, partial: NDArray[np.float32], near: NDArray[np.float32], far: NDArray[np.float32]
 ) -> None:
-    """Sum the slots (T rows of ``width``) of vertices and blur these, into ``near``: V + 1 rows, the last one 0."""
+    """Sum the T slots by vertex and blur, into the V + 1 rows of ``near``, the last one 0; ``width`` in full lanes."""
     steps = len(lattice.neighbors)
     source, target = (near, far) if steps % 2 == 0 else (far, near)
     source[-width:] = 0

@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
 from depthcli.kernels.jit import jit, parallel_jit, prange
@@ -62,46 +63,54 @@ class SamplePlanes:
     mark: NDArray[np.float32]
 
 
-def sample_planes(
-    samples: Samples,
-    image: NDArray[np.uint8],
-    noise: float,
-    at: tuple[NDArray[np.int32], NDArray[np.int32]],
-    neighbors: int,
-    color_scale: float,
-    slope: float,
-    steps: int,
-    leave_own: bool = False,
-    marks: NDArray[np.float32] | None = None,
-) -> SamplePlanes:
-    """Fit a plane at every one of some pixels, to the nearest samples of similar color, by Tukey's biweight.
+class RobustFit(BaseModel):
+    """Fit a plane at a pixel to the nearest samples of similar color that agree with each other, by Tukey's biweight.
 
     The fit begins at the sample that the largest weight agrees with; slopes have a Gaussian prior.
-
-    Parameters
-    ----------
-    samples : M of them
-    image : (H, W, 3) uint8
-    noise : standard deviation of good samples, in the unit of their values
-    at : (P,) int32 rows and columns of the pixels
-    neighbors : number of samples a pixel
-    color_scale : color difference at which a sample's weight falls by exp(-1/2), grey levels
-    slope : standard deviation of slopes: relative change of the value across the image's width
-    steps : number of reweightings, from a wide to a narrow gate
-    leave_own : leave out a sample on the pixel itself
-    marks : (M,) float32, a property of the samples to average
     """
-    shape = image.shape[0], image.shape[1]
-    nearest = nearest_samples(samples.rows, samples.columns, shape, at, neighbors, leave_own)
-    values, sigma = (np.full(at[0].size, np.nan, np.float32) for _ in range(2))
-    confidence, mark = (np.zeros(at[0].size, np.float32) for _ in range(2))
-    marks = np.zeros(samples.values.size, np.float32) if marks is None else marks
-    _fit(
-        nearest, samples.rows, samples.columns, samples.values, image, at[0], at[1], np.float32(max(noise, 1e-9)),
-        np.float32(1.0 / (2.0 * color_scale**2)), np.float32(slope / shape[1]), steps,
-        marks, values, sigma, confidence, mark,
-    )  # fmt: skip
-    return SamplePlanes(values, sigma, confidence, mark)
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    neighbors: int = Field(24, ge=3, le=64, description="number of nearest samples that a plane is fitted to")
+    color_scale: float = Field(
+        60.0, gt=0, description="color difference at which a sample's weight falls by exp(-1/2), grey levels"
+    )
+    slope: float = Field(
+        0.8, ge=0, description="typical slope of surfaces: change of depth across the image's width, over the depth"
+    )
+    steps: int = Field(5, ge=1, le=50, description="reweighted least squares, from a wide to a narrow gate")
+
+    def __call__(
+        self,
+        samples: Samples,
+        image: NDArray[np.uint8],
+        noise: float,
+        at: tuple[NDArray[np.int32], NDArray[np.int32]],
+        leave_own: bool = False,
+        marks: NDArray[np.float32] | None = None,
+    ) -> SamplePlanes:
+        """Fit a plane at every one of some pixels.
+
+        Parameters
+        ----------
+        samples : M of them
+        image : (H, W, 3) uint8
+        noise : standard deviation of good samples, in the unit of their values
+        at : (P,) int32 rows and columns of the pixels
+        leave_own : leave out a sample on the pixel itself
+        marks : (M,) float32, a property of the samples to average
+        """
+        shape = image.shape[0], image.shape[1]
+        nearest = nearest_samples(samples.rows, samples.columns, shape, at, self.neighbors, leave_own)
+        values, sigma = (np.full(at[0].size, np.nan, np.float32) for _ in range(2))
+        confidence, mark = (np.zeros(at[0].size, np.float32) for _ in range(2))
+        marks = np.zeros(samples.values.size, np.float32) if marks is None else marks
+        _fit(
+            nearest, samples.rows, samples.columns, samples.values, image, at[0], at[1], np.float32(max(noise, 1e-9)),
+            np.float32(1.0 / (2.0 * self.color_scale**2)), np.float32(self.slope / shape[1]), self.steps,
+            marks, values, sigma, confidence, mark,
+        )  # fmt: skip
+        return SamplePlanes(values, sigma, confidence, mark)
 
 
 @parallel_jit

@@ -117,10 +117,9 @@ def cast_votes(
     reach = max(r for _, r in LEVELS)
     space = np.exp(-np.arange(reach + 1) / _SPACE_SCALES[:, None]).astype(np.float32)
     scale = np.searchsorted(_SPACE_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
-    near, middle, far = voters
     _vote(
-        pixels, scale, lab, near.planes, near.lab, near.weight, middle.planes, middle.lab, middle.weight,
-        far.planes, far.lab, far.weight, prior.limit, prior.beyond, prior.rim, prior.bonus,
+        pixels, scale, lab, tuple(v.planes for v in voters), tuple(v.lab for v in voters),
+        tuple(v.weight for v in voters), prior.limit, prior.beyond, prior.rim, prior.bonus,
         color_similarity(sigma_color), space, np.float32(low), np.float32(unit), bins, values, shares,
     )  # fmt: skip
     return values, shares
@@ -165,8 +164,8 @@ def _gather(  # type: ignore[no-untyped-def]
 
 @parallel_jit
 def _vote(  # type: ignore[no-untyped-def]
-    pixels, scale, lab, planes0, colors0, weight0, planes1, colors1, weight1, planes2, colors2, weight2, limit, beyond,
-    rim, bonus, similarity, space, low, unit, bins, values, shares,
+    pixels, scale, lab, planes, colors, weight, limit, beyond, rim, bonus, similarity, space, low, unit, bins, values,
+    shares,
 ):  # fmt: skip
     for block in prange((len(pixels) + 255) // 256):
         votes = np.zeros((bins, 2), np.float32)  # mass, and mass x value
@@ -177,18 +176,14 @@ def _vote(  # type: ignore[no-untyped-def]
             light, a, b = np.int32(lab[y, x, 0]), np.int32(lab[y, x, 1]), np.int32(lab[y, x, 2])
             extent[0], extent[1] = bins, -1
             largest, factor, weights = limit[y, x], beyond[y, x], space[scale[n]]
-            _gather(
-                y, x, light, a, b, planes0, colors0, weight0, 1, -1, 5, largest, factor, similarity, weights, low,
-                per_unit, bins, votes, extent,
-            )  # fmt: skip
-            _gather(
-                y, x, light, a, b, planes1, colors1, weight1, 4, 5, 36, largest, factor, similarity, weights, low,
-                per_unit, bins, votes, extent,
-            )  # fmt: skip
-            _gather(
-                y, x, light, a, b, planes2, colors2, weight2, 12, 36, 108, largest, factor, similarity, weights, low,
-                per_unit, bins, votes, extent,
-            )  # fmt: skip
+            inner = -1
+            for level in range(len(LEVELS)):
+                stride, reach = LEVELS[level]
+                _gather(
+                    y, x, light, a, b, planes[level], colors[level], weight[level], stride, inner, reach, largest,
+                    factor, similarity, weights, low, per_unit, bins, votes, extent,
+                )  # fmt: skip
+                inner = reach
             total = np.float32(0)
             for k in range(extent[0], extent[1] + 1):
                 total += votes[k, 0]

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.plane_fitting.sample_planes import Samples
+from depthcli.algorithms.plane_fitting.sample_planes import RobustFit, Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, RefinedDepth
-from depthcli.methods.transparent.fit import RobustFit
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 
 _FIT_TOLERANCE = 3.0  # standard deviations within which a sample agrees with its neighbors
@@ -28,8 +27,7 @@ class FittedFrame:
     sensor : (H, W) float32
     samples : those that agree with their neighbors or with the sensor
     noise : their standard deviation
-    fit, sigma, confidence : (H, W) float32, planes through the samples, their standard deviation and confidence
-    contradiction : (H, W) float32 in [0, 1], how far the samples of the fit contradict the sensor at their own pixels
+    fit, sigma : (H, W) float32, planes through the samples and their standard deviation
     unreliable : (H, W) bool, the sensor knows the pixel and contradicts the samples
     """
 
@@ -38,8 +36,6 @@ class FittedFrame:
     noise: float
     fit: NDArray[np.float32]
     sigma: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    contradiction: NDArray[np.float32]
     unreliable: NDArray[np.bool_]
 
     def sampled(self, values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
@@ -72,7 +68,7 @@ def fit_frame(frame: SparseFrame, fit: RobustFit, rule: UnreliableRegions, clock
     clock.stop("fit")
     unreliable = rule(sensor, values, sigma, confidence, contradiction, samples, noise, frame.color)
     clock.stop("unreliable")
-    return FittedFrame(sensor, samples, noise, values, sigma, confidence, contradiction, unreliable)
+    return FittedFrame(sensor, samples, noise, values, sigma, unreliable)
 
 
 def inverse_depth(depth: NDArray[np.float32]) -> NDArray[np.float32]:

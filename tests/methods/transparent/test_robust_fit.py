@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.sample_planes import Samples, nearest_samples
-from depthcli.methods.transparent.fit import RobustFit
+from depthcli.algorithms.plane_fitting.sample_planes import RobustFit, Samples, nearest_samples
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import transparent as naive
 

@@ -20,6 +20,9 @@ Disparity = NDArray[np.float32]
 class KinectPipeline(Method):
     """A complete refinement of one frame; in a config its name stands under ``pipeline``."""
 
+    bytes_per_pixel: ClassVar[int]
+    """Estimate of the peak working memory."""
+
     @abstractmethod
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
         """Refine the depth map of ``frame``.
@@ -34,14 +37,11 @@ class KinectPipeline(Method):
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
-        raise NotImplementedError
+        return self.bytes_per_pixel * shape[0] * shape[1]
 
 
 class FilterPipeline(KinectPipeline):
     """A refinement that filters the disparity; its noise is the sigma of measured pixels, filled ones have none."""
-
-    bytes_per_pixel: ClassVar[int]
-    """Estimate of the peak working memory."""
 
     @abstractmethod
     def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
@@ -62,9 +62,6 @@ class FilterPipeline(KinectPipeline):
         values = self.filtered(frame, measured, noise, clock)
         sigma = np.where(np.isnan(measured), np.nan, noise).astype(np.float32)
         return refined_depth(frame, values, sigma, noise, clock)
-
-    def peak_bytes(self, shape: tuple[int, int]) -> int:
-        return self.bytes_per_pixel * shape[0] * shape[1]
 
 
 class SequencePipeline(KinectPipeline):

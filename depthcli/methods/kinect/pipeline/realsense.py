@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,8 @@ class Realsense(SequencePipeline):
     averaged with the filter's state where the two differ by less than ``spatial_delta``. Options of 0 turn a
     filter off.
     """
+
+    bytes_per_pixel: ClassVar[int] = 60
 
     magnitude: int = Field(2, ge=0, le=5, description="passes of the spatial filter; 0: off")
     spatial_alpha: float = Field(0.5, ge=0.25, le=1, description="weight of the value against the filter's state")
@@ -90,9 +92,6 @@ class Realsense(SequencePipeline):
         result = refined_depth(frame, values, sigma, noise, clock)
         result.depth.status[carried] = DepthStatus.CARRIED
         return result, RealsenseState(last, history)
-
-    def peak_bytes(self, shape: tuple[int, int]) -> int:
-        return 60 * shape[0] * shape[1]
 
 
 @parallel_jit

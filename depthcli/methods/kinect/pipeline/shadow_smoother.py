@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from pydantic import Field
 
@@ -20,6 +22,8 @@ class ShadowSmoother(KinectPipeline):
     Wrong measurements lie on the near side of depth edges, and a shadow falls on the surface on its left. In frames
     whose gaps are not as wide as shadows it is a plain smoother.
     """
+
+    bytes_per_pixel: ClassVar[int] = 100
 
     smoothness: float = Field(60.0, gt=0, description="lambda of the smoother")
     sigma_color: float = Field(4.0, gt=0, description="contrast that stops the smoothing, grey levels")
@@ -52,6 +56,3 @@ class ShadowSmoother(KinectPipeline):
         clock.stop("smoothing")
         sigma = np.where(known & ~band, noise, np.nan).astype(np.float32)
         return refined_depth(frame, values, sigma, noise, clock)
-
-    def peak_bytes(self, shape: tuple[int, int]) -> int:
-        return 100 * shape[0] * shape[1]

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.dense_crf import GaussianKernel, TruncatedLinear, mean_field
-from depthcli.algorithms.plane_fitting.sample_planes import Samples
+from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
+from depthcli.algorithms.plane_fitting.sample_planes import RobustFit, Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, RefinedDepth
-from depthcli.methods.transparent.fit import RobustFit
 from depthcli.methods.transparent.fitted_frame import FittedFrame, fit_frame, inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.unreliable import UnreliableRegions
@@ -62,7 +61,7 @@ class Crf(TransparentPipeline):
         if self.unreliable is None:
             sensor, samples = inverse_depth(frame.depth), Samples.of(inverse_depth(frame.sparse))
             blank = np.full(frame.shape, np.nan, np.float32)
-            fitted = FittedFrame(sensor, samples, 0.0, blank, blank, blank, blank, np.zeros(frame.shape, np.bool_))
+            fitted = FittedFrame(sensor, samples, 0.0, blank, blank, np.zeros(frame.shape, np.bool_))
             region = np.ones(frame.shape, np.bool_)
         else:
             fitted = fit_frame(frame, self.fit, self.unreliable, clock)
@@ -117,8 +116,7 @@ class Crf(TransparentPipeline):
             known = np.isfinite(at) & np.isfinite(share)
             distance = np.minimum(np.abs(label - at[known, None]), np.float32(self.truncation))
             unary[known] -= (np.float32(self.sample_weight) * share[known, None] * distance).astype(np.float32)
-        q = mean_field(unary, self._kernels(frame, fitted, region), TruncatedLinear(self.smooth_truncation),
-                       self.iterations)  # fmt: skip
+        q = mean_field(unary, self._kernels(frame, fitted, region), self.smooth_truncation, self.iterations)
         mean = (q @ label).astype(np.float64)
         spread = np.sqrt(np.maximum((q @ label**2).astype(np.float64) - mean**2, 0.0))
         clock.stop("crf")

@@ -11,7 +11,7 @@ from depthcli.core.method import Odd
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
-from depthcli.methods.transparent.pipeline.nearest import Nearest, disagrees, nearest_depth
+from depthcli.methods.transparent.pipeline.nearest import Nearest, nearest_depth
 
 
 class JointBilateral(TransparentPipeline):
@@ -23,8 +23,7 @@ class JointBilateral(TransparentPipeline):
 
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
-        rule = Nearest()
-        unreliable = disagrees(frame, nearest_depth(frame), rule.tolerance, rule.relative_tolerance, rule.reach)
+        unreliable = Nearest().unreliable(frame, nearest_depth(frame))
         reliable = np.where(unreliable, np.float32(np.nan), frame.depth)
         known = inverse_depth(np.where(np.isfinite(reliable), reliable, frame.sparse))
         filled = joint_bilateral_fill(frame.color, known, self.window, self.sigma_space, self.sigma_color)

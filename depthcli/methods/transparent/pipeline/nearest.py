@@ -26,7 +26,7 @@ class Nearest(TransparentPipeline):
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
         dense = nearest_depth(frame)
-        unreliable = disagrees(frame, dense, self.tolerance, self.relative_tolerance, self.reach)
+        unreliable = self.unreliable(frame, dense)
         sensor = inverse_depth(frame.depth)
         values = np.where(np.isfinite(sensor) & ~unreliable, sensor, inverse_depth(dense))
         result = refined_depth(
@@ -34,6 +34,15 @@ class Nearest(TransparentPipeline):
         )
         clock.stop("fill")
         return result
+
+    def unreliable(self, frame: SparseFrame, dense: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Select the pixels whose depth by the sensor is far from ``dense``, median of 5 x 5, (H, W) bool."""
+        blank = np.where(np.isfinite(frame.sparse), np.uint8(0), np.uint8(1))
+        away = cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        far = np.abs(dense - frame.depth) > np.maximum(self.tolerance, self.relative_tolerance * frame.depth)
+        smooth = cv2.medianBlur((far & (away <= self.reach)).astype(np.uint8), 5)
+        unreliable: NDArray[np.bool_] = (smooth > 0) & np.isfinite(frame.depth)
+        return unreliable
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Estimate the memory of a few maps."""
@@ -49,15 +58,3 @@ def nearest_depth(frame: SparseFrame) -> NDArray[np.float32]:
     nearest = nearest_samples(samples.rows, samples.columns, frame.shape, (rows, columns), 1)
     dense: NDArray[np.float32] = samples.values[nearest[:, 0]].reshape(frame.shape)
     return np.asarray(cv2.medianBlur(dense, 5), np.float32)
-
-
-def disagrees(
-    frame: SparseFrame, dense: NDArray[np.float32], tolerance: float, relative: float, reach: float
-) -> NDArray[np.bool_]:
-    """Select the pixels whose depth by the sensor is far from ``dense``, median of 5 x 5, (H, W) bool."""
-    blank = np.where(np.isfinite(frame.sparse), np.uint8(0), np.uint8(1))
-    away = cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    far = np.abs(dense - frame.depth) > np.maximum(tolerance, relative * frame.depth)
-    smooth = cv2.medianBlur((far & (away <= reach)).astype(np.uint8), 5)
-    unreliable: NDArray[np.bool_] = (smooth > 0) & np.isfinite(frame.depth)
-    return unreliable

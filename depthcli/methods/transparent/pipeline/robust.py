@@ -7,11 +7,12 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
+from depthcli.algorithms.plane_fitting.sample_planes import RobustFit
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, RefinedDepth
-from depthcli.methods.transparent.fit import RobustFit, Smoothing
 from depthcli.methods.transparent.fitted_frame import fit_frame, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
+from depthcli.methods.transparent.smoothing import Smoothing
 from depthcli.methods.transparent.unreliable import UnreliableRegions
 
 

@@ -1,4 +1,4 @@
-"""Inverse depth of every pixel from scattered samples: planes that agree with them, smoothed far from all samples."""
+"""Smoothing of a map that was fitted to scattered samples, where it is an extrapolation: far from all of them."""
 
 from __future__ import annotations
 
@@ -8,37 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes, Samples, sample_planes
+from depthcli.algorithms.plane_fitting.sample_planes import Samples
 from depthcli.kernels.jit import parallel_jit, prange
-
-
-class RobustFit(BaseModel):
-    """A plane through the nearest samples of similar color that agree with each other, by Tukey's biweight."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    neighbors: int = Field(24, ge=3, le=64, description="number of nearest samples that a plane is fitted to")
-    color_scale: float = Field(
-        60.0, gt=0, description="color difference at which a sample's weight falls by exp(-1/2), grey levels"
-    )
-    slope: float = Field(
-        0.8, ge=0, description="typical slope of surfaces: change of depth across the image's width, over the depth"
-    )
-    steps: int = Field(5, ge=1, le=50, description="reweighted least squares, from a wide to a narrow gate")
-
-    def __call__(
-        self,
-        samples: Samples,
-        image: NDArray[np.uint8],
-        noise: float,
-        at: tuple[NDArray[np.int32], NDArray[np.int32]],
-        leave_own: bool = False,
-        marks: NDArray[np.float32] | None = None,
-    ) -> SamplePlanes:
-        """Fit at pixels; see :func:`~depthcli.algorithms.plane_fitting.sample_planes.sample_planes`."""
-        return sample_planes(
-            samples, image, noise, at, self.neighbors, self.color_scale, self.slope, self.steps, leave_own, marks
-        )
 
 
 class Smoothing(BaseModel):
