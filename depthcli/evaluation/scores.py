@@ -70,6 +70,7 @@ class Score:
     pixels : denominator: number of pixels (points, voxels) that the value is taken over
     density : percentage of the region's pixels with known truth where the map has a value; NaN for an empty region
     wrong : number of wrong pixels, or None where the measure counts none
+    region_pixels : number of the region's pixels with known truth, by which densities of several scenes are pooled
     """
 
     measure: Measure
@@ -78,6 +79,7 @@ class Score:
     pixels: int
     density: float
     wrong: int | None = None
+    region_pixels: int = 0
 
     @property
     def key(self) -> Key:
@@ -120,11 +122,12 @@ class Tally:
     def rate(self, measure: Measure, wrong: NDArray[np.bool_]) -> Score:
         """Return the percentage of True in ``wrong``, an array of all or some of the region's pixels."""
         n_wrong = int(np.count_nonzero(wrong))
-        return Score(measure, self.region, percent(n_wrong, wrong.size), wrong.size, self.density, n_wrong)
+        return Score(measure, self.region, percent(n_wrong, wrong.size), wrong.size, self.density, n_wrong,
+                     self.error.size)  # fmt: skip
 
     def number(self, measure: Measure, value: float, pixels: int) -> Score:
         """Return the score of a measure that counts no wrong pixels."""
-        return Score(measure, self.region, value, pixels, self.density)
+        return Score(measure, self.region, value, pixels, self.density, region_pixels=self.error.size)
 
     def means(self) -> list[Score]:
         """Return ``avgerr`` and ``rms`` in pixels of disparity, over the estimated pixels."""
@@ -151,6 +154,13 @@ def bad_rate(
     """
     inside = region & ~np.isnan(truth)
     return percent(int(np.count_nonzero(~(np.abs(estimate[inside] - truth[inside]) <= threshold))), int(inside.sum()))
+
+
+def pooled_density(scores: Sequence[Score]) -> float:
+    """Return the density over the regions' pixels of several scenes together; NaN where there is no pixel."""
+    sizes = [s.region_pixels for s in scores]
+    answered = math.fsum(n * s.density for n, s in zip(sizes, scores, strict=True) if n)
+    return answered / sum(sizes) if any(sizes) else math.nan
 
 
 def percent(part: int, whole: int) -> float:

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from depthcli.evaluation.protocols.registration import error_classes
+from depthcli.core.volumes import Grid
+from depthcli.data.scenes.volume_pair import RegistrationTruth
+from depthcli.evaluation.comparison import Section
+from depthcli.evaluation.protocols import registration
+from depthcli.evaluation.protocols._registration import error_classes
+from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
+from depthcli.evaluation.results import COMMON_MEAN, MEAN, Result
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 
 
@@ -30,3 +39,77 @@ def test_area_counts_pairs_in_order():
 
 def test_classes():
     assert error_classes(np.array([0.0, 2.99, 3.0, 5.99, 6.0, 40.0])).tolist() == [0, 0, 1, 1, 2, 2]
+
+
+PROTOCOL = RegistrationProtocol()
+WIDE = (8, 250, 100)
+"""Shape of a volume whose last axis has a common divisor with any round step."""
+
+
+def result(scene: str, expected: np.ndarray | None, true: np.ndarray, run: str = "run") -> Result:
+    """The result of a dense truth; without ``expected``, of a pair that has no map."""
+    volume = true.astype(np.float32)
+    inside = np.ones(volume.shape, bool)
+    grid = Grid((volume.shape[2], volume.shape[1], volume.shape[0]), (1.0, 1.0, 1.0))
+    truth = PreparedTruth(volume.ravel(), None, inside, RegistrationTruth(grid, np.zeros((0, 3)), volume))
+    start = Result(run, scene, "set", PROTOCOL.name)
+    if expected is None:
+        return replace(start, scores=tuple(PROTOCOL.missing(truth)), error="no map")
+    estimate = expected.astype(np.float32).ravel()
+    return replace(start, scores=tuple(PROTOCOL.scores(estimate, truth)), pooled=PROTOCOL.keep(estimate, truth))
+
+
+def errors_along_x(seed: int, shape: tuple[int, int, int] = WIDE) -> tuple[np.ndarray, np.ndarray]:
+    """True errors that grow along x, the last axis, and expected ones that are near them."""
+    rng = np.random.default_rng(seed)
+    true = np.broadcast_to(np.linspace(0, 9, shape[2]), shape) + rng.uniform(0, 0.2, shape)
+    return true + rng.normal(0, 0.5, shape), true
+
+
+def values(scores: Any) -> dict[str, float]:
+    return {score.measure.heading: score.value for score in scores}
+
+
+def test_the_pooled_figures_of_one_pair_are_its_row():
+    expected, true = errors_along_x(0)
+    one = result("a", expected, true)
+    assert values(PROTOCOL.mean([one])) == values(one.scores)
+    assert values(one.scores)["Spearman"] > 0.95
+
+
+@pytest.mark.parametrize("limit", [10**9, 150_000])
+def test_pooled_figures_are_those_of_all_points(limit: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(registration, "_MAX_POOLED", limit)
+    pairs = [errors_along_x(1), errors_along_x(2, (4, 50, 100))]
+    pooled = values(PROTOCOL.mean([result(str(i), *pair) for i, pair in enumerate(pairs)]))
+    together = [np.concatenate([pair[k].ravel() for pair in pairs])[None, None] for k in (0, 1)]
+    assert pooled == pytest.approx(values(result("all", *together).scores), rel=1e-12 if limit > 10**6 else 0.01)
+
+
+def test_a_missing_pair_is_pooled_as_the_worst_points():
+    here, lost = errors_along_x(3, (4, 50, 100)), errors_along_x(4, (2, 50, 100))
+    full = result("a", *here)
+    pooled = values(PROTOCOL.mean([full, result("b", None, lost[1])]))
+    row = values(full.scores)
+    assert pooled["Spearman"] == pytest.approx((2 * row["Spearman"] - 1) / 3)
+    assert pooled["accuracy"] == pytest.approx(2 * row["accuracy"] / 3)
+    assert np.isnan(pooled["MAE"])
+    empty = result("b", np.full(lost[1].shape, np.nan), lost[1])
+    assert values(PROTOCOL.mean([full, empty])) == pytest.approx(pooled, nan_ok=True)
+    for score in PROTOCOL.mean([full, result("b", None, lost[1])]):
+        assert score.density == pytest.approx(100 * 2 / 3)
+
+
+def test_what_a_run_lacks_changes_no_other_runs_figures():
+    pairs = {name: errors_along_x(seed, (4, 50, 40 + 30 * seed)) for seed, name in enumerate("abc")}
+    whole = [result(name, *pair, run="whole") for name, pair in pairs.items()]
+    lacking = [result(n, None if n == "c" else e, t, run="lacking") for n, (e, t) in pairs.items()]
+    alone = Section("set", PROTOCOL, ("whole",), tuple(whole))
+    beside = Section("set", PROTOCOL, ("whole", "lacking"), (*whole, *lacking))
+    key = (PROTOCOL.headline, "voxels")
+    means = [section.score("whole", MEAN, key) for section in (alone, beside)]
+    assert means[0] == means[1]
+    common = [beside.score(run, COMMON_MEAN, key) for run in ("whole", "lacking")]
+    assert common[0] == common[1]
+    assert common[0] is not None
+    assert common[0].value == pytest.approx(values(PROTOCOL.mean(whole[:2]))["Spearman"])

@@ -23,6 +23,9 @@ from depthcli.evaluation.protocols._disparity import (
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, float_sum
 
 INTERPOLATED = "background-interpolated"
+NOTHING_ESTIMATED = 0.0
+"""Figure of the estimated pixels where there is none: the kits divide no error by no less than one pixel."""
+
 _EMPTY = np.float32(-1)  # value of a row without any, as the kit writes it
 
 
@@ -31,7 +34,9 @@ class Kitti2012(DisparityProtocol):
 
     The map is scored as the 16-bit PNG that would be submitted: multiples of 1/256 px, negative values missing.
     ``noc`` is compared with the values of ``disp_noc``. A row that is still empty after the interpolation holds
-    -1 there, and so it does here: its pixels are wrong, and count in the average error by that value.
+    -1 there, and so it does here: its pixels are wrong, and count in the average error by that value. A map without
+    any value in a region scores 0 on its estimated pixels, as in the kit, and counts as 0 in the mean; its density
+    says so. A map that is missing counts as wholly wrong, as everywhere here.
     """
 
     presentation = replace(
@@ -75,7 +80,7 @@ class Kitti2012(DisparityProtocol):
             for convention, pixels in ((INTERPOLATED, inside), (ESTIMATED_ONLY, inside & known)):
                 error = difference(filled, reference).T[pixels]
                 scores += self.measures(tally, error, reference.T[pixels], convention)
-        return scores
+        return [replace(s, value=NOTHING_ESTIMATED) if s.region_pixels and not s.pixels else s for s in scores]
 
     def measures(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
         """Compute ``out`` at the thresholds and ``avgerr`` from the errors and the true values of a region."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityTruth, Masks, difference
-from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, Kitti2012
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, percent
+from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, NOTHING_ESTIMATED, Kitti2012
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, percent, pooled_density
 
 
 class Kitti2015(Kitti2012):
@@ -58,18 +58,17 @@ class Kitti2015(Kitti2012):
 
     def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
         """Compute a score over all pixels of all frames: wrong pixels / all pixels, or the mean error."""
-        pixels = sum(s.pixels for s in scores)
-        # What a region holds, of which scores over the estimated pixels know only a share.
-        sizes = [s.pixels if s.measure.convention == INTERPOLATED or not s.density > 0 else 100 * s.pixels / s.density
-                 for s in scores]  # fmt: skip
-        answered = math.fsum(n * s.density for n, s in zip(sizes, scores, strict=True) if n)
-        density = answered / math.fsum(sizes) if pixels else math.nan
+        pixels, n_region = sum(s.pixels for s in scores), sum(s.region_pixels for s in scores)
+        density = pooled_density(scores)
         measure, region = scores[0].measure, scores[0].region
         counts = [s.wrong for s in scores if s.wrong is not None]
         if counts:
-            return Score(measure, region, percent(sum(counts), pixels), pixels, density, sum(counts))
-        value = math.fsum(s.value * s.pixels for s in scores if s.pixels) / pixels if pixels else math.nan
-        return Score(measure, region, value, pixels, density)
+            value = percent(sum(counts), pixels)
+        else:
+            value = math.fsum(s.value * s.pixels for s in scores if s.pixels) / pixels if pixels else math.nan
+        if n_region and not pixels:
+            value = NOTHING_ESTIMATED
+        return Score(measure, region, value, pixels, density, sum(counts) if counts else None, n_region)
 
 
 def is_d1(error: Disparity, truth: Disparity) -> NDArray[np.bool_]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,18 +21,13 @@ from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.presentation import Presentation
 from depthcli.evaluation.protocols import Protocol
+from depthcli.evaluation.protocols._registration import HEADLINE, LIMITS_MM, Errors, error_classes, point_scores
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.results import Curve, Result
-from depthcli.evaluation.scores import Measure, Score, percent
-from depthcli.evaluation.statistics import correlation, ranks, roc_area
+from depthcli.evaluation.scores import Score
 
-Errors = NDArray[np.float32]
-
-LIMITS_MM = (3.0, 6.0)
-"""A point is correct below the first, poor below the second, and wrong from there on (Sokooti et al. 2019)."""
-
-_MAX_POOLED = 20_000  # voxels that are kept of a dense truth to pool scenes, which bounds the memory
-_WORST_SHARE = 0.3  # of TRE30, the robustness of Learn2Reg
+_MAX_POOLED = 8_000_000  # points of several pairs; of more, which take minutes, so many are drawn
+_DRAWING_SEED = 0  # of the points that are drawn, any number: the same for all runs
 _N_BINS = 8  # of the table of expected against true errors
 _LANDMARK_RADIUS = 1 / 64  # of its ball in pictures, in lengths of the volume; chosen to be well visible
 
@@ -108,8 +103,8 @@ class RegistrationPresentation(Presentation):
         if not isinstance(scene, VolumePairScene):
             return None
         values = read_volume(scene.fixed).values
-        some = values.ravel()[:: max(1, values.size // _MAX_POOLED)]
-        low, high = np.percentile(some[np.isfinite(some)], (0.5, 99.5)) if np.isfinite(some).any() else (0.0, 1.0)
+        known = values[np.isfinite(values)]
+        low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 1.0)
         grey = (np.nan_to_num(values, nan=low) - low) * (255 / max(high - low, 1e-9))
         return np.clip(grey, 0, 255).astype(np.uint8)
 
@@ -158,7 +153,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         mean_heading="pooled",
     )
     region_order = ("landmarks", "voxels")
-    headline = Measure("Spearman", "", worst=-1.0, larger_is_better=True)
+    headline = HEADLINE
 
     def truth(self, scene: Scene) -> PreparedTruth:
         """Return the true errors at landmarks or voxels."""
@@ -214,7 +209,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
 
     def scores(self, estimate: Errors, truth: PreparedTruth) -> list[Score]:
         """Compute every measure over all points."""
-        return _scores(truth.region, estimate, truth.error)
+        return point_scores(truth.region, estimate, truth.error)
 
     def curves(self, estimate: Errors, truth: PreparedTruth, confidences: Mapping[str, NDArray[Any]]) -> list[Curve]:
         """Compute the sparsification curves of the true error by every confidence."""
@@ -226,25 +221,47 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         ]
 
     def keep(self, estimate: Errors, truth: PreparedTruth) -> tuple[str, Errors, Errors]:
-        """Return region, expected and true errors, of evenly spread voxels where there are very many."""
-        step = max(1, len(estimate) // _MAX_POOLED)
-        return truth.region, estimate[::step], truth.error[::step]
+        """Return region, expected and true errors of all points."""
+        return truth.region, estimate, truth.error
 
     def mean(self, results: Sequence[Result]) -> list[Score]:
-        """Compute every measure over all points of the scenes; where a scene lacks a map, the mean of the scores."""
-        if any(result.pooled is None for result in results) or not results:
+        """Compute every measure over all points of the scenes; those of a scene without any value count as the worst.
+
+        Of more than ``_MAX_POOLED`` points every scene gives the same share, drawn without regard to the other scenes.
+        """
+        scored = [result for result in results if result.scores]
+        regions = dict.fromkeys(result.scores[0].region for result in scored)
+        return [s for region in regions for s in self._pooled([r for r in scored if r.scores[0].region == region])]
+
+    def _pooled(self, results: Sequence[Result]) -> list[Score]:
+        """Pool the scenes of one region."""
+        if len(results) == 1:
+            return list(results[0].scores)
+        answered = [r for r in results if r.pooled is not None and np.isfinite(r.pooled[1]).any()]
+        if not answered:
             return super().mean(results)
-        made = []
-        for region in dict.fromkeys(result.pooled[0] for result in results):
-            chosen = [result.pooled for result in results if result.pooled[0] == region]
-            made += _scores(region, *(np.concatenate([kept[k] for kept in chosen]) for k in (1, 2)))
-        return made
+        n_points, n_answered = (sum(r.scores[0].region_pixels for r in each) for each in (results, answered))
+        drawn = [_drawn(r.pooled, _MAX_POOLED / n_points) for r in answered]
+        made = point_scores(results[0].scores[0].region, *(np.concatenate([each[k] for each in drawn]) for k in (0, 1)))
+        return [_with_missing(score, 1 - n_answered / n_points, n_points) for score in made]
 
 
-def error_classes(error: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
-    """Return 0 for errors below 3 mm, 1 below 6 mm, and 2 from there on."""
-    classes: NDArray[np.int64] = np.digitize(error, LIMITS_MM)
-    return classes
+def _drawn(kept: tuple[str, Errors, Errors], share: float) -> tuple[Errors, Errors]:
+    """Expected and true errors of a share of the points, or of all where it is not below 1."""
+    _, expected, true = kept
+    if share >= 1:
+        return expected, true
+    chosen = np.random.default_rng(_DRAWING_SEED).choice(len(true), max(1, round(share * len(true))), replace=False)
+    return expected[chosen], true[chosen]
+
+
+def _with_missing(score: Score, share: float, n_points: int) -> Score:
+    """The score where a share of the points lies in scenes without any value; NaN where there is no worst value."""
+    if share == 0:
+        return replace(score, region_pixels=n_points)
+    worst = math.nan if score.measure.worst is None else score.measure.worst
+    value, density = share * worst + (1 - share) * score.value, (1 - share) * score.density
+    return replace(score, value=value, density=density, region_pixels=n_points)
 
 
 def _at_points(path: Path, truth: PreparedTruth) -> Errors:
@@ -255,27 +272,3 @@ def _at_points(path: Path, truth: PreparedTruth) -> Errors:
         return volume.values[truth.inside]
     assert truth.landmarks is not None
     return trilinear(volume.values, truth.landmarks)
-
-
-def _scores(region: str, expected: Errors, true: Errors) -> list[Score]:
-    known = np.isfinite(expected)
-    n_known = int(known.sum())
-    e, t = expected[known].astype(np.float64), true[known].astype(np.float64)
-    ordered = np.sort(true.astype(np.float64))
-    worst = ordered[-max(1, round(_WORST_SHARE * len(true))) :]
-    line = sparsification(-e, t) if n_known else None
-    accuracy = 100 * float(np.mean(error_classes(e) == error_classes(t))) if n_known else np.nan
-    values = (
-        (RegistrationProtocol.headline, correlation(ranks(e), ranks(t))),
-        (Measure("Pearson", "", worst=-1.0, larger_is_better=True), correlation(e, t)),
-        (Measure("AUC", "", LIMITS_MM[0], worst=0.0, larger_is_better=True), roc_area(e, t > LIMITS_MM[0])),
-        (Measure("accuracy", "%", worst=0.0, larger_is_better=True), accuracy),
-        (Measure("MAE", "mm"), float(np.abs(e - t).mean()) if n_known else np.nan),
-        (Measure("expected", "mm"), float(e.mean()) if n_known else np.nan),
-        (Measure("AUSE", "mm"), np.nan if line is None else line.ause),
-        (Measure("AURG", "mm", larger_is_better=True), np.nan if line is None else line.aurg),
-        (Measure("TRE", "mm"), float(ordered.mean())),
-        (Measure("TRE std", "mm"), float(ordered.std())),
-        (Measure("TRE30", "mm"), float(worst.mean())),
-    )
-    return [Score(measure, region, value, n_known, percent(n_known, len(true))) for measure, value in values]
