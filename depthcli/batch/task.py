@@ -19,6 +19,7 @@ from depthcli.batch.run_folder import RECORD_FILE, SceneRecord, file_digest, rea
 from depthcli.batch.sharing import Shard
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
+from depthcli.data.formats.files import collected_warnings
 from depthcli.data.scenes import Scene
 
 BUG = "a bug in depthcli: "
@@ -153,6 +154,13 @@ class Task:
 
 def run_task(task: Task, run: Run, limit: int) -> Row:
     """Compute a scene with at most ``limit`` bytes and return its row; any failure becomes the row's ``error``."""
+    with collected_warnings() as lines:
+        row = _run_task(task, run, limit)
+    row["warnings"] = list(dict.fromkeys([*row.get("warnings", ()), *lines]))
+    return row
+
+
+def _run_task(task: Task, run: Run, limit: int) -> Row:
     resources.reset_peak()
     opened, lost = None, False
     try:

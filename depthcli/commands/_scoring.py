@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from depthcli.batch.json_csv import to_csv
 from depthcli.batch.run_folder import read_report
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.data.formats.files import write_text
+from depthcli.data.formats.files import collected_warnings, write_text
 from depthcli.data.formats.images import write_png
 from depthcli.data.scenes import Scene
 from depthcli.evaluation.plots import curve_plot
@@ -59,11 +59,13 @@ class Scoring:
         try:
             protocol = self._protocol_of(scene)
             start = replace(start, protocol=protocol.name)
-            truth: object = protocol.truth(scene)
+            with collected_warnings() as lines:
+                truth: object = protocol.truth(scene)
         except DepthcliError as error:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
         if self.page is not None:
             self.page.scene(protocol, scene, truth)
+        start = replace(start, warning="; ".join(lines))
         return [self._result(replace(start, run=run), protocol, scene, truth, names) for run in self.runs]
 
     def _protocol_of(self, scene: Scene) -> AnyProtocol:
@@ -74,6 +76,12 @@ class Scoring:
         return self.protocols.setdefault(protocol.name, protocol)
 
     def _result(self, start: Result, protocol: AnyProtocol, scene: Scene, truth: object, names: list[str]) -> Result:
+        """The result of one run's map, with what its readers and the protocol warn of."""
+        with collected_warnings() as lines:
+            result = self._scored(start, protocol, scene, truth, names)
+        return replace(result, warning="; ".join(filter(None, [result.warning, *lines])))
+
+    def _scored(self, start: Result, protocol: AnyProtocol, scene: Scene, truth: object, names: list[str]) -> Result:
         """Find, read, score and draw one run's map; where that fails, the worst scores with the reason."""
         place, rows = self.runs[start.run], self.reports[start.run]
         row: Row = next((rows[name] for name in names if name in rows), {})
@@ -103,7 +111,7 @@ class Scoring:
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
             size=protocol.size(truth),
             disparities=top if isinstance(top := row.get("max_disparity"), int) and top > 0 else 0,
-            warning="; ".join(warnings),
+            warning="; ".join(filter(None, [start.warning, *warnings])),
             pooled=protocol.keep(estimate, truth),
         )
         if self.output is not None:

@@ -123,6 +123,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         from depthcli.commands._save import save_metric_depth
         from depthcli.core.frames import color8
         from depthcli.core.result import Clock
+        from depthcli.data.formats.depth import MAX_DEPTH, MIN_DEPTH
         from depthcli.data.formats.images import read_image
         from depthcli.data.formats.pictures import read_status
 
@@ -165,6 +166,12 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
             far = 65535 / config["depth_scale"]
             warnings.append(f"{100 * beyond:.0f} % of the depths are beyond the {far:.4g} m that depth.png can hold: 0 "
                             "there, depth.pfm has them; see --depth-scale")  # fmt: skip
+        median = facts["median_depth"]
+        if median is not None and not MIN_DEPTH <= median <= MAX_DEPTH:
+            warnings.append(
+                f"the median depth is {median:.4g} m, with a focal length of {geometry.left.fx:.4g} px and a baseline "
+                f"of {geometry.baseline:.4g} m; is the calibration that of this map?"
+            )
         return Outcome(facts, clock.seconds, warnings)
 
 

@@ -53,6 +53,7 @@ class ExportCommand(Command):
         """
         from depthcli.batch.json_csv import to_json
         from depthcli.data.formats.disparity import read_disparity
+        from depthcli.data.formats.files import collected_warnings
         from depthcli.evaluation.benchmarks import Submission, benchmark
 
         target, bench = values["output"], benchmark(values["for_"])
@@ -70,11 +71,14 @@ class ExportCommand(Command):
             reporter.start(len(entries), 0, "check")
             for entry in entries:
                 try:
-                    disparity = read_disparity(entry.file)
+                    with collected_warnings() as lines:
+                        disparity = read_disparity(entry.file)
                     problems += [f"{entry.scene}: {reason}" for reason in bench.problems(entry, disparity, submission)]
                     sizes[entry.scene] = (disparity.shape[1], disparity.shape[0])
                 except DepthcliError as error:
                     problems.append(f"{entry.scene}: {error}")
+                for line in lines:
+                    reporter.info(f"warning: {line}")
                 reporter.step()
         problems += bench.whole(submission)
         if problems:

@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     from depthcli.data.formats.pictures import Palette
     from depthcli.methods.kinect.config import RefineKinectConfig
 
-# Median depths, in meters, that are plausible for a room.
-_MIN_ROOM_DEPTH, _MAX_ROOM_DEPTH = 0.2, 20.0
-# Codes per meter of common files: millimeters, TUM RGB-D, KITTI, tenths of millimeters, centimeters.
-_COMMON_SCALES = (1000.0, 5000.0, 256.0, 10_000.0, 100.0)
 _METRIC_SUFFIXES = (".pfm", ".npy")
 
 
@@ -187,19 +183,14 @@ def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
     """Return a warning where the depths are implausible for a room, with the scale that would make them plausible."""
     import numpy as np
 
-    from depthcli.data.formats.depth import read_codes
+    from depthcli.data.formats.depth import ROOM, implausible_depth, read_codes
 
-    median, scale = float(np.nanmedian(frame.depth)), scene.depth_scale
-    plausible = _MIN_ROOM_DEPTH <= median <= _MAX_ROOM_DEPTH
     if not scene.rotated and scene.depth.suffix not in _METRIC_SUFFIXES:
         codes = read_codes(scene.depth)
         if np.mean((codes[codes > 0] & 7) == 0) > 0.5:  # the three low bits are free where codes are rotated by 3
             return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
-    if plausible:
-        return []
-    fitting = [s for s in _COMMON_SCALES if _MIN_ROOM_DEPTH <= median * scale / s <= _MAX_ROOM_DEPTH and s != scale]
-    hint = f"; --depth-scale {fitting[0]:g} would fit" if fitting else ""
-    return [f"{scene.depth}: the median depth is {median:.3g} m at {scale:g} codes per meter{hint}"]
+    text = implausible_depth(scene.depth, frame.depth, scene.depth_scale, ROOM)
+    return [text] if text else []
 
 
 COMMAND = RefineKinectCommand()

@@ -100,7 +100,7 @@ def test_bad_frames_beside_good_ones(kinect: Path, tmp_path: Path, capsys: pytes
     err = capsys.readouterr().err
     assert "Traceback" not in err
     assert "far: warning: " in err
-    assert "the median depth is 61.5 m at 1000 codes per meter; --depth-scale 5000 would fit" in err
+    assert "the median depth is 61.5 m at 1000 codes per meter; a depth scale of 5000 would fit" in err
     assert (
         run("refine-kinect", "nearest", "-i", tmp_path / "in" / "far", "-o", tmp_path / "s", "--depth-scale", "5000")
         == 0

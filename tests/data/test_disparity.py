@@ -15,7 +15,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.disparity import read_disparity, read_pfm, read_plane, write_disparity_png, write_pfm
+from depthcli.data.formats.disparity import (
+    encode_pfm,
+    read_disparity,
+    read_pfm,
+    read_plane,
+    write_disparity_png,
+    write_pfm,
+)
+from depthcli.data.formats.files import collected_warnings
 from depthcli.data.formats.images import read_image, write_png
 
 maps = hnp.arrays(np.float32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.floats(width=32))
@@ -58,9 +66,29 @@ def test_pfm_bytes_and_both_byte_orders(tmp_path: Path):
     np.testing.assert_array_equal(read_disparity(path), values)
 
 
+@pytest.mark.parametrize("more", [b"\0", b"\n", bytes(24), b"Pf\n3 2\n-1\n"])
+def test_bytes_behind_a_pfm_are_ignored_with_a_warning(tmp_path: Path, more: bytes):
+    file = tmp_path / "long.pfm"
+    values = np.arange(6, dtype=np.float32).reshape(2, 3)
+    file.write_bytes(encode_pfm(values) + more)
+    for read in (read_pfm, read_plane, read_disparity):
+        with collected_warnings() as lines:
+            assert np.array_equal(read(file), values)
+        assert lines == [f"{file}: the PFM has {len(more)} bytes more than its 3 x 2 values; they are ignored"]
+
+
+@pytest.mark.parametrize("factor", [1, 256, -256])
+def test_disparities_wider_than_the_image_are_warned_of(tmp_path: Path, factor: int):
+    file = tmp_path / "map.pfm"
+    write_pfm(file, np.full((4, 20), 7 * factor, np.float32))
+    with collected_warnings() as lines:
+        read_disparity(file)
+    assert ["wider than the image of 20 px" in line for line in lines] == [True] * (factor != 1)
+
+
 @pytest.mark.parametrize("data", [
     b"", b"Pf", b"Pf\n3 2\n", b"Pf\n3 2\n0\n" + bytes(24), b"Pf\n3 2\nx\n" + bytes(24), b"Pf\n0 2\n-1\n",
-    b"Pf\n3 2\n-1\n" + bytes(23), b"Pf\n3 2\n-1\n" + bytes(25), b"P5\n3 2\n-1\n" + bytes(24),
+    b"Pf\n3 2\n-1\n" + bytes(23), b"P5\n3 2\n-1\n" + bytes(24),
     b"Pf\n-3 2\n-1\n" + bytes(24), b"PF\n1 1\n-1\n" + bytes(range(12)), b"Pf\n3 2\n-\n" + bytes(24),
     b"Pf\n99999999 99999999\n-1\n" + bytes(24),
 ])  # fmt: skip

@@ -14,6 +14,7 @@ from depthcli.core.cameras.kinect import KinectCalibration, kinect_v1
 from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import write_pfm
+from depthcli.data.formats.files import collected_warnings
 from depthcli.data.formats.images import read_grey, write_png
 from depthcli.data.formats.kinect import read_kinect_calibration, read_kinect_raw
 from depthcli.data.scenes.rgbd import RgbdScene
@@ -49,6 +50,29 @@ def test_our_layout(tmp_path: Path):
     assert (truth.depth[1:] == 2).all()
     np.testing.assert_array_equal(truth.masks["gap"], DEPTH == 0)
     np.testing.assert_array_equal(replace(scene, depth_scale=1000).load().depth[1:], 2)
+
+
+@pytest.mark.parametrize(
+    ("meta", "warned"),
+    [
+        ({"depth_scale": 2000, "fb": 6}, []),
+        ({"depth_scale": 2000, "fb": 60000}, ["meta.json: fb 60000 makes the median disparity 6e+04 px"]),
+        ({"depth_scale": 1}, ["depth.png: the median depth is 2e+03 m at 1 codes per meter; a depth scale of 1000 would"]),
+        ({"depth_scale": 5e5}, ["depth.png: the median depth is 0.004 m at 500000 codes per meter"]),
+    ],
+)
+def test_implausible_inputs_are_warned_of(tmp_path: Path, meta: dict[str, float], warned: list[str]):
+    write_png(tmp_path / "a" / "color.png", COLOR)
+    write_png(tmp_path / "a" / "depth.png", DEPTH)
+    write_png(tmp_path / "a" / "depth_true.png", DEPTH)
+    (tmp_path / "a" / "meta.json").write_text(json.dumps(meta))
+    (scene,) = find(tmp_path)
+    for read, end in ((scene.load, "depth.png"), (scene.truth, "depth_true.png")):
+        with collected_warnings() as lines:
+            read()
+        assert len(lines) == len(warned)
+        for line, text in zip(lines, warned, strict=True):
+            assert text.replace("depth.png", end) in line
 
 
 def test_meters_and_a_missing_fb(tmp_path: Path):

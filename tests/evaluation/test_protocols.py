@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -192,6 +193,22 @@ def test_v3_agrees_with_the_naive_one(seed, factor, rounded, size):
     assert judge.wrong(estimate, reference)[mask].sum() == pick(scores, "bad", 2.0).wrong
 
 
+def test_v3_clips_minus_infinity_as_the_sdk(tmp_path):
+    truth = everywhere(np.full((2, 3), 2, np.float32))
+    values = np.array([[-np.inf, np.inf, np.nan], [2, 2, 2]], np.float32)
+    data = b"Pf\n3 2\n-1\n" + values[::-1].astype("<f4").tobytes()
+    (tmp_path / "map.pfm").write_bytes(data)
+    judge = make("middlebury_v3")
+    scores = judge.scores(judge.read(tmp_path / "map.pfm", single(tmp_path), truth), truth)
+    assert pick(scores, "invalid").wrong == 2
+    assert pick(scores, "bad", 1.0).wrong == 1
+    assert pick(scores, "avgerr").value == 0.5
+
+
+def single(folder: Path) -> StereoScene:
+    return StereoScene(name="s", folder=folder, left=folder / "left.png")
+
+
 def test_quantiles_are_errors_that_occur():
     truth = everywhere(np.zeros((1, 10), np.float32))
     estimate = np.arange(1, 11, dtype=np.float32)[None]
@@ -280,7 +297,8 @@ def test_kitti_agrees_with_the_naive_one(seed):
             wrong, pixels, average = naive.kitti(png, filled, truth, mask, only, None if metric == "D1" else t)
             score = pick(scores, metric, t, convention)
             assert (score.wrong, score.pixels) == (wrong, pixels)
-        assert pick(scores, "avgerr", None, convention).value == pytest.approx(average, rel=1e-5, nan_ok=True)
+        expected = average if mask.any() and not np.isnan(truth[mask]).all() else math.nan
+        assert pick(scores, "avgerr", None, convention).value == pytest.approx(expected, rel=1e-5, nan_ok=True)
 
 
 def test_interpolation_leaves_an_empty_row_between_full_ones():
@@ -330,6 +348,25 @@ def test_kitti_2012_averages_frames_and_2015_pools_their_pixels():
     assert pick(judge.mean(lacking), "D1", 3.0, ESTIMATED_ONLY).value == 40
     assert pick(judge.mean(lacking), "D1", 3.0, INTERPOLATED).density == 80
     assert math.isnan(pick(judge.mean(lacking), "avgerr", None, INTERPOLATED).value)
+
+
+@pytest.mark.parametrize(("name", "others"), [("kitti_2012", 50.0), ("kitti_2015", 100.0)])
+def test_kitti_frames_without_any_estimate(name, others):
+    """The kits divide by at least one pixel: such a frame scores 0 on its estimated pixels, and has a density of 0."""
+    judge, empty = make(name), everywhere(np.full((1, 6), 10, np.float32), "occ")
+    nothing = judge.scores(judge.nothing(empty), empty)
+    for metric, t in (("out", 3.0), ("avgerr", None)):
+        score = pick(nothing, metric, t, ESTIMATED_ONLY)
+        assert (score.value, score.pixels, score.density) == (0, 0, 0)
+    assert pick(nothing, "out", 3.0, INTERPOLATED).value == 100
+    half = everywhere(np.full((1, 4), 10, np.float32), "occ")
+    wrong = judge.scores(np.array([[20, 20, np.nan, np.nan]], np.float32), half)
+    frames = [Result("r", str(k), "d", name, scores=tuple(scores)) for k, scores in enumerate((nothing, wrong))]
+    mean = judge.mean(frames)
+    assert pick(mean, "out", 3.0, ESTIMATED_ONLY).value == others
+    for convention in (INTERPOLATED, ESTIMATED_ONLY):
+        assert pick(mean, "out", 3.0, convention).density == (25 if name == "kitti_2012" else 20)
+    assert pick(judge.mean(frames[:1]), "out", 3.0, ESTIMATED_ONLY).value == 0
 
 
 def test_kitti_regions():

@@ -32,7 +32,7 @@ def evaldisp(estimate, truth, mask, t, max_disparity, rounded):
                 continue
             n += 1
             d = factor * float(estimate[y // factor, x // factor])
-            if math.isnan(d) or d > 1000 * top:
+            if math.isnan(d) or d > 1000 * top:  # -inf is a number, as in the SDK
                 invalid += 1
                 continue
             d = max(0.0, min(top, d))
@@ -101,7 +101,10 @@ def submitted(disparity):
 
 
 def kitti(estimate, filled, truth, mask, only_estimated, t=None):
-    """(wrong, pixels, average error) by D1 (``t`` None) or an error above ``t``; a value still missing is -1."""
+    """(wrong, pixels, average error) by D1 (``t`` None) or an error above ``t``; a value still missing is -1.
+
+    No pixel has an average error of 0, by the kit's division by at least 1.
+    """
     wrong = pixels = 0
     total = 0.0
     for y in range(truth.shape[0]):
@@ -115,7 +118,7 @@ def kitti(estimate, filled, truth, mask, only_estimated, t=None):
             total += error
             if (error > 3 and error >= 0.05 * gt) if t is None else error > t:
                 wrong += 1
-    return wrong, pixels, total / pixels if pixels else math.nan
+    return wrong, pixels, total / max(pixels, 1)
 
 
 def expected_sparsification(confidence, wrong, percentages):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,20 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import read_plane
-from depthcli.data.formats.files import shown, write_bytes
+from depthcli.data.formats.files import shown, warn, write_bytes
 from depthcli.data.formats.images import write_png
 
 MILLIMETERS = 1000.0
 """Codes per meter of Kinect, NYU and ROS (``16UC1``, REP 118); TUM RGB-D has 5000, KITTI 256."""
+
+ROOM = (0.2, 20.0)
+"""Median depths that are plausible for a room, meters."""
+
+MIN_DEPTH, MAX_DEPTH = 0.01, 100.0
+"""Median depths that are plausible at all, meters: from a macro lens to a street."""
+
+# Codes per meter of common files: millimeters, TUM RGB-D, KITTI, tenths of millimeters, centimeters.
+_COMMON_SCALES = (1000.0, 5000.0, 256.0, 10_000.0, 100.0)
 
 
 def read_codes(path: Path | str, rotate: int = 0, swapped: bool = False) -> NDArray[np.uint16]:
@@ -72,7 +82,40 @@ def read_depth(
     with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
         depth = (values / np.float64(scale or 1)).astype(np.float32)
     depth[~((depth > 0) & np.isfinite(depth))] = np.nan
+    if text := implausible_depth(path, depth, scale or 1.0):
+        warn(text)
     return depth
+
+
+def implausible_depth(
+    path: Path | str, depth: NDArray[np.float32], scale: float, limits: tuple[float, float] = (MIN_DEPTH, MAX_DEPTH)
+) -> str:
+    """Return a warning where the median depth is not within ``limits`` (meters), else an empty text.
+
+    Parameters
+    ----------
+    path : the file, named in the warning
+    depth : (H, W) float32, meters, NaN = unknown
+    scale : codes per meter that it was read with; another that would make it fit a room is named
+    """
+    known = depth[np.isfinite(depth)]
+    median = float(np.median(known)) if known.size else math.nan
+    if not known.size or limits[0] <= median <= limits[1]:
+        return ""
+    fitting = [s for s in _COMMON_SCALES if ROOM[0] <= median * scale / s <= ROOM[1] and s != scale]
+    hint = f"; a depth scale of {fitting[0]:g} would fit" if fitting else ""
+    return f"{shown(path)}: the median depth is {median:.3g} m at {scale:g} codes per meter{hint}"
+
+
+def check_fb(path: Path | str, fb: float, depth: NDArray[np.float32]) -> None:
+    """Warn where ``fb``, pixel meters, makes the median disparity of (H, W) meters wider than the image."""
+    known = depth[np.isfinite(depth)]
+    disparity, width = fb / float(np.median(known)) if known.size else 0.0, depth.shape[1]
+    if disparity > width:
+        warn(
+            f"{shown(path)}: fb {fb:g} makes the median disparity {disparity:.4g} px, wider than the image of {width} "
+            "px; want focal length x baseline in pixels x meters"
+        )
 
 
 def write_depth_png(

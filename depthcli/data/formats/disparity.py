@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError, OutputError
-from depthcli.data.formats.files import naming, read_bytes, shown, write_bytes
+from depthcli.data.formats.files import naming, read_bytes, shown, warn, write_bytes
 from depthcli.data.formats.headers import image_kind, pfm_header
 from depthcli.data.formats.images import IMAGE_SUFFIXES, decode_floats, decode_grey
 from depthcli.data.formats.npy import decode_npy
@@ -56,12 +56,25 @@ def read_disparity(
             )
         disparity = (values / np.float64(scale)).astype(np.float32)
         disparity[values <= 0] = np.nan
-        return disparity
+        return _plausible(disparity, path)
     with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
         disparity = values.astype(np.float32)
         if scale is not None and scale != 1:
             disparity = disparity / np.float32(scale)
     disparity[~np.isfinite(disparity)] = np.nan
+    return _plausible(disparity, path)
+
+
+def _plausible(disparity: NDArray[np.float32], path: Path | str) -> NDArray[np.float32]:
+    """The map itself, with a warning where most of its values are no disparities of an image of its size."""
+    width = disparity.shape[1]
+    with np.errstate(invalid="ignore"):
+        n_beyond = np.count_nonzero(np.abs(disparity) > width)
+    if 2 * n_beyond > np.count_nonzero(~np.isnan(disparity)):
+        warn(
+            f"{shown(path)}: the median disparity is {float(np.nanmedian(disparity)):.4g} px, wider than the image of "
+            f"{width} px; is the scale (codes per pixel) right?"
+        )
     return disparity
 
 
@@ -78,11 +91,12 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
     Raises
     ------
     InputError
-        Bad header, or the data are not exactly as long as the header says.
+        Bad header, or fewer data than the header says. Bytes behind them are ignored with a warning, as the
+        benchmarks' programs ignore them.
     """
     data = read_bytes(path)
     with naming(path):
-        return _decode_pfm(data)
+        return _decode_pfm(data, path)
 
 
 def read_plane(path: Path | str) -> NDArray[Any]:
@@ -101,19 +115,22 @@ def read_plane(path: Path | str) -> NDArray[Any]:
     with naming(path):
         kind = image_kind(data)
         if kind == "pfm":
-            return _decode_pfm(data)
+            return _decode_pfm(data, path)
         if kind == "npy":
             return decode_npy(data)
         floats = decode_floats(data)
         return decode_grey(data) if floats is None else floats
 
 
-def _decode_pfm(data: bytes) -> NDArray[np.float32]:
+def _decode_pfm(data: bytes, path: Path | str) -> NDArray[np.float32]:
     height, width, channels, little, start = pfm_header(data)
-    want, got = width * height * channels * 4, len(data) - start
-    if want != got:
+    n_values = width * height * channels
+    want, got = n_values * 4, len(data) - start
+    if want > got:
         raise InputError(f"damaged PFM ({width} x {height} needs {want} bytes of data, the file has {got})")
-    values = np.frombuffer(data, "<f4" if little else ">f4", offset=start).reshape(height, width, channels)[::-1]
+    if want < got:
+        warn(f"{shown(path)}: the PFM has {got - want} bytes more than its {width} x {height} values; they are ignored")
+    values = np.frombuffer(data, "<f4" if little else ">f4", n_values, start).reshape(height, width, channels)[::-1]
     if channels == 3 and not all(np.array_equal(values[..., 0], values[..., c], equal_nan=True) for c in (1, 2)):
         raise InputError("a colour PFM, want one channel")
     plane: NDArray[np.float32] = values[..., 0].astype(np.float32, order="C")

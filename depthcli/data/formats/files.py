@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import stat
 import threading
 from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import BinaryIO
 
@@ -43,6 +45,29 @@ def naming(path: Path | str) -> Iterator[None]:
         yield
     except InputError as error:
         raise InputError(f"{shown(path)}: {error}") from error
+
+
+_collected: ContextVar[list[str] | None] = ContextVar("collected", default=None)
+
+
+def warn(text: str) -> None:
+    """Say of a file, whose name ``text`` begins with, that it is read though something looks wrong with it."""
+    lines = _collected.get()
+    if lines is None:
+        logging.getLogger("depthcli").warning("warning: %s", text)
+    elif text not in lines:
+        lines.append(text)
+
+
+@contextlib.contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """Give a list that holds what the readers called in the block say by :func:`warn`, each text once."""
+    lines: list[str] = []
+    token = _collected.set(lines)
+    try:
+        yield lines
+    finally:
+        _collected.reset(token)
 
 
 @contextlib.contextmanager

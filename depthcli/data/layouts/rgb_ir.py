@@ -17,8 +17,8 @@ class RgbIr(Layout):
     kind = RgbIrScene
     wants = (
         "as `rgbd`, with `ir.*` (8 or 16 bit) and `calib.json` or OpenCV's `calib.yml` (M1 D1 M2 D2 R T); calib.json "
-        "has `color`, `infrared` (K, distortion, size), R and t, or `rectified`: true and `fb`; where known "
-        "`ir_noprojector.*`"
+        "has `color`, `infrared` (K, distortion, size), R and t, or `rectified`: true and `fb` (focal length x "
+        "baseline, pixels x meters); where known `ir_noprojector.*`"
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:

@@ -21,7 +21,8 @@ class Rgbd(Layout):
     wants = (
         "`color.*`, `depth.*`; where known `depth_true.*`, `mask_<name>.*` (255 = evaluate), `sparse.*` (a second "
         "depth map, known at some pixels) with `sparse_confidence.*`, `meta.json` "
-        "(`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, cy; `fb`)"
+        "(`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, cy; "
+        "`fb`: focal length x baseline, pixels x meters)"
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:

@@ -45,6 +45,7 @@ class RgbIrScene(RgbdScene):
             As for :meth:`load`; no calibration, or one that does not fit the images.
         """
         from depthcli.core.frames import RgbIrFrame
+        from depthcli.data.formats.depth import check_fb
         from depthcli.data.formats.images import read_image
         from depthcli.data.formats.rigs import read_color_infrared_rig
 
@@ -61,6 +62,7 @@ class RgbIrScene(RgbdScene):
                 f"{self.infrared}: {width} x {height}, but {self.color.name} is {frame.shape[1]} x {frame.shape[0]}; "
                 "a rectified pair has one size"
             )
+        check_fb(self.calibration, rig, frame.depth)
         return RgbIrFrame(frame.color, infrared, frame.depth, None, rig)
 
 

@@ -114,6 +114,7 @@ class RgbdScene(Scene):
 
         from depthcli.core.cameras.kinect import KINECT_BASELINE, KINECT_FOCAL_LENGTH
         from depthcli.core.frames import RgbdFrame, color8
+        from depthcli.data.formats.depth import check_fb
         from depthcli.data.formats.images import read_image
 
         self.check()
@@ -130,6 +131,8 @@ class RgbdScene(Scene):
             )
         if not np.isfinite(depth).any():
             raise InputError(f"{self.depth}: no pixel has a depth")
+        if self.fb:
+            check_fb(self.folder / "meta.json", self.fb, depth)
         fb = self.fb or (intrinsics.fx if intrinsics else KINECT_FOCAL_LENGTH) * KINECT_BASELINE
         return RgbdFrame(color, depth, fb, intrinsics)
 
@@ -168,6 +171,7 @@ class RgbdScene(Scene):
 
     def truth(self) -> RgbdTruth:
         """Return true depth and masks; InputError where there is none or sizes differ."""
+        from depthcli.data.formats.depth import check_fb
         from depthcli.data.formats.images import read_grey
 
         self.check()
@@ -183,6 +187,8 @@ class RgbdScene(Scene):
                     f"{depth.shape[1]} x {depth.shape[0]}"
                 )
             masks[name] = mask == 255
+        if self.fb:
+            check_fb(self.folder / "meta.json", self.fb, depth)
         return RgbdTruth(depth, masks, self.fb)
 
     def _depth(self, path: Path) -> NDArray[np.float32]:

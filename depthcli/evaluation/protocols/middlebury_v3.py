@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.data.formats.disparity import read_plane
 from depthcli.data.scenes import Scene
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, size
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Measure, Score, Tally, float_sum
@@ -29,9 +31,9 @@ class MiddleburyV3(DisparityProtocol):
     Maps of half or quarter size are scaled up; values are clipped to the search range at their own size, and
     rounded where the truth is whole pixels. ``bad`` counts wrong values and ``invalid`` missing ones, both over all
     pixels; ``totbad`` is their sum. ``avgerr`` (summed in single precision, as there), ``rms`` and the quantiles
-    ``A50`` ... are over the valid pixels; the quantile A_q is the smallest error that at least q percent of them do
-    not exceed. Thresholds are pixels of the full size: at quarter size 2.0 is applied as 0.5, so that the headline
-    means the same at every size.
+    ``A50`` ... are over the valid pixels; +inf and NaN are missing, -inf is the low end of the range. The quantile A_q
+    is the smallest error that at least q percent of the valid pixels do not exceed. Thresholds are pixels of the full
+    size: at quarter size 2.0 is applied as 0.5, so that the headline means the same at every size.
     """
 
     presentation = replace(
@@ -68,6 +70,13 @@ class MiddleburyV3(DisparityProtocol):
             full = _FULL_WIDTHS.get(name, 2800)
             factor = min(_FACTORS.values(), key=lambda f: abs(math.log(full / f / width)))
         return replace(truth, factor=factor)
+
+    def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
+        """Return the map in pixels; -inf of a PFM stays, which the SDK clips to the search range like any number."""
+        estimate = super().read(path, scene, truth)
+        if path.suffix.lower() == ".pfm":
+            estimate[np.isneginf(read_plane(path))] = -np.inf
+        return estimate
 
     def resized(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the estimate at the truth's size, nearest neighbor; only its exact half or quarter can be resized."""
