@@ -57,7 +57,10 @@ def test_our_layout(tmp_path: Path):
     [
         ({"depth_scale": 2000, "fb": 6}, []),
         ({"depth_scale": 2000, "fb": 60000}, ["meta.json: fb 60000 makes the median disparity 6e+04 px"]),
-        ({"depth_scale": 1}, ["depth.png: the median depth is 2e+03 m at 1 codes per meter; a depth scale of 1000 would"]),
+        (
+            {"depth_scale": 1},
+            ["depth.png: the median depth is 2e+03 m at 1 codes per meter; a depth scale of 1000 would"],
+        ),
         ({"depth_scale": 5e5}, ["depth.png: the median depth is 0.004 m at 500000 codes per meter"]),
     ],
 )
