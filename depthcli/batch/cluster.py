@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from depthcli import __version__
-from depthcli.batch import resources, run_folder
+from depthcli.batch import records, resources, run_folder
 from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import Row
 from depthcli.batch.processes import compile_watch, report_compilation, use_threads
@@ -189,7 +189,7 @@ def _connected(address: str) -> Any:
 
 def _about(output: str) -> tuple[str, str]:
     """Return the version of depthcli and the digest of the run folder's config, as this process sees them."""
-    return __version__, run_folder.digest(run_folder.saved_config(Path(output)).encode())
+    return __version__, records.digest(run_folder.saved_config(Path(output)).encode())
 
 
 def _compute_chunk(chunk: list[Task], run: Run, folder: str) -> tuple[list[Row], int, float]:
@@ -204,7 +204,7 @@ def _compute_chunk(chunk: list[Task], run: Run, folder: str) -> tuple[list[Row],
         for task in chunk:
             if not (task.workspace / _RUNNING_FILE).exists():
                 break
-            known = run_folder.read_record(task.target)
+            known = records.read_record(task.target)
             if known is not None and known.is_done(task.target, task.run, task.inputs):
                 rows.append(finished_row(known, {"source": task.source}))  # by a worker that died with its chunk
                 continue

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,7 +10,8 @@ from pathlib import Path
 from typing import TextIO
 
 from depthcli.batch.json_csv import Row, to_json_line, write_csv
-from depthcli.batch.run_folder import PARTS_FOLDER, REPORT_FILES, SceneRecord, read_report, reported_record
+from depthcli.batch.records import SceneRecord
+from depthcli.batch.run_folder import PARTS_FOLDER, REPORT_FILES, read_report, reported_record
 from depthcli.batch.sharing import FolderLock, Shard
 from depthcli.core.errors import OutputError
 from depthcli.data.formats.files import atomic_path
@@ -92,7 +92,10 @@ class ReportWriter:
 
 def drop_parts(output: Path) -> None:
     """Delete the reports of the processes that shared a run."""
-    shutil.rmtree(output / PARTS_FOLDER, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        for part in (output / PARTS_FOLDER).glob("*-of-*.json"):
+            part.unlink()
+        (output / PARTS_FOLDER).rmdir()
 
 
 def joined_rows(output: Path, run: str, names: Iterable[str] = ()) -> list[Row]:

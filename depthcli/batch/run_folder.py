@@ -10,14 +10,12 @@ itself and of each of them, and is ignored where a digest does not match.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import platform
 import re
 import sys
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -25,15 +23,24 @@ from typing import Any
 from pydantic import BaseModel
 
 from depthcli import __version__
-from depthcli.batch.json_csv import Row, to_json
+from depthcli.batch.json_csv import Row
+from depthcli.batch.records import (
+    MAX_TEXT_BYTES,
+    RECORD_FILE,
+    SceneRecord,
+    digest,
+    is_inside,
+    read_json,
+    read_record,
+    read_text,
+)
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError, OutputError
-from depthcli.data.formats.files import MAX_BYTES, open_regular, write_text
-from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.formats.files import write_text
 
 RUN_FILE = "run.yaml"
-RECORD_FILE = "record.json"
 REPORT_FILES = ("report.json", "report.csv")
+LEGEND_FILE = "legend.png"
 PARTS_FOLDER = ".parts"
 """Reports of the processes that share a run, until they are joined."""
 
@@ -43,37 +50,8 @@ _ROW_START = '  {"scene": '
 _MEASURED_COLUMNS = frozenset({"scene", "status", "error", "seconds", "peak_memory", "source"})
 # Packages whose versions decide what a run computes; part of the run's identity.
 _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image", "PyMaxflow")
-# The digest at the end of a record stands between these two.
-_BEFORE_DIGEST, _AFTER_DIGEST = ',\n "check": ', "\n}\n"
-# A report of 100,000 scenes has about 60 MB; larger files are not ours.
-_MAX_TEXT_BYTES = 1 << 28
-# Volumes may be large; without a bound a sparse file of no size on disk would be read for hours.
-_MAX_HASHED_BYTES = 1 << 36
-
-
-@dataclass(frozen=True)
-class SceneRecord:
-    """What a finished scene was made from and consists of; the last file that is written into its folder.
-
-    Attributes
-    ----------
-    scene : name of the scene
-    run : identity of the run, the digest of its ``run.yaml``
-    inputs : role -> digest of an input file, and whatever else the result depends on
-    files : path below the scene's folder -> digest of the file
-    facts : columns of the report that do not change when the scene is computed again
-    """
-
-    scene: str
-    run: str
-    inputs: dict[str, str]
-    files: dict[str, str]
-    facts: Row
-
-    def is_done(self, folder: Path, run: str, inputs: Mapping[str, str]) -> bool:
-        """Return True where this run made the scene from these inputs and all its files in ``folder`` are unchanged."""
-        made = self.run == run and self.inputs == dict(inputs)
-        return made and all(file_digest(folder / name) == content for name, content in self.files.items())
+# The first line of a run.yaml begins with this; a file of that name without it is not ours.
+_TITLE = "# Written by depthcli: the resolved config of this run."
 
 
 def run_text(command: str, config: BaseModel | Mapping[str, object]) -> str:
@@ -83,31 +61,9 @@ def run_text(command: str, config: BaseModel | Mapping[str, object]) -> str:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
     run = to_yaml({"run": {"command": command, "versions": versions}})
-    title = "# Written by depthcli: the resolved config of this run."
     if isinstance(config, BaseModel):
-        return f"{title} Repeat it with: depthcli {command} run.yaml ...\n{dump_config(config)}{run}"
-    return f"{title}\n{to_yaml(dict(config))}{run}"
-
-
-def digest(data: bytes) -> str:
-    """Return the SHA-256 digest in hexadecimal."""
-    return hashlib.sha256(data).hexdigest()
-
-
-def file_digest(path: Path) -> str:
-    """Return the SHA-256 digest of a file, or the reason why it cannot be read, which never equals a digest."""
-    limit = MAX_BYTES if path.suffix.lower() in IMAGE_SUFFIXES else _MAX_HASHED_BYTES
-    sha, left = hashlib.sha256(), limit
-    try:
-        with open_regular(path) as file:
-            while block := file.read(1 << 20):
-                sha.update(block)
-                left -= len(block)
-                if left < 0:
-                    return f"unreadable: larger than {limit >> 30} GiB"
-    except InputError as error:
-        return f"unreadable: {error}"
-    return sha.hexdigest()
+        return f"{_TITLE} Repeat it with: depthcli {command} run.yaml ...\n{dump_config(config)}{run}"
+    return f"{_TITLE}\n{to_yaml(dict(config))}{run}"
 
 
 def open_run(folder: Path, text: str, overwrite: bool) -> None:
@@ -118,14 +74,15 @@ def open_run(folder: Path, text: str, overwrite: bool) -> None:
     Raises
     ------
     ConfigError
-        The folder holds results of another config, and ``overwrite`` is not set.
+        The folder holds results of another config, and ``overwrite`` is not set; or files that no run wrote have the
+        names of a run's.
     OutputError
         The folder cannot be written.
     """
     file = folder / RUN_FILE
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        known = _read_text(file) if os.path.lexists(file) else None
+        known = read_text(file) if os.path.lexists(file) else None
     except OSError as error:
         raise OutputError(f"{folder}: cannot be used as a run folder ({error.strerror or error})") from error
     if holds_another(folder, text) and not overwrite:
@@ -137,15 +94,36 @@ def open_run(folder: Path, text: str, overwrite: bool) -> None:
         raise ConfigError(
             f"{folder}: holds a run made with another config ({reason}); choose another --output, or --overwrite it"
         )
-    if known != text:
-        write_text(file, text)
+    if known == text:
+        return
+    if not (known or "").startswith(_TITLE) and not _holds_results(folder):
+        names = (RUN_FILE, *REPORT_FILES, LEGEND_FILE)
+        if foreign := [name for name in names if os.path.lexists(folder / name)]:
+            raise ConfigError(f"{folder}: {not_ours(foreign)}")
+    write_text(file, text)
+
+
+def not_ours(names: Sequence[str]) -> str:
+    """Return why files that no run wrote are not replaced, and what to do."""
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    return (
+        f"{names[0]}{more} would be replaced, but no record says that depthcli wrote it; "
+        "move it away, or choose another --output or --name (--overwrite replaces only results)"
+    )
 
 
 def holds_another(folder: Path, text: str) -> bool:
     """Return True where a folder holds results of a run other than ``text``, so that :func:`open_run` refuses it."""
     if not os.path.lexists(folder / RUN_FILE) or saved_config(folder) == text:
         return False
-    return any(row["status"] == "done" for row in read_report(folder).values()) or any(folder.glob(f"*/{RECORD_FILE}"))
+    return _holds_results(folder)
+
+
+def _holds_results(folder: Path) -> bool:
+    if any(row["status"] == "done" for row in read_report(folder).values()) or any(folder.glob(f"*/{RECORD_FILE}")):
+        return True
+    deeper = (path.parents[1] for path in folder.glob(f"*/*/{RECORD_FILE}"))
+    return any(not (group / RUN_FILE).exists() for group in deeper)  # with a run.yaml it is a run of its own
 
 
 def join_run(folder: Path, text: str) -> str:
@@ -166,52 +144,12 @@ def opened_run(folder: Path) -> tuple[str, str]:
 
 def saved_config(folder: Path) -> str:
     """Return the text of a run folder's ``run.yaml``; empty where it is missing or cannot be read."""
-    return _read_text(folder / RUN_FILE)
-
-
-def write_record(folder: Path, record: SceneRecord) -> None:
-    """Write a record, with a digest of itself at its end, into a scene's folder."""
-    content = to_json(asdict(record))
-    check = f'{_BEFORE_DIGEST}"{digest(content.encode("utf-8"))}"{_AFTER_DIGEST}'
-    write_text(folder / RECORD_FILE, content.removesuffix(_AFTER_DIGEST) + check)
-
-
-def read_record(folder: Path) -> SceneRecord | None:
-    """Return the record of a scene's folder; None where it is missing, damaged, or names files elsewhere."""
-    # The digest is that of the text without it, so that nothing has to be encoded again.
-    content, found, check = _read_text(folder / RECORD_FILE).rpartition(_BEFORE_DIGEST)
-    content += _AFTER_DIGEST
-    if not found or check != f'"{digest(content.encode("utf-8", "surrogatepass"))}"{_AFTER_DIGEST}':
-        return None
-    try:
-        record = SceneRecord(**json.loads(content))
-    except (ValueError, TypeError, RecursionError):
-        return None
-    if not all(isinstance(each, dict) for each in (record.inputs, record.files, record.facts)):
-        return None
-    return record if all(is_inside(name) for name in record.files) else None
+    return read_text(folder / RUN_FILE)
 
 
 def reported_record(output: Path, name: str) -> SceneRecord | None:
     """Return the record of a scene that a report names; None also where the name leads out of the run folder."""
     return read_record(output / name) if is_inside(name) else None
-
-
-def remove_scene(folder: Path, record: SceneRecord) -> None:
-    """Delete the files that a record lists, the record first; other files in the folder stay."""
-    (folder / RECORD_FILE).unlink(missing_ok=True)
-    folders = {folder}
-    for name in record.files:
-        (folder / name).unlink(missing_ok=True)
-        folders.add((folder / name).parent)
-    for each in sorted(folders, key=lambda path: -len(path.parts)):
-        with contextlib.suppress(OSError):  # it is not empty
-            each.rmdir()
-
-
-def is_inside(name: str) -> bool:
-    """Return True for a relative path, with ``/``, that stays within its folder."""
-    return not any(part in ("", ".", "..") or "\0" in part for part in name.split("/"))
 
 
 def read_report(folder: Path, facts: bool = True) -> dict[str, Row]:
@@ -228,7 +166,7 @@ def read_report(folder: Path, facts: bool = True) -> dict[str, Row]:
     if parts:
         run = digest(saved_config(folder).encode())
         for part in parts:
-            document = _read_json(part)
+            document = read_json(part)
             if isinstance(document, dict) and document.get("run") == run:
                 rows |= _rows_by_scene(document.get("scenes"))
     return rows
@@ -238,7 +176,7 @@ def _rows_of_file(path: Path, keys: frozenset[str] | None) -> Any:
     """Return all rows of a report, reduced to ``keys``; one of ours is read line by line, which saves memory."""
     rows = []
     try:
-        if path.is_file() and path.stat().st_size <= _MAX_TEXT_BYTES:
+        if path.is_file() and path.stat().st_size <= MAX_TEXT_BYTES:
             with path.open(encoding="utf-8", errors="replace") as file:
                 for line in file:
                     if line.startswith(_ROW_START):
@@ -248,7 +186,7 @@ def _rows_of_file(path: Path, keys: frozenset[str] | None) -> Any:
         return []
     if rows:
         return rows
-    document = _read_json(path)
+    document = read_json(path)
     return document.get("scenes") if isinstance(document, dict) else None
 
 
@@ -278,20 +216,3 @@ def _rows_by_scene(rows: Any) -> dict[str, Row]:
         row["status"], row["error"] = str(row.get("status")), str(row.get("error") or "")
         found[row["scene"]] = row
     return found
-
-
-def _read_text(path: Path) -> str:
-    """Return the text of a regular file of reasonable size, empty for any other."""
-    try:
-        if path.is_file() and path.stat().st_size <= _MAX_TEXT_BYTES:
-            return path.read_text("utf-8", "replace")
-    except OSError:
-        pass
-    return ""
-
-
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(_read_text(path))
-    except (ValueError, RecursionError):
-        return None

@@ -15,12 +15,12 @@ import sys
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from depthcli.batch import cluster, processes, report_writer, run_folder
+from depthcli.batch import cluster, processes, records, report_writer, run_folder
 from depthcli.batch.command import ConfigT, SceneT
 from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import Row
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
-from depthcli.batch.task import Run, RunOptions, Task, Work, discard, run_task
+from depthcli.batch.task import OTHER_RUN, Run, RunOptions, Task, Work, discard, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
 from depthcli.data.scenes import Scene
 
@@ -91,6 +91,8 @@ def _check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
         files = () if scene.problem else run.work.files(run.config, scene).values()
         if any(target == os.path.dirname(os.path.realpath(file)) for file in files):
             raise ConfigError(f"{output}: {scene.name} would be written over its own input; choose another --output")
+        if target != os.path.join(os.path.realpath(output), *scene.name.split("/")):
+            raise ConfigError(f"{output}: {scene.name} is a link to {target}; give the folder that it leads to instead")
 
 
 def _open_folder(run: Run, scenes: Sequence[Scene], output: Path, lock: FolderLock) -> dict[str, Row]:
@@ -104,11 +106,11 @@ def _open_folder(run: Run, scenes: Sequence[Scene], output: Path, lock: FolderLo
         run_folder.open_run(output, text, run.options.overwrite)
         _remove_leftovers(output)
         if run.options.overwrite:  # scenes of the run that is replaced go; those that its report does not list stay
-            chosen, identity = {scene.name for scene in scenes}, run_folder.digest(text.encode())
+            chosen, identity = {scene.name for scene in scenes}, records.digest(text.encode())
             for name in earlier:
                 known = None if name in chosen else run_folder.reported_record(output, name)
                 if known is not None and known.run != identity:
-                    run_folder.remove_scene(output / name, known)
+                    records.remove_scene(output / name)
     lock.settle()
     run_folder.join_run(output, text)
     return earlier
@@ -116,7 +118,9 @@ def _open_folder(run: Run, scenes: Sequence[Scene], output: Path, lock: FolderLo
 
 def _remove_leftovers(output: Path) -> None:
     """Remove what killed runs left."""
-    for leftover in (*output.glob(f"{_WORKSPACE_PREFIX}*"), *output.glob(".*.partial~"), output / LOCKS_FILE):
+    with contextlib.suppress(OSError):
+        (output / LOCKS_FILE).unlink(missing_ok=True)
+    for leftover in (*output.glob(f"{_WORKSPACE_PREFIX}*"), *output.glob(".*.partial~")):
         if leftover.is_dir() and not leftover.is_symlink():
             discard(leftover)
         else:
@@ -129,7 +133,7 @@ class Inspector:
 
     def __init__(self, run: Run, output: Path) -> None:
         self.run, self.output = run, output
-        self.identity = run_folder.digest(run_folder.run_text(run.work.name, run.config).encode())
+        self.identity = records.digest(run_folder.run_text(run.work.name, run.config).encode())
         self._digests: dict[Path, str] = {}
 
     def task(self, scene: Scene, workspace: Path, number: int) -> Task:
@@ -142,9 +146,9 @@ class Inspector:
         source = str(next(iter(files.values()), scene.folder).absolute())
         return Task(scene, self.output, workspace, number, self.identity, inputs, source, keep)
 
-    def finished(self, task: Task, measured: Mapping[str, object]) -> tuple[Row | None, run_folder.SceneRecord | None]:
+    def finished(self, task: Task, measured: Mapping[str, object]) -> tuple[Row | None, records.SceneRecord | None]:
         """Return the row of a scene that is done, and its record; None where it is not done, or has no record."""
-        known = run_folder.read_record(task.target)
+        known = records.read_record(task.target)
         if known is None or not known.is_done(task.target, task.run, task.inputs):
             return None, known
         return report_writer.finished_row(known, {**measured, "source": task.source}), known
@@ -153,7 +157,7 @@ class Inspector:
         if file not in self._digests:
             if len(self._digests) >= _MAX_REMEMBERED:
                 self._digests.pop(next(iter(self._digests)))
-            self._digests[file] = run_folder.file_digest(file)
+            self._digests[file] = records.file_digest(file)
         return self._digests[file]
 
 
@@ -182,6 +186,8 @@ class _Batch:
                 continue
             origin = measured.get("source")
             same_run = known is not None and known.run == task.run
+            if known is not None and not same_run and not self.options.overwrite:
+                raise ConfigError(f"{task.target}: {OTHER_RUN}")
             if same_run and origin and origin != task.source and not self.options.overwrite:
                 raise ConfigError(
                     f"{self.output}: holds the result of another {scene.name!r}, made from {origin}; this one is "
@@ -267,7 +273,7 @@ class _Batch:
                 self.rows[task.scene.name] = _with_interned_keys(row)
         for task in self.tasks:
             row = self.rows.get(task.scene.name)
-            if row is not None and row["status"] == "done" and not (task.target / run_folder.RECORD_FILE).is_file():
+            if row is not None and row["status"] == "done" and not (task.target / records.RECORD_FILE).is_file():
                 self.rows[task.scene.name] = task.failed(f"{task.target}: was computed, but its files have gone since")
         discard(self.workspace)
         self.writer.close(self.lock)

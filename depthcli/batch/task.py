@@ -14,8 +14,18 @@ from typing import Any, Protocol, TypeVar
 
 from depthcli.batch import resources
 from depthcli.batch.json_csv import Row
+from depthcli.batch.records import (
+    CLAIM_FILE,
+    RECORD_FILE,
+    SceneRecord,
+    file_digest,
+    foreign_files,
+    read_record,
+    remove_scene,
+    write_record,
+)
 from depthcli.batch.report_writer import failed_row
-from depthcli.batch.run_folder import RECORD_FILE, SceneRecord, file_digest, read_record, remove_scene, write_record
+from depthcli.batch.run_folder import not_ours
 from depthcli.batch.sharing import Shard
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
@@ -24,6 +34,8 @@ from depthcli.data.scenes import Scene
 
 BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
+
+OTHER_RUN = "holds a scene of another run; choose another --output or --name, or --overwrite it"
 
 
 @dataclass
@@ -169,7 +181,7 @@ def _run_task(task: Task, run: Run, limit: int) -> Row:
         opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
         outcome = run.work.compute(run.config, task.scene, task.hidden, limit)
         _delete_unwanted(task)
-        _install(task, outcome, opened)
+        _install(task, outcome, opened, run.options.overwrite)
         seconds = {name: round(value, 6) for name, value in outcome.seconds.items()}
         row: Row = {"scene": task.scene.name, "status": "done", "error": "", **outcome.facts, "seconds": seconds}
         row |= {"peak_memory": resources.peak_memory(), "source": task.source, "warnings": outcome.warnings}
@@ -191,9 +203,10 @@ def _run_task(task: Task, run: Run, limit: int) -> Row:
             lost = not _is_open(task.hidden, opened)
             os.close(opened)
         shutil.rmtree(task.hidden, ignore_errors=True)
-    if row["status"] == "failed" and not lost and (known := read_record(task.target)) is not None:
+    known = read_record(task.target) if row["status"] == "failed" and not lost else None
+    if known is not None and (known.run == task.run or run.options.overwrite):
         with contextlib.suppress(OSError):  # the result of an earlier run from other inputs must not stay
-            remove_scene(task.target, known)
+            remove_scene(task.target)
     return row
 
 
@@ -221,8 +234,11 @@ def _is_open(folder: Path, opened: int) -> bool:
         return False
 
 
-def _install(task: Task, outcome: Outcome, opened: int) -> None:
-    """Move a computed scene into the run folder; ``opened`` is the open folder that it was computed in."""
+def _install(task: Task, outcome: Outcome, opened: int, overwrite: bool) -> None:
+    """Move a computed scene into the run folder, in the place of files that a record claims and of no others.
+
+    ``opened`` is the open folder that it was computed in.
+    """
     try:
         made = sorted(path for path in task.hidden.rglob("*") if path.is_file())
         files = {path.relative_to(task.hidden).as_posix(): file_digest(path) for path in made}
@@ -230,16 +246,22 @@ def _install(task: Task, outcome: Outcome, opened: int) -> None:
             raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
         write_record(task.hidden, SceneRecord(task.scene.name, task.run, task.inputs, files, outcome.facts))
         earlier = read_record(task.target)
-        if earlier is not None:
-            remove_scene(task.target, earlier)
+        if earlier is not None and earlier.run != task.run and not overwrite:
+            raise OutputError(f"{task.target}: {OTHER_RUN}")
+        if foreign := foreign_files(task.target, files):
+            raise OutputError(f"{task.target}: {not_ours(foreign)}")
+        remove_scene(task.target)
         task.target.parent.mkdir(parents=True, exist_ok=True)
         try:
             task.hidden.rename(task.target)
         except OSError:  # the folder exists and holds files of others
             task.target.mkdir(exist_ok=True)
+            # Where this is interrupted, the next run knows by the claim that the files are its own.
+            shutil.copyfile(task.hidden / RECORD_FILE, task.target / CLAIM_FILE)
             for name in (*files, RECORD_FILE):
-                (task.target / name).parent.mkdir(exist_ok=True)
+                (task.target / name).parent.mkdir(parents=True, exist_ok=True)
                 os.replace(task.hidden / name, task.target / name)
+            (task.target / CLAIM_FILE).unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
     task.trace.unlink(missing_ok=True)

@@ -65,6 +65,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         from depthcli.batch.console import run_table
         from depthcli.batch.json_csv import to_json
         from depthcli.batch.report_writer import report_document
+        from depthcli.batch.run_folder import LEGEND_FILE
         from depthcli.batch.runner import run_scenes
         from depthcli.batch.task import BUG
         from depthcli.data.formats.pictures import write_legend
@@ -74,7 +75,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         rows = run_scenes(self, config, scenes, output, options, reporter)
         failed = [row for row in rows if row["status"] == "failed"]
         if (palette := self.palette()) is not None and len(failed) < len(rows):
-            write_legend(output / "legend.png", palette, self.legend_values())
+            write_legend(output / LEGEND_FILE, palette, self.legend_values())
         evaluation = self._evaluation(scenes, values, reporter)
         if values["json"]:
             document = report_document(self.name, rows)

@@ -9,7 +9,8 @@ from typing import cast
 
 from depthcli.batch.command import SceneT, Values
 from depthcli.batch.console import Reporter
-from depthcli.batch.run_folder import is_inside, read_report
+from depthcli.batch.records import is_inside
+from depthcli.batch.run_folder import read_report
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.data.pairs import TABLE_SUFFIXES
 from depthcli.data.scenes import Scene

@@ -28,8 +28,9 @@ class MergeCommand(Command):
         """Write report.json and report.csv again; return the exit code, which says whether a scene failed."""
         from depthcli.batch.console import run_table
         from depthcli.batch.json_csv import to_json
+        from depthcli.batch.records import RECORD_FILE
         from depthcli.batch.report_writer import drop_parts, joined_rows, report_document, write_report
-        from depthcli.batch.run_folder import RECORD_FILE, opened_run
+        from depthcli.batch.run_folder import opened_run
         from depthcli.batch.sharing import FolderLock
 
         place: Path = values["run"]

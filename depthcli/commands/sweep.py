@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport, Section
 
 _RUNS = "runs"  # the folder with one run folder per combination
+_TABLES = ("sweep.json", "sweep.csv")
 _MAX_SHOWN = 20  # runs in the printed table; files hold all
 
 
@@ -82,6 +83,7 @@ class SweepCommand(Command):
         configs = {name: command.config(own) for name, own in each.items()}
         if values["dry_run"]:
             return _print_plan(command, each, configs, values, reporter)
+        _check_output(values["output"])
         failed = False
         for number, (name, own) in enumerate(each.items(), 1):
             reporter.info(f"run {number} of {len(each)}: {name}")
@@ -91,6 +93,13 @@ class SweepCommand(Command):
             _print_result(axes, dict(zip(names, chosen, strict=True)), report, values, reporter)
             failed |= bool(report.failed)
         return SOME_FAILED if failed else 0
+
+
+def _check_output(output: Path) -> None:
+    """Raise ConfigError where tables would replace files that no sweep wrote: it has a folder of runs beside them."""
+    for name in _TABLES:
+        if (output / name).exists() and not (output / _RUNS).is_dir():
+            raise ConfigError(f"{output / name}: is no sweep's; move it away, or choose another --output")
 
 
 def _command(name: str) -> ConfigCommand[BaseModel, Scene]:
@@ -177,8 +186,8 @@ def _print_result(
                           "sensitivity": [document_of(effect) for effect in found]})  # fmt: skip
         texts.append(_text(section, order, figures, found))
     document = {"over": {axis.key: axis.values for axis in axes}, "results": documents}
-    write_text(values["output"] / "sweep.json", to_json(document))
-    write_text(values["output"] / "sweep.csv", to_csv(rows))
+    for name, text in zip(_TABLES, (to_json(document), to_csv(rows)), strict=True):
+        write_text(values["output"] / name, text)
     if values["json"]:
         reporter.data(to_json(document))
     elif not values["quiet"]:

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from depthcli.batch import run_folder
+from depthcli.batch import records, run_folder
 from depthcli.batch.cluster import _Cluster
 from depthcli.batch.console import Reporter
 from depthcli.batch.task import Run, RunOptions, Task
@@ -73,7 +73,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def wait_for(folder: Path, scenes: int, process: subprocess.Popen[Any]) -> None:
     """Until so many scenes are done; the run must not be over by then."""
     end = time.monotonic() + 120
-    while len(list(folder.glob(f"*/{run_folder.RECORD_FILE}"))) < scenes:
+    while len(list(folder.glob(f"*/{records.RECORD_FILE}"))) < scenes:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < end
         time.sleep(0.01)
@@ -103,9 +103,9 @@ def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, tmp_path: Path, 
     assert sum(bool(row["seconds"]) for row in rows(output)) >= SCENES - 10
 
     # Some scenes are to do again, the scheduler goes: what is done is reported, the rest can be resumed, by anyone.
-    again = sorted(path.parent.name for path in output.glob(f"*/{run_folder.RECORD_FILE}"))[:40]
+    again = sorted(path.parent.name for path in output.glob(f"*/{records.RECORD_FILE}"))[:40]
     for name in again:
-        (output / name / run_folder.RECORD_FILE).unlink()
+        (output / name / records.RECORD_FILE).unlink()
     run = start(*command)
     wait_for(output, SCENES - 36, run)
     os.kill(cluster.scheduler.pid, signal.SIGKILL)

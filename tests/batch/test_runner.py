@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -11,9 +12,9 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from depthcli.batch import resources, run_folder
+from depthcli.batch import records, resources
 from depthcli.batch.console import Reporter, run_table
-from depthcli.batch.run_folder import RECORD_FILE
+from depthcli.batch.records import RECORD_FILE
 from depthcli.batch.runner import run_scenes
 from depthcli.batch.task import Outcome, Run, RunOptions, Task, discard, run_task
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
@@ -445,6 +446,94 @@ def test_what_is_left_of_a_folder_that_was_taken_away_is_not_installed(tmp_path:
     row = run_task(task(tmp_path / "making"), Run(Slow(), None, RunOptions()), 1 << 30)
     assert row["status"] == "failed"
     assert "the run has ended" in row["error"]
-    known = run_folder.read_record(tmp_path / "run/item")
+    known = records.read_record(tmp_path / "run/item")
     assert set(known.files) == set(made)
     assert known.is_done(tmp_path / "run/item", "run", {})
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_files_that_no_record_claims_are_never_replaced(folder: Folder, overwrite: bool):
+    """Own files in the place of a result, with a name of a result or of its record: the scene fails, they stay."""
+    for name, file in (("a", "out.txt"), ("b", "record.json"), ("c", "notes.txt")):
+        (folder.output / name).mkdir(parents=True)
+        (folder.output / name / file).write_text('{"my": 1}')
+    rows = folder.run(overwrite=overwrite)
+    assert [rows[name]["status"] for name in "abcd"] == ["failed", "failed", "done", "done"]
+    assert "a: out.txt would be replaced, but no record says that depthcli wrote it; move it away" in rows["a"]["error"]
+    assert "b: record.json would be" in rows["b"]["error"]
+    for name, file in (("a", "out.txt"), ("b", "record.json"), ("c", "notes.txt")):
+        assert (folder.output / name / file).read_text() == '{"my": 1}'
+    assert not (folder.output / "a/first.txt").exists()
+    (folder.output / "a/out.txt").unlink()
+    assert folder.run(only="a")["a"]["status"] == "done"
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["run.yaml", "report.csv", "report.json", "legend.png"])
+def test_a_folder_with_own_files_is_no_run_folder(folder: Folder, name: str, overwrite: bool):
+    folder.output.mkdir()
+    (folder.output / name).write_text("pipeline: mine")
+    with pytest.raises(ConfigError, match=f"{name} would be replaced"):
+        folder.run(overwrite=overwrite)
+    assert [path.name for path in folder.output.iterdir()] == [name]
+    assert (folder.output / name).read_text() == "pipeline: mine"
+
+
+def test_scenes_of_another_run_need_overwrite(folder: Folder):
+    folder.run()
+    (folder.output / "run.yaml").unlink()
+    (folder.output / "report.json").unlink()
+    (folder.output / "report.csv").unlink()
+    before = folder.bytes()
+    with pytest.raises(ConfigError, match="holds a scene of another run"):
+        folder.run(factor=3)
+    assert folder.bytes() | before == folder.bytes()
+    folder.run(factor=3, overwrite=True)
+    assert (folder.output / "a/out.txt").read_text() == "a" * 9
+
+
+def test_results_behind_a_link_stay(folder: Folder):
+    folder.run()
+    before, mine = folder.bytes(), folder.output
+    folder.output = folder.root / "other"
+    folder.output.mkdir()
+    (folder.output / "a").symlink_to(mine / "a")
+    folder.texts["a"] = "new"
+    with pytest.raises(ConfigError, match="other: a is a link to"):
+        folder.run(overwrite=True)
+    folder.output = mine
+    assert folder.bytes() == before
+    (mine / "a").rename(mine.parent / "moved")  # a link in the place of a file is replaced, what it leads to is not
+    (mine.parent / "moved/out.txt").rename(folder.root / "precious")
+    (mine.parent / "moved/out.txt").symlink_to(folder.root / "precious")
+    (mine.parent / "moved").rename(mine / "a")
+    folder.run()
+    assert (folder.root / "precious").read_text() == "aaa" * 2
+
+
+@pytest.mark.parametrize("when", ["unlink", "replace", "copyfile"])
+def test_an_interrupted_replacement_is_known_as_ours(folder: Folder, monkeypatch: pytest.MonkeyPatch, when: str):
+    """At every step in which a scene's old files make room for new ones, a kill leaves files that a record claims."""
+    folder.run(only="a")
+    (folder.output / "a/notes.txt").write_text("mine")  # the folder cannot be renamed
+    for step in range(8):
+        folder.texts["a"] = f"text {step}"
+        left = [step]
+
+        def killed(*arguments: Any, original: Any, left: list[int] = left, **options: Any) -> Any:
+            left[0] -= 1
+            if left[0] < 0:
+                raise KeyboardInterrupt
+            return original(*arguments, **options)
+
+        with monkeypatch.context() as patched:
+            module: Any = {"unlink": Path, "replace": os, "copyfile": shutil}[when]
+            original = getattr(module, when)
+            patched.setattr(module, when, lambda *a, o=original, k=killed, **b: k(*a, original=o, **b))
+            with contextlib.suppress(KeyboardInterrupt):
+                folder.run(only="a")
+        assert folder.run(only="a")["a"]["status"] == "done"
+        assert (folder.output / "a/out.txt").read_text() == f"text {step}" * 2
+        assert sorted(path.name for path in (folder.output / "a").iterdir()) == [
+            "first.txt", "notes.txt", "out.txt", "record.json",
+        ]  # fmt: skip
