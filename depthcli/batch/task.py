@@ -257,11 +257,11 @@ def _install(task: Task, outcome: Outcome, opened: int, overwrite: bool) -> None
         except OSError:  # the folder exists and holds files of others
             task.target.mkdir(exist_ok=True)
             # Where this is interrupted, the next run knows by the claim that the files are its own.
-            shutil.copyfile(task.hidden / RECORD_FILE, task.target / CLAIM_FILE)
-            for name in (*files, RECORD_FILE):
+            os.replace(task.hidden / RECORD_FILE, task.target / CLAIM_FILE)
+            for name in files:
                 (task.target / name).parent.mkdir(parents=True, exist_ok=True)
                 os.replace(task.hidden / name, task.target / name)
-            (task.target / CLAIM_FILE).unlink(missing_ok=True)
+            os.replace(task.target / CLAIM_FILE, task.target / RECORD_FILE)
     except OSError as error:
         raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
     task.trace.unlink(missing_ok=True)
