@@ -17,16 +17,14 @@ from depthcli.data.formats.volumes import write_volume
 from depthcli.data.scenes.volume_pair import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
-_MAX_SHOWN_ERROR = 10.0  # mm, shown in dark red by the color map
+_MAX_SHOWN_ERROR = 10.0  # mm; this and more is dark red in the preview
 _SLICE_SIDE = 240  # pixels of the longest side of a slice, about
+_POINTS = {"x": 4, "y": 4, "z": 4, "confidence": 5, "expected_error": 4, "shift_x": 4, "shift_y": 4, "shift_z": 4}
+"""Columns of the table of landmarks, and their decimals."""
 
 
 def save_registration(
-    result: RegistrationResult,
-    loaded: LoadedPair,
-    points: NDArray[np.float64] | None,
-    folder: Path,
-    suffix: str,
+    result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.float64] | None, folder: Path, suffix: str
 ) -> None:
     """Write confidence, expected error and shift as volumes, the landmarks as a table, and a preview.
 
@@ -45,9 +43,8 @@ def save_registration(
         return resample(values, (last - first, grid.shape[1], grid.shape[2]), back, start)
 
     def vectors(first: int, last: int) -> NDArray[np.float32]:
-        own = np.stack([slab(result.shift[axis], first, last) for axis in (2, 1, 0)], axis=-1)
-        turned: NDArray[np.float32] = (own @ grid.axes.T).astype(np.float32)
-        return turned
+        along_axes = np.stack([slab(result.shift[axis], first, last) for axis in (2, 1, 0)], axis=-1)
+        return np.asarray(along_axes @ grid.axes.T, np.float32)
 
     write_volume(folder / f"confidence{suffix}", grid, lambda a, b: slab(result.certainty, a, b))
     write_volume(folder / f"expected_error{suffix}", grid, lambda a, b: slab(result.expected_error, a, b))
@@ -60,19 +57,14 @@ def save_registration(
 def _rows(result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.float64]) -> list[Row]:
     starts, steps = loaded.on_grid(result.start, result.step)
     places = (loaded.grid.to_index(points) - np.array(starts)) / np.array(steps)
-    expected, certainty = trilinear(result.expected_error, places), trilinear(result.certainty, places)
     shift = np.stack([trilinear(result.shift[axis], places) for axis in (2, 1, 0)], axis=-1) @ loaded.grid.axes.T
-    rows = []
-    for k, point in enumerate(points):
-        row: Row = {axis: round(float(v), 4) for axis, v in zip("xyz", point, strict=True)}
-        row |= {"confidence": round(float(certainty[k]), 5), "expected_error": round(float(expected[k]), 4)}
-        row |= {f"shift_{axis}": round(float(v), 4) for axis, v in zip("xyz", shift[k], strict=True)}
-        rows.append(row)
-    return rows
+    measured = (trilinear(values, places) for values in (result.certainty, result.expected_error))
+    table = np.column_stack([points, *measured, shift])
+    return [{name: round(float(v), n) for (name, n), v in zip(_POINTS.items(), row, strict=True)} for row in table]
 
 
 def _preview(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.uint8]:
-    """Three orthogonal slices through the middle, one a row: fixed, warped, expected error over fixed."""
+    # Three orthogonal slices through the middle, one a row: fixed, warped, expected error over fixed.
     shape = result.expected_error.shape
     finer = max(1, round(_SLICE_SIDE / max(shape)))
     low, high = (float(v) for v in np.percentile(loaded.pair.fixed[:: max(1, shape[0] // 16)], [1, 99]))
@@ -98,7 +90,7 @@ def _enlarged(
     volume: NDArray[np.float32], axis: int, at: int, step: Sequence[float], start: Sequence[float],
     shape: tuple[int, ...], finer: int,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Slice ``at`` of a volume at the places ``start + step * i`` along the other axes, ``finer`` times as many."""
+    # Slice ``at`` of a volume at the places ``start + step * i`` along the other axes, ``finer`` times as many.
     cut = np.take(volume, [min(at, volume.shape[axis] - 1)], axis=axis)
     others = [a != axis for a in range(3)]
     sizes = [finer * n if other else 1 for n, other in zip(shape, others, strict=True)]

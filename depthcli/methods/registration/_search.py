@@ -41,12 +41,16 @@ def _differences(fixed: Any, warped: Any, small_values: bool, row: Any) -> None:
 
 
 @jit
+def _add(row: Any, out: Any) -> None:
+    for i in range(out.size):
+        out[i] += row[i]
+
+
+@jit
 def _window_rows(differences: Any, last: int, total: Any) -> None:
     # Add the last + 1 values from each place on, to as many sums.
     n = total.size
-    first = differences[:n]
-    for i in range(n):
-        total[i] += first[i]
+    _add(differences, total)
     j = 1
     while j + 1 <= last:
         one, other = differences[j : j + n], differences[j + 1 : j + 1 + n]
@@ -54,9 +58,7 @@ def _window_rows(differences: Any, last: int, total: Any) -> None:
             total[i] += one[i] + other[i]
         j += 2
     if j <= last:
-        one = differences[j : j + n]
-        for i in range(n):
-            total[i] += one[i]
+        _add(differences[j:], total)
 
 
 @jit
@@ -94,15 +96,11 @@ def _tile_costs(
                 _window_rows(row, last, total)
             running[:] = 0
             for y in range(2 * hy + 1 - sy):
-                added = total[y * pitch : y * pitch + width]
-                for i in range(width):
-                    running[i] += added[i]
+                _add(total[y * pitch : y * pitch + width], running)
             for y in range(ty):
                 for step in range(min(sy, 2 * hy + 1)):
                     first = (sy * y + 2 * hy - step) * pitch
-                    added = total[first : first + width]
-                    for i in range(width):
-                        running[i] += added[i]
+                    _add(total[first : first + width], running)
                 kept, volume = layers[z % nz, y], volumes[y]
                 if z >= nz:
                     for i in range(width):
@@ -191,7 +189,7 @@ def _raise(values: Any, power: Any, out: Any) -> None:
 
 
 @jit
-def _likelihoods(costs: Any, offsets: Any, lengths: Any, power: Any, every: bool, rows: Any, out: Any) -> None:
+def _likelihoods(costs: Any, offsets: Any, lengths: Any, power: Any, costly: bool, rows: Any, out: Any) -> None:
     # Sums of likelihoods into rows[4, 5, 6], of lengths and displacements weighted by their powers into out[:5].
     n = rows.shape[1]
     lowest, rate, weight, soft, hard, t, e = rows[0], rows[3], rows[4], rows[5], rows[6], rows[8], rows[9]
@@ -204,19 +202,17 @@ def _likelihoods(costs: Any, offsets: Any, lengths: Any, power: Any, every: bool
         row = costs[k]
         for i in range(n):
             t[i] = (np.float32(row[i]) - lowest[i]) * rate[i]
-        if every:
+        if costly:
             for i in range(n):
                 e[i] = attainable_likelihood(t[i])
-            for i in range(n):
-                hard[i] += e[i]
+            _add(e, hard)
         for i in range(n):
             t[i] = likelihood(t[i])
         for i in range(n):
             soft[i] += t[i]
             t[i] = max(t[i], tiny)
         _raise(t, power, e)
-        for i in range(n):
-            weight[i] += e[i]
+        _add(e, weight)
         _add_scaled(e, lengths[k], out[0])
         _add_scaled(e, lengths[k] * lengths[k], out[1])
         for axis in range(3):
@@ -226,7 +222,7 @@ def _likelihoods(costs: Any, offsets: Any, lengths: Any, power: Any, every: bool
 
 @jit
 def _measure_row(
-    costs: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, power: Any, scale: Any, every: bool, rows: Any,
+    costs: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, power: Any, scale: Any, costly: bool, rows: Any,
     out: Any,
 ) -> None:  # fmt: skip
     """Measures of one row of curves, (K, n) uint16 costs with displacement zero first, into (planes, n) ``out``.
@@ -236,7 +232,7 @@ def _measure_row(
     Every loop touches few arrays: beyond that the compiler no longer proves them apart, and does not vectorize.
     """
     _spread(costs, rows)
-    _likelihoods(costs, offsets, lengths, power, every, rows, out)
+    _likelihoods(costs, offsets, lengths, power, costly, rows, out)
     lowest, rate, weight, soft, hard = rows[0], rows[3], rows[4], rows[5], rows[6]
     cheaper, t, base = rows[7], rows[8], rows[10]
     share = np.float32(1.0 / costs.shape[0])
@@ -305,8 +301,8 @@ def _peak_row(costs: Any, before: Any, after: Any, best: Any, mean: Any, rows: A
 @parallel_jit
 def search_tiles(
     fixed: Any, warped: Any, offsets: Any, lengths: Any, edge: Any, neighbors: Any, before: Any, after: Any, half: Any,
-    reach: Any, stride: Any, tiles: Any, tile: Any, shift: Any, scale: Any, power: Any, small_values: bool, every: bool,
-    sums: Any, scratch: Any, out: Any,
+    reach: Any, stride: Any, tiles: Any, tile: Any, shift: Any, scale: Any, power: Any, small_values: bool,
+    costly: bool, sums: Any, scratch: Any, out: Any,
 ) -> None:  # fmt: skip
     """Search every tile and write its measures, at every ``stride``-th voxel.
 
@@ -319,7 +315,7 @@ def search_tiles(
     stride : (3,) int64, at most the window's size along each axis
     tiles : (N, 3) int64 first places, of those measured; tile : largest size
     shift, scale : bits dropped and what one unit stands for
-    power : 0.5 / k; small_values : no value is above 85; every : AML0, AML and PKR are computed too
+    power : 0.5 / k; small_values : no value is above 85; costly : compute AML0, AML and PKR too
     sums : empty array of the type that holds the sum of a window's layer
     scratch : (workers, tz, ty, K, tx or more) uint16; out : (16, nz, ny, nx) float32, in the order of PLANES
     """
@@ -361,8 +357,8 @@ def search_tiles(
             )  # fmt: skip
             for z in range(size[0]):
                 for y in range(size[1]):
-                    _measure_row(costs[z, y], offsets, lengths, edge, neighbors, power, scale, every, work, measured)
-                    if every:
+                    _measure_row(costs[z, y], offsets, lengths, edge, neighbors, power, scale, costly, work, measured)
+                    if costly:
                         _peak_row(costs[z, y], before, after, work[8], work[1], work, measured[15])
                     # What lies behind the tile's end is measured with it, and not copied.
                     for m in range(len(PLANES)):

@@ -1,4 +1,4 @@
-"""Measures of the search as millimeters, on the scale of the pair itself.
+"""Expected errors in mm from the measures of the search.
 
 Source of the isotonic regression by pool-adjacent-violators: Ayer et al. (1955).
 """
@@ -12,11 +12,11 @@ from depthcli.methods.registration.search import Curves
 from depthcli.methods.registration.smoothing import gaussian
 
 _N_SAMPLES = 20_000  # voxels that millimeters are fitted at; more change the second digit at most
-_STRUCTURED_QUANTILE = 0.8  # of the gradient, above which a voxel counts as structured
-_N_BINS, _MIN_PER_BIN = 200, 20
+_STRUCTURED_QUANTILE = 0.8  # of the gradient, above which a voxel counts as structured; chosen by hand
+_N_BINS, _MIN_PER_BIN = 200, 20  # of the isotonic regression; chosen by hand
 
 
-def structured(volume: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.int64]:
+def structured_voxels(volume: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return flat indices of some 20 000 evenly spread voxels of interest with much gradient."""
     smooth = gaussian(volume, 1.0)
     square = np.zeros_like(smooth)
@@ -29,7 +29,7 @@ def structured(volume: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArra
     return chosen[:: max(1, len(chosen) // _N_SAMPLES)]
 
 
-def expected(searches: list[Curves], measure: str, iso: float, sigma: float) -> NDArray[np.float32]:
+def expected_error(searches: list[Curves], measure: str, iso: float, sigma: float) -> NDArray[np.float32]:
     """Average a measure in mm over searches and surroundings, weighted by the inverse variance of the displacement.
 
     An error is smooth where a registration is, and the curves of places without texture, or of a feature that is blind

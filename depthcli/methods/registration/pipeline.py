@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +16,30 @@ from depthcli.core.volumes import RegisteredPair
 from depthcli.kernels.jit import threads
 from depthcli.methods.registration.feature import Feature
 from depthcli.methods.registration.feature.mind import Mind
-from depthcli.methods.registration.millimeters import expected, monotone, structured
+from depthcli.methods.registration.millimeters import expected_error, monotone, structured_voxels
 from depthcli.methods.registration.search import COSTLY, MEASURES, SURER_IF_LARGER, Curves, Span, search, search_bytes
 from depthcli.methods.registration.smoothing import gaussian
 
-WorkingGrid = tuple[tuple[int, int, int], tuple[float, float, float], tuple[float, float, float]]
-"""Shape, and step and place of the first voxel in voxels of the fixed volume."""
-
-IN_MILLIMETERS = ("eshift", "vshift", "shift")
-"""Measures that are lengths."""
-
+_LENGTHS = ("eshift", "vshift", "shift")  # measures in mm
 _CERTAINTY_MM = 3.0  # expected error of which the certainty is 1/e
 _CT_BELOW, _CT_RANGE = -500.0, (-1000.0, 400.0)  # volumes with values below are CT, in Hounsfield units: air to bone
 _PYRAMID_SIGMA = 0.8  # of the Gaussian before a volume is halved, voxels
 # Where coarse searches take over: errors as shares of the reach of the search, by the coarse one and by the finer one.
 _COARSE_SHARE, _FINE_SHARE = (0.6, 1.2), (0.8, 1.1)
+
+
+class WorkingGrid(NamedTuple):
+    """A grid of cubic voxels over the fixed volume.
+
+    Attributes
+    ----------
+    shape : number of voxels, (z, y, x)
+    step, start : side of a voxel and place of the first one's center, in voxels of the fixed volume
+    """
+
+    shape: tuple[int, int, int]
+    step: tuple[float, float, float]
+    start: tuple[float, float, float]
 
 
 @dataclass(kw_only=True)
@@ -113,44 +122,43 @@ class RegistrationConfidence(BaseModel):
         displacement lies on the border of the coarsest search; ``iso``, mm; ``mean_error``, mm.
         """
         clock = Clock()
-        fixed, warped, grid = self._working(pair)
+        grid = self.grid(pair.shape, pair.spacing)
+        iso = grid.step[2] * pair.spacing[2]
+        bounds = self.intensity_range
+        if bounds is None and min(pair.fixed.min(), pair.warped.min()) < _CT_BELOW:
+            bounds = _CT_RANGE
+        fixed, warped = (
+            resample(volume if bounds is None else np.clip(volume, np.float32(bounds[0]), np.float32(bounds[1])), *grid)
+            for volume in (pair.fixed, pair.warped)
+        )
         inside = np.ones(fixed.shape, np.bool_)
         if pair.mask is not None:
             inside = resample(pair.mask.astype(np.float32), *grid) >= 0.5
-        iso = grid[1][2] * pair.spacing[2]
         clock.stop("resample")
         fine, coarse = self._searches(fixed, warped, iso, clock)
-        chosen = _every(inside, self.stride)
-        chosen = chosen if chosen.any() else np.ones_like(chosen)
-        error, displacement = self._error(fine, coarse, structured(_every(fixed, self.stride), chosen), iso)
+        measured = _every_nth(inside, self.stride)
+        measured = measured if measured.any() else np.ones_like(measured)
+        structure = structured_voxels(_every_nth(fixed, self.stride), measured)
+        error, displacement = self._error(fine, coarse, structure, iso)
         clock.stop("calibration")
-        last = (coarse or fine)[-1]
         figures = {
             "iso": round(float(iso), 6),
-            "border": round(float(last.border[chosen].mean()), 6),
-            "mean_error": round(float(error[chosen].mean(dtype=np.float64)), 6),
+            "border": round(float((coarse or fine)[-1].border[measured].mean()), 6),
+            "mean_error": round(float(error[measured].mean(dtype=np.float64)), 6),
         }
+        z, y, x = (step * (self.stride if n > 1 else 1) for step, n in zip(grid.step, grid.shape, strict=True))
         return RegistrationResult(
             expected_error=error, certainty=np.exp(-error / np.float32(_CERTAINTY_MM)), shift=displacement,
-            measures=fine[0].maps, step=self._step(grid), start=grid[2], seconds=clock.seconds, figures=figures,
+            measures=fine[0].maps, step=(z, y, x), start=grid.start, seconds=clock.seconds, figures=figures,
         )  # fmt: skip
-
-    def _step(self, grid: WorkingGrid) -> tuple[float, float, float]:
-        z, y, x = (s * (self.stride if n > 1 else 1) for s, n in zip(grid[1], grid[0], strict=True))
-        return z, y, x
-
-    def _working(self, pair: RegisteredPair) -> tuple[NDArray[np.float32], NDArray[np.float32], WorkingGrid]:
-        grid = self.grid(pair.shape, pair.spacing)
-        fixed, warped = (self._on_grid(volume, pair, grid) for volume in (pair.fixed, pair.warped))
-        return fixed, warped, grid
 
     def _searches(
         self, fixed: NDArray[np.float32], warped: NDArray[np.float32], iso: float, clock: Clock
     ) -> tuple[list[Curves], list[Curves]]:
-        """Search with every feature, and with the first one at every coarser resolution."""
+        # Search with every feature, and with the first one at every coarser resolution.
         fine: list[Curves] = []
         coarse: list[Curves] = []
-        measured = _every(fixed, self.stride).shape
+        shape = _every_nth(fixed, self.stride).shape
         for level in range(self.levels):
             for feature in self.features if level == 0 else self.features[:1]:
                 channels = feature(*(_halved(volume, level) for volume in (fixed, warped)))
@@ -158,17 +166,16 @@ class RegistrationConfidence(BaseModel):
                 half = self.half_window if level == 0 else min(self.half_window, 2)
                 curves = search(
                     *channels, iso * 2**level, self.radius, half, self.sharpness, self.search,
-                    every=self.measure in COSTLY, stride=min(self.stride, 2 * half + 1),
+                    costly=self.measure in COSTLY, stride=min(self.stride, 2 * half + 1),
                 )  # fmt: skip
-                (fine if level == 0 else coarse).append(_enlarged(curves, measured, level))
+                (fine if level == 0 else coarse).append(_enlarged(curves, shape, level))
                 clock.stop("search")
         return fine, coarse
 
     def grid(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> WorkingGrid:
-        """Return the shape of the working grid, its step and its first voxel, in voxels of the fixed volume.
+        """Return the working grid of a volume of ``shape`` (z, y, x) voxels of ``spacing`` mm.
 
-        Working voxels are cubes; the outer faces of the first ones are those of the volume. An axis of one voxel
-        stays as it is.
+        The outer faces of its first voxels are those of the volume. An axis of one voxel stays as it is.
         """
         axes = [a for a in range(3) if shape[a] > 1] or [2]
         iso = self.iso
@@ -176,17 +183,13 @@ class RegistrationConfidence(BaseModel):
             iso = math.prod(spacing[a] for a in axes) ** (1 / len(axes))
             extent = math.prod(shape[a] * spacing[a] for a in axes)
             iso = max(iso, (extent / self.max_voxels) ** (1 / len(axes)))
-        sizes, steps, starts = [], [], []
-        for a in range(3):
-            step = iso / spacing[a] if a in axes else 1.0
-            sizes.append(max(1, math.ceil(shape[a] / step - 1e-6)) if a in axes else 1)
-            steps.append(step)
-            starts.append((step - 1) / 2)
-        return (sizes[0], sizes[1], sizes[2]), (steps[0], steps[1], steps[2]), (starts[0], starts[1], starts[2])
+        z, y, x = (iso / spacing[a] if a in axes else 1.0 for a in range(3))
+        nz, ny, nx = (max(1, math.ceil(n / step - 1e-6)) for n, step in zip(shape, (z, y, x), strict=True))
+        return WorkingGrid((nz, ny, nx), (z, y, x), ((z - 1) / 2, (y - 1) / 2, (x - 1) / 2))
 
     def peak_bytes(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> int:
         """Estimate the peak working memory beside the two volumes, bytes."""
-        sizes = self.grid(shape, spacing)[0]
+        sizes = self.grid(shape, spacing).shape
         voxels = math.prod(sizes)
         measured = math.prod(-(-n // self.stride) if n > 1 else 1 for n in sizes)
         channels = max(feature.channels for feature in self.features)
@@ -196,29 +199,21 @@ class RegistrationConfidence(BaseModel):
         kept = (len(self.features) + self.levels - 1) * 17 * 4 * measured
         return 8 * voxels + max(making, searching + 2 * channels * voxels) + kept
 
-    def _on_grid(self, volume: NDArray[np.float32], pair: RegisteredPair, grid: WorkingGrid) -> NDArray[np.float32]:
-        bounds = self.intensity_range
-        if bounds is None and min(pair.fixed.min(), pair.warped.min()) < _CT_BELOW:
-            bounds = _CT_RANGE
-        if bounds is not None:
-            volume = np.clip(volume, np.float32(bounds[0]), np.float32(bounds[1]))
-        return resample(volume, *grid)
-
     def _error(
         self, fine: list[Curves], coarse: list[Curves], structure: NDArray[np.int64], iso: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return expected error and displacement, mm: of coarse searches where the error is beyond the fine one."""
-        in_mm = self.measure if self.measure in IN_MILLIMETERS else "eshift"
+        # Expected error and displacement, mm: of coarse searches where the error is beyond the fine one.
+        length = self.measure if self.measure in _LENGTHS else "eshift"
         sigma = self.smoothing / self.stride
-        error = expected(fine, in_mm, iso, sigma)
+        error = expected_error(fine, length, iso, sigma)
         displacement = np.mean([curves.displacement for curves in fine], axis=0)
         for k, curves in enumerate(coarse):
-            far = curves.maps[in_mm]
+            far = curves.maps[length]
             reach = self.radius * iso * 2**k
             share = _ramp(far / np.float32(reach), *_COARSE_SHARE) * _ramp(error / np.float32(reach), *_FINE_SHARE)
             error = error + share * (far - error)
             displacement = displacement + share * (curves.displacement - displacement)
-        if self.measure not in IN_MILLIMETERS:
+        if self.measure not in _LENGTHS:
             sign = np.float32(-1 if self.measure in SURER_IF_LARGER else 1)
             score = gaussian(np.mean([sign * curves.maps[self.measure] for curves in fine], axis=0), sigma)
             return monotone(score, error, structure), displacement
@@ -231,7 +226,7 @@ def _ramp(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.fl
     return ramp
 
 
-def _every(volume: NDArray[Any], stride: int) -> NDArray[Any]:
+def _every_nth(volume: NDArray[Any], stride: int) -> NDArray[Any]:
     # axes of one voxel stay as they are
     return volume[tuple(slice(None, None, stride if n > 1 else 1) for n in volume.shape)]
 

@@ -80,7 +80,7 @@ def search(
     half_window: int = 3,
     sharpness: int = 10,
     span: Span = "cube",
-    every: bool = False,
+    costly: bool = False,
     stride: int = 1,
     tile: tuple[int, int, int] | None = None,
 ) -> Curves:
@@ -97,7 +97,7 @@ def search(
     half_window : h, voxels
     sharpness : 0.5 / k, k of the likelihoods of ``eshift`` and ``vshift`` in deviations of the curve
     span : which displacements: all, those in the three planes, or on the three axes
-    every : compute the measures of ``COSTLY`` too
+    costly : compute the measures of ``COSTLY`` too
     stride : measure every ``stride``-th voxel along each axis, from the first one on; at most 2 half_window + 1
     tile : places measured at once; changes time and memory, never the result
 
@@ -135,11 +135,11 @@ def search(
     search_tiles(
         _phases(fixed, half, steps), _phases(warped, half + reach, steps), offsets, lengths, edge, neighbors, before,
         after, half, reach, steps, tiles, size, np.uint32(shift), np.float32((1 << shift) / largest), sharpness,
-        top == MAX_SMALL_VALUE, every, layer, scratch, out,
+        top == MAX_SMALL_VALUE, costly, layer, scratch, out,
     )  # fmt: skip
     planes = dict(zip(PLANES, out, strict=True))
     displacement = out[2:5] * np.float32(spacing)
-    left_out = {"vshift"} if every else {"vshift", *COSTLY}
+    left_out = {"vshift"}
     maps = {name: planes[name] for name in MEASURES if name not in left_out}
     maps["vshift"] = np.sqrt((displacement**2).sum(axis=0))
     variance = np.maximum(planes["square"] - maps["vshift"] ** 2, 0)

@@ -26,7 +26,7 @@ def channels(seed, shape, count=2, top=MAX_SMALL_VALUE):
 def test_as_the_naive_twin(span, power, shape, count, half, top):
     fixed, warped = channels(0, shape, count, top), channels(1, shape, count, top)
     fixed[0, 0, 0, 0] = top
-    found = search(fixed, warped, 1.5, 2, half, power, span, every=True)
+    found = search(fixed, warped, 1.5, 2, half, power, span, costly=True)
     offsets = naive.displacements(shape, 2, span)
     assert [tuple(d) for d in displacements(shape, 2, span)] == offsets
     costs = naive.curves(fixed, warped, 2, half, span)
@@ -39,7 +39,7 @@ def test_as_the_naive_twin(span, power, shape, count, half, top):
 
 def test_on_one_line_the_stereo_set_is_stereos():
     fixed, warped = channels(9, (1, 1, 40), 3), channels(10, (1, 1, 40), 3)
-    found = search(fixed, warped, 1.0, 6, 2, every=True)
+    found = search(fixed, warped, 1.0, 6, 2, costly=True)
     offsets = np.array(naive.displacements((1, 1, 40), 6, "cube"))[:, 2]
     costs = naive.curves(fixed, warped, 6, 2, "cube")[np.argsort(offsets), 0, 0].T.astype(np.float32)
     for x, curve in enumerate(costs):  # one by one: stereo takes the deviation over all curves that it is given
@@ -51,13 +51,13 @@ def test_on_one_line_the_stereo_set_is_stereos():
 
 def test_same_bytes_at_any_tile_and_thread_count():
     fixed, warped = channels(2, (9, 13, 17), 6), channels(3, (9, 13, 17), 6)
-    whole = search(fixed, warped, 1.0, 2, 2, every=True)
+    whole = search(fixed, warped, 1.0, 2, 2, costly=True)
     threads = numba.get_num_threads()
     for count in (1, threads):
         numba.set_num_threads(count)
         try:
             for tile in ((9, 13, 17), (4, 5, 7), (1, 1, 3)):
-                parts = search(fixed, warped, 1.0, 2, 2, every=True, tile=tile)
+                parts = search(fixed, warped, 1.0, 2, 2, costly=True, tile=tile)
                 assert all(np.array_equal(parts.maps[name], whole.maps[name]) for name in whole.maps)
                 assert np.array_equal(parts.displacement, whole.displacement)
                 assert np.array_equal(parts.border, whole.border)
@@ -69,12 +69,12 @@ def test_same_bytes_at_any_tile_and_thread_count():
 @pytest.mark.parametrize("shape", [(9, 11, 13), (1, 8, 7)])
 def test_every_other_voxel_is_measured_as_if_all_were(stride, shape):
     fixed, warped = channels(7, shape, 4), channels(8, shape, 4)
-    every, some = (search(fixed, warped, 1.0, 2, 2, every=True, stride=step) for step in (1, stride))
+    every, some = (search(fixed, warped, 1.0, 2, 2, costly=True, stride=step) for step in (1, stride))
     chosen = tuple(slice(None, None, stride) for _ in shape)
     assert all(np.array_equal(some.maps[name], every.maps[name][chosen]) for name in every.maps)
     assert np.array_equal(some.displacement, every.displacement[(slice(None), *chosen)])
     assert np.array_equal(some.border, every.border[chosen])
-    parts = search(fixed, warped, 1.0, 2, 2, every=True, stride=stride, tile=(1, 2, 1))
+    parts = search(fixed, warped, 1.0, 2, 2, costly=True, stride=stride, tile=(1, 2, 1))
     assert all(np.array_equal(some.maps[name], parts.maps[name]) for name in some.maps)
 
 
@@ -94,7 +94,7 @@ def test_finds_a_shift(offset):
 
 def test_flat_volumes_say_nothing_against_zero():
     flat = np.full((6, 5, 5, 5), 40, np.uint8)
-    found = search(flat, flat.copy(), 1.0, 2, 1, every=True)
+    found = search(flat, flat.copy(), 1.0, 2, 1, costly=True)
     assert not found.maps["eshift"].any() and not found.border.any()
     assert (found.maps["mlm0"] == 1).all() and (found.maps["aml0"] == 1).all()
 

@@ -10,23 +10,21 @@ from numpy.typing import NDArray
 
 from depthcli.core.method import Method, method_of
 
+Volume = NDArray[np.float32]
+"""(Z, Y, X), finite, of cubic voxels."""
+Channels = NDArray[np.uint8]
+"""(C, Z, Y, X)."""
+
 
 class VolumeFeature(Method):
     """Turns two volumes into channels of whole numbers, so that sums of differences are exact."""
 
     channels: ClassVar[int]
-    """How many at most, for estimates of memory."""
+    """Largest number of channels, for estimates of memory."""
 
     @abstractmethod
-    def __call__(
-        self, fixed: NDArray[np.float32], warped: NDArray[np.float32]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """Compute the channels of both volumes, each (C, Z, Y, X) uint8 on one scale; the inputs are not modified.
-
-        Parameters
-        ----------
-        fixed, warped : (Z, Y, X) float32, finite, isotropic
-        """
+    def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
+        """Compute the channels of both volumes, on one scale; the inputs are not modified."""
 
 
 Feature = Annotated[VolumeFeature, *method_of("depthcli.methods.registration.feature")]

@@ -15,9 +15,7 @@ def levels(
     if high <= low:
         low, high = float(both.min()), float(both.max())
     scale = np.float32(255 / (high - low)) if high > low else np.float32(0)
-
-    def code(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-        coded: NDArray[np.uint8] = np.clip(np.rint((values - np.float32(low)) * scale), 0, 255).astype(np.uint8)
-        return coded
-
-    return code(fixed), code(warped)
+    one, other = (
+        np.clip(np.rint((values - np.float32(low)) * scale), 0, 255).astype(np.uint8) for values in (fixed, warped)
+    )
+    return one, other

@@ -1,4 +1,4 @@
-"""Descriptors of self-similarity: exponentials of patch distances, 0 .. 85."""
+"""Descriptors of self-similarity: exponentials of patch distances, 0 .. MAX_SMALL_VALUE."""
 
 from __future__ import annotations
 
@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 from depthcli.algorithms.resampling import shifted
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.registration.search import MAX_SMALL_VALUE
 from depthcli.methods.registration.smoothing import gaussian
 
-TOP = 85
-"""Largest value: three differences of it fit a byte, which makes the search faster."""
-
-STEPS = ((0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0))
+_STEPS = ((0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0))
 
 
 def steps(shape: tuple[int, ...], distance: int) -> list[tuple[int, ...]]:
     """Return the neighbors at ``distance`` along the axes; none along an axis of one voxel."""
-    return [tuple(distance * s for s in step) for step in STEPS if shape[next(a for a in range(3) if step[a])] > 1]
+    return [tuple(distance * s for s in step) for step in _STEPS if shape[next(a for a in range(3) if step[a])] > 1]
 
 
 def descriptor(
@@ -56,4 +54,4 @@ def _exponentials(distances: Any, variance: Any, out: Any) -> None:
                 row, target = distances[c, z, y], out[c, z, y]
                 for i in range(width):
                     value = exp_minus((row[i] - lowest[i]) / scale[i])
-                    target[i] = np.uint8(np.int32(value * np.float32(TOP) + np.float32(0.5)))
+                    target[i] = np.uint8(np.int32(value * np.float32(MAX_SMALL_VALUE) + np.float32(0.5)))

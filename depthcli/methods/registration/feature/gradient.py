@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.resampling import shifted
-from depthcli.methods.registration.feature import VolumeFeature
+from depthcli.methods.registration.feature import Channels, Volume, VolumeFeature
 from depthcli.methods.registration.feature._levels import levels
 from depthcli.methods.registration.smoothing import gaussian
 
@@ -22,13 +21,11 @@ class Gradient(VolumeFeature):
     sigma: float = Field(1.0, ge=0, le=4, description="smoothing before the differences, voxels")
     outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
 
-    def __call__(
-        self, fixed: NDArray[np.float32], warped: NDArray[np.float32]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
         one, other = (self._derivatives(volume) for volume in (fixed, warped))
         return levels(one, other, self.outliers)
 
-    def _derivatives(self, volume: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _derivatives(self, volume: Volume) -> Volume:
         smooth = gaussian(volume, self.sigma)
         axes = [axis for axis in range(3) if volume.shape[axis] > 1] or [2]
         steps = [tuple(int(a == axis) for a in range(3)) for axis in axes]

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.methods.registration.feature import VolumeFeature
+from depthcli.methods.registration.feature import Channels, Volume, VolumeFeature
 from depthcli.methods.registration.feature._levels import levels
 
 
@@ -19,8 +17,6 @@ class Intensity(VolumeFeature):
 
     outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
 
-    def __call__(
-        self, fixed: NDArray[np.float32], warped: NDArray[np.float32]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
         one, other = levels(fixed, warped, self.outliers)
         return one[None], other[None]

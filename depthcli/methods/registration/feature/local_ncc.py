@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.methods.registration.feature import VolumeFeature
+from depthcli.methods.registration.feature import Channels, Volume, VolumeFeature
 from depthcli.methods.registration.feature._levels import levels
 from depthcli.methods.registration.smoothing import gaussian
 
@@ -22,13 +21,11 @@ class LocalNcc(VolumeFeature):
     floor: float = Field(0.05, gt=0, le=1, description="smallest deviation, share of the volume's own")
     outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
 
-    def __call__(
-        self, fixed: NDArray[np.float32], warped: NDArray[np.float32]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
         one, other = levels(self._normalized(fixed), self._normalized(warped), self.outliers)
         return one[None], other[None]
 
-    def _normalized(self, volume: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _normalized(self, volume: Volume) -> Volume:
         centered = volume - np.float32(volume.mean(dtype=np.float64))
         mean = gaussian(centered, self.sigma)
         variance = gaussian(centered * centered, self.sigma) - mean * mean
