@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,11 +14,13 @@ from depthcli.batch.json_csv import Row, to_json_line, write_csv
 from depthcli.batch.records import SceneRecord
 from depthcli.batch.run_folder import PARTS_FOLDER, REPORT_FILES, read_report, reported_record
 from depthcli.batch.sharing import FolderLock, Shard
-from depthcli.core.errors import OutputError
-from depthcli.data.formats.files import atomic_path
+from depthcli.core.errors import ConfigError, OutputError
+from depthcli.data.formats.files import atomic_path, ends_of_file
 from depthcli.data.scenes import Scene
 
 _MIN_PAUSE = 1.0  # seconds between two writes of the report
+# How the report of a shard begins; see write_rows.
+_PART_START = re.compile(rb'\{\n "command": "[^"]*",\n "run": "(\w+)",\n "inputs": "(\w+)"')
 _MAX_SHARE = 0.05  # of the time may be spent on writing the report
 
 
@@ -32,6 +35,7 @@ class ReportWriter:
     scenes : scenes of this call, in order
     others : rows of scenes of the same run that are not part of this call
     shard : the part of a shared run, which gets a report of its own until all are joined; None for the whole
+    inputs : digest of the inputs of all shards
 
     Attributes
     ----------
@@ -47,10 +51,11 @@ class ReportWriter:
         scenes: Sequence[Scene],
         others: list[Row],
         shard: Shard | None,
+        inputs: str,
     ) -> None:
         self.output, self.command, self.run, self.rows, self.others = output, command, run, rows, others
         self.order = [scene.name for scene in scenes]
-        self.shard = shard
+        self.shard, self.inputs = shard, inputs
         self.written, self.pause = 0.0, _MIN_PAUSE
         self.problem = ""
 
@@ -65,8 +70,7 @@ class ReportWriter:
             if self.shard is None:
                 write_report(self.output, self.command, rows)
             else:
-                part = self.output / PARTS_FOLDER / f"{self.shard}.json"
-                write_rows(part, rows, {"command": self.command, "run": self.run}, {})
+                _write_part(self.output, self.command, self.run, self.shard, self.inputs, rows)
             self.problem = ""
         except OutputError as error:  # a scene that cannot be written reports that itself
             self.problem = str(error)
@@ -83,19 +87,54 @@ class ReportWriter:
         with contextlib.nullcontext() if last else lock.reporting():
             try:
                 write_report(self.output, self.command, joined_rows(self.output, self.run))
-            except OutputError as error:
+            except (OutputError, ConfigError) as error:
                 self.problem = str(error)
                 return
             if last:
-                drop_parts(self.output)
+                drop_joined_parts(self.output)
 
 
-def drop_parts(output: Path) -> None:
-    """Delete the reports of the processes that shared a run."""
+def open_part(output: Path, command: str, run: str, shard: Shard, inputs: str) -> None:
+    """Begin the report of a shard; ConfigError where another shard of the run computes other inputs."""
+    others = {part.stem for part, (its_run, its) in _parts(output).items() if its_run == run and its != inputs}
+    if others:
+        raise ConfigError(
+            f"{output}: shard {' and '.join(sorted(others))} of this run computed other inputs than these; give all "
+            "shards the same --input and --scenes, or choose another --output, or --overwrite it"
+        )
+    if not (output / PARTS_FOLDER / f"{shard}.json").is_file():
+        _write_part(output, command, run, shard, inputs, [])
+
+
+def _write_part(output: Path, command: str, run: str, shard: Shard, inputs: str, rows: list[Row]) -> None:
+    write_rows(output / PARTS_FOLDER / f"{shard}.json", rows, {"command": command, "run": run, "inputs": inputs}, {})
+
+
+def _parts(output: Path) -> dict[Path, tuple[str, str]]:
+    """Return report of a shard -> its run and the digest of the inputs of all shards."""
+    found = {}
+    for part in sorted((output / PARTS_FOLDER).glob("*-of-*.json")):
+        ends = ends_of_file(part)
+        about = ends and _PART_START.match(ends[1])
+        found[part] = (about[1].decode(), about[2].decode()) if about else ("", "")
+    return found
+
+
+def drop_parts(output: Path, other_than: tuple[str, str] | None = None) -> None:
+    """Delete the reports of the processes that shared a run, but for those of this run with these inputs."""
     with contextlib.suppress(OSError):
-        for part in (output / PARTS_FOLDER).glob("*-of-*.json"):
-            part.unlink()
+        for part, about in _parts(output).items():
+            if about != other_than:
+                part.unlink()
         (output / PARTS_FOLDER).rmdir()
+
+
+def drop_joined_parts(output: Path) -> None:
+    """Delete the reports of the shards when the last one is there; until then they say which inputs belong together."""
+    names = {part.stem for part in _parts(output)}
+    counts = {int(name.rpartition("-")[2]) for name in names if name.rpartition("-")[2].isdigit()}
+    if any(all(f"{index}-of-{count}" in names for index in range(1, count + 1)) for count in counts):
+        drop_parts(output)
 
 
 def joined_rows(output: Path, run: str, names: Iterable[str] = ()) -> list[Row]:
@@ -106,7 +145,18 @@ def joined_rows(output: Path, run: str, names: Iterable[str] = ()) -> list[Row]:
     Parameters
     ----------
     names : scenes that have a record, whether or not a report lists them
+
+    Raises
+    ------
+    ConfigError
+        The parts were computed from different inputs.
     """
+    by_inputs = {inputs: part.stem for part, (its_run, inputs) in _parts(output).items() if its_run == run}
+    if len(by_inputs) > 1:
+        raise ConfigError(
+            f"{output}: its shards {' and '.join(sorted(by_inputs.values()))} computed different inputs; compute all "
+            "again from the same --input and --scenes, with --overwrite"
+        )
     rows: dict[str, Row] = {name: {} for name in names} | read_report(output)
     found = []
     for name, row in sorted(rows.items()):

@@ -8,6 +8,7 @@ all others are computed again.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import platform
 import re
@@ -22,6 +23,7 @@ from depthcli.batch.json_csv import Row
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
 from depthcli.batch.task import OTHER_RUN, Run, RunOptions, Task, Work, discard, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
+from depthcli.data.formats.files import ends_of_file
 from depthcli.data.scenes import Scene
 
 _WORKSPACE_PREFIX = ".partial-"
@@ -63,10 +65,11 @@ def run_scenes(
     """
     run = Run(work, config, options)
     own = scenes_of_shard(work, config, scenes, options)
+    inputs = "" if options.shard is None else _inputs_digest(run, scenes)
     _check_names(run, own, output)
     with FolderLock(output, options.shard is not None, reporter.info) as lock:
-        earlier = _open_folder(run, scenes, output, lock)
-        batch = _Batch(run, own, output, reporter, lock)
+        earlier = _open_folder(run, scenes, output, lock, inputs)
+        batch = _Batch(run, own, output, reporter, lock, inputs)
         batch.plan(earlier)
         batch.compute()
     if batch.writer.problem:
@@ -95,7 +98,16 @@ def _check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
             raise ConfigError(f"{output}: {scene.name} is a link to {target}; give the folder that it leads to instead")
 
 
-def _open_folder(run: Run, scenes: Sequence[Scene], output: Path, lock: FolderLock) -> dict[str, Row]:
+def _inputs_digest(run: Run, scenes: Sequence[Scene]) -> str:
+    """Return what the inputs of all shards are known by: names, and sizes and ends of files, wherever they lie."""
+    sha = hashlib.sha256()
+    for scene in sorted(scenes, key=lambda scene: scene.name):
+        files = {} if scene.problem else run.work.files(run.config, scene)
+        sha.update(repr((scene.name, [(role, ends_of_file(file)) for role, file in sorted(files.items())])).encode())
+    return sha.hexdigest()
+
+
+def _open_folder(run: Run, scenes: Sequence[Scene], output: Path, lock: FolderLock, inputs: str) -> dict[str, Row]:
     """Make ``output`` the folder of this run; return scene -> what only its earlier report holds."""
     text = run_folder.run_text(run.work.name, run.config)
     earlier = {
@@ -111,6 +123,9 @@ def _open_folder(run: Run, scenes: Sequence[Scene], output: Path, lock: FolderLo
                 known = None if name in chosen else run_folder.reported_record(output, name)
                 if known is not None and known.run != identity:
                     records.remove_scene(output / name)
+            report_writer.drop_parts(output, other_than=(identity, inputs))
+    if run.options.shard is not None and run_folder.saved_config(output) == text:
+        report_writer.open_part(output, run.work.name, records.digest(text.encode()), run.options.shard, inputs)
     lock.settle()
     run_folder.join_run(output, text)
     return earlier
@@ -164,7 +179,10 @@ class Inspector:
 class _Batch:
     """The scenes of one call: rows of those that are done, tasks for the others."""
 
-    def __init__(self, run: Run, scenes: Sequence[Scene], output: Path, reporter: Reporter, lock: FolderLock) -> None:
+    def __init__(
+        self, run: Run, scenes: Sequence[Scene], output: Path, reporter: Reporter, lock: FolderLock, inputs: str
+    ) -> None:
+        self.inputs = inputs
         self.run, self.scenes, self.output, self.reporter, self.lock = run, scenes, output, reporter, lock
         self.options = run.options
         self.workspace = output / (f"{_WORKSPACE_PREFIX}{re.sub(r'[^A-Za-z0-9-]', '_', platform.node())}-{os.getpid()}")
@@ -199,7 +217,14 @@ class _Batch:
         others = [] if self.options.shard is not None else self._other_rows(earlier)
         earlier.clear()
         self.writer = report_writer.ReportWriter(
-            self.output, self.run.work.name, self.inspector.identity, self.rows, self.scenes, others, self.options.shard
+            self.output,
+            self.run.work.name,
+            self.inspector.identity,
+            self.rows,
+            self.scenes,
+            others,
+            self.options.shard,
+            self.inputs,
         )
 
     def _other_rows(self, earlier: dict[str, Row]) -> list[Row]:

@@ -111,11 +111,12 @@ class FolderLock:
     Attributes
     ----------
     alone : True while no other process can write into the folder: until ``settle``, or to the end
+    locks : False on a file system without locks, where nobody knows of other processes
     """
 
     def __init__(self, output: Path, shared: bool, warn: Callable[[str], None]) -> None:
         self.output, self.shared, self.warn = output, shared, warn
-        self.alone = False
+        self.alone, self.locks = False, True
         self._folder = self._scenes = -1
         self._held: set[str] = set()
 
@@ -152,7 +153,7 @@ class FolderLock:
                     raise ConfigError(f"{self.output}: another depthcli is writing there now")
                 time.sleep(_POLL_SECONDS)
         except OSError:
-            self.alone = not self.shared
+            self.alone, self.locks = not self.shared, False
             self.warn(f"{self.output}: no locks on this file system; make sure that no other run writes there")
 
     def settle(self) -> None:

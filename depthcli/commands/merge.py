@@ -29,7 +29,7 @@ class MergeCommand(Command):
         from depthcli.batch.console import run_table
         from depthcli.batch.json_csv import to_json
         from depthcli.batch.records import RECORD_FILE
-        from depthcli.batch.report_writer import drop_parts, joined_rows, report_document, write_report
+        from depthcli.batch.report_writer import drop_joined_parts, joined_rows, report_document, write_report
         from depthcli.batch.run_folder import opened_run
         from depthcli.batch.sharing import FolderLock
 
@@ -46,7 +46,7 @@ class MergeCommand(Command):
                 rows = joined_rows(place, identity, (path.relative_to(place).as_posix() for path in found))
                 write_report(place, command, rows)
                 if alone:
-                    drop_parts(place)
+                    drop_joined_parts(place)
         failed = sum(row["status"] == "failed" for row in rows)
         if values["json"]:
             reporter.data(to_json(report_document(command, rows)))

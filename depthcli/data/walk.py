@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import fnmatch
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from depthcli.core.errors import InputError
+from depthcli.data.formats.files import read_bytes
 from depthcli.data.layouts import Folder, Layout, layouts
 from depthcli.data.scenes import Scene
+
+_RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.batch.run_folder
+_MAX_RUN_BYTES = 1 << 20  # of it; those of all presets have below 10 kB
 
 
 def discover_scenes(
@@ -21,7 +26,8 @@ def discover_scenes(
     """Return the scenes of a folder, sorted by name; no image is opened.
 
     ``folder`` may be one scene, a folder of scenes, or a folder of such folders (names are then
-    ``<data set>/<scene>``). Folders that hold none are passed over.
+    ``<data set>/<scene>``). Folders that hold none are passed over, and so are folders of runs in it: their results are
+    no scenes. Runs of ``sample`` are, and ``folder`` itself may be a run (of ``rectify``).
 
     Parameters
     ----------
@@ -29,7 +35,7 @@ def discover_scenes(
     kinds : kinds of scene that are wanted; None: all
     layout : name of a layout; None recognizes it, for every folder by itself
     patterns : shell patterns, one of which the name, or its last part, must match
-    warn : called with a line about folders that hold scenes on deeper levels, which are not used
+    warn : called with a line about folders of runs, and about scenes on deeper levels, which are not used
 
     Raises
     ------
@@ -44,7 +50,7 @@ def discover_scenes(
     requested = wanted[0].name if layout else ""
     found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)
     if not found:
-        for child in _subfolders(folder):
+        for child in _subfolders(folder, warn):
             found += _scenes_or_problem(child, child.name, wanted, requested) or _scenes_below(
                 child, wanted, requested, warn
             )
@@ -85,7 +91,7 @@ def _scenes_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], reques
 def _scenes_below(folder: Path, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]) -> list[Scene]:
     """Scenes in the folders of a data set, and a warning where there are some one level below the last that counts."""
     found: list[Scene] = []
-    for child in _subfolders(folder):
+    for child in _subfolders(folder, warn):
         scenes = _scenes_or_problem(child, f"{folder.name}/{child.name}", wanted, requested)
         found += scenes
         for deeper in () if scenes else _subfolders(child):
@@ -95,11 +101,28 @@ def _scenes_below(folder: Path, wanted: tuple[Layout, ...], requested: str, warn
     return found
 
 
-def _subfolders(folder: Path) -> list[Path]:
+def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -> list[Path]:
+    """Folders in a folder, but for those that hold results of runs."""
     try:
-        return sorted(entry for entry in folder.iterdir() if not entry.name.startswith(".") and entry.is_dir())
+        found = sorted(entry for entry in folder.iterdir() if not entry.name.startswith(".") and entry.is_dir())
     except OSError:
         return []
+    runs = [child for child in found if _holds_results(child)]
+    for run in runs:
+        warn(f"{run}: holds a run, its results are left out of the scenes; to use them, give it as the folder")
+    return [child for child in found if child not in runs]
+
+
+def _holds_results(folder: Path) -> bool:
+    """Return True for a folder that a command filled, unless it generated scenes there."""
+    try:
+        if not (folder / _RUN_FILE).is_file():
+            return False
+        text = read_bytes(folder / _RUN_FILE, _MAX_RUN_BYTES).decode("utf-8", "replace")
+    except (InputError, OSError):
+        return False
+    command = re.search(r"^run:\n  command: (\S+)$", text, re.MULTILINE)
+    return command is not None and command[1] != "sample"
 
 
 class BrokenScene(Scene):

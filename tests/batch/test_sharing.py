@@ -344,3 +344,62 @@ def test_the_job_array_of_slurm(made_scenes: Path, whole: Path, tmp_path: Path):
         process = subprocess.run(["bash", str(script), *words], env=plain, capture_output=True, text=True, check=False)
         assert process.returncode != 0
         assert missing in process.stderr
+
+
+def other_inputs(made_scenes: Path, folder: Path) -> Path:
+    """The same names, and files of the same sizes."""
+    shutil.copytree(made_scenes, folder)
+    for path in folder.glob("*/*.png"):
+        data = path.read_bytes()
+        path.write_bytes(data[:-8] + bytes(8))
+    return folder
+
+
+def test_shards_of_other_inputs_are_refused(made_scenes: Path, whole: Path, tmp_path: Path, capsys):
+    out, moved = tmp_path / "run", tmp_path / "moved"
+    shutil.copytree(made_scenes, moved)
+    scenes = ("--scenes", "planes_*", "-q")
+    common = ("stereo", FAST, "-o", out)
+    assert run(*common, "-i", made_scenes, *scenes, "--shard", "1/2") == 0
+    before = contents(out)
+    other = other_inputs(made_scenes, tmp_path / "in")
+    for wrong in (("-i", other, *scenes), ("-i", made_scenes, "-q")):
+        assert run(*common, *wrong, "--shard", "2/2") == 2
+        assert "shard 1-of-2 of this run computed other inputs than these" in capsys.readouterr().err
+        assert contents(out) == before
+    assert run(*common, "-i", moved, *scenes, "--shard", "2/2") == 0  # wherever another machine has them
+    assert not (out / ".parts").exists()
+    assert run(*common, "-i", made_scenes, *scenes, "--shard", "1/2") == 0
+    assert run(*common, "-i", other, *scenes, "--shard", "2/2", "--overwrite") == 3
+    assert run("merge", out, "-q") == 3
+
+
+def test_merge_refuses_shards_that_began_together_with_other_inputs(whole: Path, tmp_path: Path, capsys):
+    out = tmp_path / "run"
+    shutil.copytree(whole, out)
+    run_id, command = run_folder.opened_run(out)
+    for index in (1, 2):
+        head = {"command": command, "run": run_id, "inputs": f"{index:064}"}
+        write_rows(out / f".parts/{index}-of-2.json", [], head, {})
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert run("merge", out, "-q") == 2
+    assert "its shards 1-of-2 and 2-of-2 computed different inputs" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_shards_on_a_file_system_without_locks(made_scenes: Path, whole: Path, tmp_path: Path, monkeypatch, capsys):
+    def refused(*arguments: object) -> None:
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", refused)
+    monkeypatch.setattr("fcntl.lockf", refused)
+    for index in (1, 2):
+        assert run("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "--shard", f"{index}/2") == 0
+        assert capsys.readouterr().err.count("no locks on this file system") == 1
+    assert run("merge", tmp_path / "run", "-q") == 0
+    there = contents(tmp_path / "run")
+    assert {name: data for name, data in there.items() if not name.startswith(".")} == contents(whole)
+    assert report(tmp_path / "run") == report(whole)
+    again = ("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "--set", "block=7", "--shard", "1/2")
+    assert run(*again) == 2
+    assert "made with another config" in capsys.readouterr().err

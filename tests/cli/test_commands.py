@@ -5,6 +5,7 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -260,3 +261,24 @@ def test_ctrl_c_leaves_a_run_to_go_on_with(made_scenes: Path, tmp_path: Path, jo
     assert not list((tmp_path / "run").glob(".partial-*"))
     assert run(*command) == 0
     assert len(list((tmp_path / "run").glob("*/record.json"))) == 48
+
+
+@pytest.mark.parametrize("below", ["out", "results/out"])
+def test_results_inside_the_input_are_no_scenes(made_scenes: Path, tmp_path: Path, below: str, capsys):
+    """A rectified pair is a scene by its files: the same command again finds the scenes that it found before."""
+    scenes = tmp_path / "in"
+    shutil.copytree(made_scenes / "planes_0", scenes / "planes_0")
+    command = ["rectify", "--uncalibrated", "-i", str(scenes), "-o", str(scenes / below)]
+    assert main(command) == 0
+    before = sorted(scenes.rglob("*"))
+    capsys.readouterr()
+    assert main(command) == 0
+    said = capsys.readouterr().err
+    assert "1 of 1 scenes are done already" in said
+    assert f"{scenes / below}: holds a run, its results are left out" in said
+    assert sorted(scenes.rglob("*")) == before
+    assert main(["stereo", "opencv-bm", "-i", str(scenes / below), "-o", str(tmp_path / "o"), "--list-scenes"]) == 0
+    assert main(["sample", "-o", str(tmp_path / "made/a"), "-n", "1", "--width", "64", "--height", "48"]) == 0
+    capsys.readouterr()
+    assert main(["stereo", "opencv-bm", "-i", str(tmp_path / "made"), "-o", "o", "--list-scenes"]) == 0
+    assert capsys.readouterr().out.startswith("a/")

@@ -129,6 +129,18 @@ def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
     return data
 
 
+def ends_of_file(path: Path | str, length: int = 1024) -> tuple[int, bytes, bytes] | None:
+    """Return size, beginning and end of a file, which differ for nearly all files that do; None where unreadable."""
+    try:
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            start = file.read(length)
+            file.seek(max(0, size - length))
+            return size, start, file.read(length)
+    except InputError:
+        return None
+
+
 @contextlib.contextmanager
 def atomic_path(path: Path | str) -> Iterator[Path]:
     """Give a temporary name beside ``path`` to write to; rename it to ``path`` on success.
