@@ -114,8 +114,9 @@ def _open_folder(run: Run, scenes: Sequence[Scene], output: Path, lock: FolderLo
         name: {key: row[key] for key in ("seconds", "peak_memory", "source") if row.get(key)}
         for name, row in run_folder.read_report(output, facts=False).items()
     }
-    if lock.alone:
+    if lock.alone or not lock.locks:  # without locks the first shard has no sign that it is the first
         run_folder.open_run(output, text, run.options.overwrite)
+    if lock.alone:
         _remove_leftovers(output)
         if run.options.overwrite:  # scenes of the run that is replaced go; those that its report does not list stay
             chosen, identity = {scene.name for scene in scenes}, records.digest(text.encode())
