@@ -78,8 +78,7 @@ def test_an_error_is_averaged_with_its_surroundings_by_how_sure_they_are(deforme
     for feature in features:
         method = config(features=[feature], smoothing=0)
         alone = method(pair)
-        fixed, warped, _ = method._working(pair)
-        variance = method._searches(fixed, warped, 1.0, Clock())[0][0].variance
+        variance = method._searches(pair.fixed, pair.warped, 1.0, Clock())[0][0].variance
         weight = 1 / (variance.astype(float) + 0.5)
         total = total + ndimage.gaussian_filter(weight * alone.expected_error, 1.5, mode="nearest", truncate=3.4)
         weights = weights + ndimage.gaussian_filter(weight, 1.5, mode="nearest", truncate=3.4)
