@@ -51,8 +51,21 @@ class Grid:
         if self.size != other.size:
             return False
         tolerance = 0.01 * min(self.spacing)
-        corners = np.array([[0, 0, 0], [self.size[2] - 1, self.size[1] - 1, self.size[0] - 1]], float)
+        corners = np.vstack([np.zeros(3), np.diag(np.array(self.shape) - 1.0)])
         return bool(np.allclose(self.to_point(corners), other.to_point(corners), atol=tolerance, rtol=0))
+
+    def difference(self, other: Grid) -> str:
+        """Return what differs, size, spacing, origin or direction, first of this grid, then of ``other``, for messages.
+
+        Of several the first that differs by more than a thousandth; for grids that are the same, the last.
+        """
+        for name in ("size", "spacing", "origin", "direction"):
+            own, others = getattr(self, name), getattr(other, name)
+            if name == "direction" or not np.allclose(own, others, rtol=1e-3, atol=1e-3):
+                break
+        between = " x " if name == "size" else " "
+        have, want = (between.join(f"{number:.6g}" for number in numbers) for numbers in (own, others))
+        return f"{name} {have}, want {want}"
 
 
 @dataclass(frozen=True)

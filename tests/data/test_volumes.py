@@ -67,6 +67,22 @@ def test_points_and_places():
     np.testing.assert_allclose(grid.to_point(grid.to_index(point)), point)
 
 
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        (Grid((6, 6, 5), (1.0, 1.0, 1.0)), "size 6 x 6 x 6, want 6 x 6 x 5"),
+        (Grid((6, 6, 6), (1.0, 1.0, 1.5)), "spacing 1 1 1, want 1 1 1.5"),
+        (Grid((6, 6, 6), (1.0, 1.0, 1.0), (0.0, 9.0, 0.0)), "origin 0 0 0, want 0 9 0"),
+        # The corners on the diagonal stay where they are.
+        (Grid((6, 6, 6), (1.0, 1.0, 1.0), direction=(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)), "direction 1 0 0"),
+    ],
+)
+def test_grids_that_differ(other, said):
+    grid = Grid((6, 6, 6), (1.0, 1.0, 1.0))
+    assert grid.same_as(grid) and not grid.same_as(other)
+    assert grid.difference(other).startswith(said)
+
+
 def test_linear_at_voxels_between_and_outside():
     values = volume()
     places = np.array([[1, 2, 3], [1.5, 2, 3], [-4, 2, 3], [9, 9, 9]], float)

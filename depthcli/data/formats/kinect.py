@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,7 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
         try:
             fields = json.loads(read_bytes(path).decode("utf-8"))
             arrays = {key: np.array(fields[key], np.float64) for key in _SHAPES}
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise InputError(f"not a Kinect calibration ({type(error).__name__}: {error})") from None
         for key, shape in _SHAPES.items():
             if arrays[key].shape != shape or not np.isfinite(arrays[key]).all():
@@ -51,7 +52,7 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
         if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
             raise InputError("singular: focal lengths and dc[1] must not be zero")
         depth, color = (Camera(arrays[f"{k}_K"], tuple(arrays[f"{k}_kc"].tolist())) for k in ("depth", "color"))
-    beta = path.with_name("dc_beta.npy")
+    beta = next(iter(files_read_with(path)), None)
     slope = arrays["dc"][1]
     return KinectCalibration(
         depth=depth,
@@ -60,6 +61,12 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
         translation=arrays["depth_to_color_t"],
         offset=float(-arrays["dc"][0] / slope),
         factor=float(-1.0 / slope),
-        beta=read_plane(beta).astype(np.float64) if beta.is_file() else None,
+        beta=None if beta is None else read_plane(beta).astype(np.float64),
         alpha=(float(arrays["dc_alpha"][0]), float(arrays["dc_alpha"][1])),
     )
+
+
+def files_read_with(path: Path) -> tuple[Path, ...]:
+    """Return the files that are read beside a Kinect calibration: ``dc_beta.npy``, where it is there."""
+    beta = path.with_name("dc_beta.npy")
+    return (beta,) if os.path.isfile(beta) else ()

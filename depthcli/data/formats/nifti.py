@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import math
 import struct
 import zlib
 from pathlib import Path
@@ -15,7 +16,13 @@ from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
 from depthcli.data.formats.files import open_regular
 
+MAX_VOLUME_BYTES = 1 << 44
+"""Size that the header of a volume may announce; larger than any memory."""
+
 _HEADER_BYTES = 352  # with the four that say whether extensions follow
+_MAX_OFFSET = 1 << 30  # of the voxels, behind extensions
+# Bytes of a value of the NIfTI-1 datatypes that are real numbers, by their code.
+_VALUE_BYTES = {2: 1, 4: 2, 8: 4, 16: 4, 64: 8, 256: 1, 512: 2, 768: 4, 1024: 8, 1280: 8}
 
 
 def check_whole(path: Path) -> NDArray[np.int64]:
@@ -61,8 +68,6 @@ def check_whole(path: Path) -> NDArray[np.int64]:
             return np.zeros(0, np.int64)
     if length < fields["offset"] + fields["bytes"]:
         raise InputError(f"cut off: {length} bytes, its header promises {fields['offset'] + fields['bytes']}")
-    if any(not np.isfinite(s) or s == 0 for s in fields["spacing"]):
-        raise InputError("a spacing of 0")
     return np.concatenate(bad) if bad else np.zeros(0, np.int64)
 
 
@@ -73,18 +78,25 @@ def _fields(header: bytes) -> dict[str, Any]:
     order = "<" if struct.unpack_from("<i", header)[0] == 348 else ">"
     if struct.unpack_from(order + "i", header)[0] != 348:
         raise InputError("no NIfTI-1 header")
-    dim = struct.unpack_from(order + "8h", header, 40)
-    count = min(max(dim[0], 1), 7)
-    pixdim = struct.unpack_from(order + "8f", header, 76)
-    voxels = 1
-    for n in dim[1 : 1 + count]:
-        voxels *= max(int(n), 1)
+    if header[344:348] != b"n+1\0":
+        raise InputError("want a NIfTI-1 file of one part (n+1)")
+    n_dims, *dim = struct.unpack_from(order + "8h", header, 40)
+    kind = struct.unpack_from(order + "h", header, 70)[0]
+    if kind not in _VALUE_BYTES:
+        raise InputError(f"datatype {kind}: not one that is read")
+    if not 2 <= n_dims <= 7 or not 0 < math.prod(map(max, dim[:n_dims], [0] * 7)) < MAX_VOLUME_BYTES // 8:
+        raise InputError(f"a size that makes no sense ({n_dims} dimensions, {' x '.join(map(str, dim))})")
+    spacing = struct.unpack_from(order + "3f", header, 80)[: min(n_dims, 3)]
+    if not all(math.isfinite(s) and s != 0 for s in spacing):
+        raise InputError("a spacing of 0, or of no number")
+    offset = struct.unpack_from(order + "f", header, 108)[0]
+    if not _HEADER_BYTES <= offset < _MAX_OFFSET:
+        raise InputError(f"vox_offset: want where the voxels begin, from {_HEADER_BYTES} on (got {offset:g})")
     return {
-        "dim": dim[1 : 1 + count],
-        "spacing": pixdim[1 : 1 + min(count, 3)],
-        "offset": int(struct.unpack_from(order + "f", header, 108)[0]),
-        "bytes": voxels * struct.unpack_from(order + "h", header, 72)[0] // 8,
-        "float": {16: order + "f4", 64: order + "f8"}.get(struct.unpack_from(order + "h", header, 70)[0], ""),
+        "dim": tuple(dim[:n_dims]),
+        "offset": int(offset),
+        "bytes": math.prod(dim[:n_dims]) * _VALUE_BYTES[kind],
+        "float": {16: order + "f4", 64: order + "f8"}.get(kind, ""),
         "intent": struct.unpack_from(order + "h", header, 68)[0],
         "intent_p1": struct.unpack_from(order + "f", header, 56)[0],
         "intent_name": header[328:344].split(b"\0")[0].decode("latin-1").strip(),

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,10 +16,15 @@ import numpy as np
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
 from depthcli.data.formats.files import naming, open_regular, read_bytes
-from depthcli.data.formats.volumes import place, quiet, simple_itk, suffix_of
+from depthcli.data.formats.volumes import library_errors, place, simple_itk, suffix_of
 
 TRANSFORM_SUFFIXES = (".tfm", ".txt", ".h5", ".hdf5", ".mat", ".xfm")
 _MAX_BYTES = 1 << 30  # a text of B-spline parameters may be long
+_TRIAL = "import sys, SimpleITK; SimpleITK.ReadTransform(sys.argv[1])"
+_TRIAL_SECONDS = 300  # a large field of displacements takes some seconds
+_INITIAL = re.compile(r'^\s*\(InitialTransformParameters?FileName\s+("[^"\n]*"|[^\s)]+)', re.MULTILINE)
+_SPLINE_ORDERS = (1, 2, 3)  # those of elastix
+_MAX_CHAIN = 100  # transforms of elastix that begin with one another; a registration has two or three
 
 
 def read_transform(path: Path) -> Any:
@@ -31,35 +40,68 @@ def read_transform(path: Path) -> Any:
         if suffix_of(path) == ".txt":
             text = read_bytes(path, _MAX_BYTES).decode("latin-1")
             if "(Transform " in text:
-                return sitk.CompositeTransform(_elastix_chain(path, text, ()))
+                with library_errors():
+                    return sitk.CompositeTransform(_elastix_chain(path, text, ()))
         with open_regular(path):
             pass
-        try:
-            with quiet():
-                return sitk.ReadTransform(str(path))
-        except RuntimeError:
-            raise InputError("not a transform that ITK can read") from None
+        _try_elsewhere(path)
+        with library_errors():
+            return sitk.ReadTransform(str(path))
+
+
+def _try_elsewhere(path: Path) -> None:
+    """Read a transform in a process of its own first: damage makes ITK and HDF5 end the process that reads it."""
+    command = [sys.executable, "-W", "ignore", "-c", _TRIAL, str(path.absolute())]
+    try:
+        if (
+            subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=_TRIAL_SECONDS).returncode
+            < 0
+        ):
+            raise InputError("damaged: ITK crashes when it reads the transform")
+    except subprocess.TimeoutExpired:
+        raise InputError(f"ITK does not read the transform within {_TRIAL_SECONDS} s") from None
+    except (OSError, ValueError):
+        return  # no process can be started; a name that no command can have is refused by what reads it
 
 
 def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]:
     """This file's transform, then those it starts from: SimpleITK applies the last one first."""
     fields = _elastix_fields(text)
-    if path.resolve() in before:
+    if path.resolve() in before or len(before) > _MAX_CHAIN:
         raise InputError("its chain of initial transforms comes back to it")
     if fields.get("HowToCombineTransforms", ["Compose"])[0] != "Compose":
         raise InputError("transforms that are added, not composed, are not read")
     own = _elastix_transform(fields)
-    initial = (
-        fields.get("InitialTransformParameterFileName") or fields.get("InitialTransformParametersFileName") or [""]
-    )[0]
-    if initial in ("", "NoInitialTransform"):
+    file = _initial(path, text)
+    if file is None:
         return [own]
-    file = path.parent / Path(initial).name
-    if not file.is_file() and Path(initial).is_file():
-        file = Path(initial)
     with naming(file):
         below = read_bytes(file, _MAX_BYTES).decode("latin-1")
     return [own, *_elastix_chain(file, below, (*before, path.resolve()))]
+
+
+def _initial(path: Path, text: str) -> Path | None:
+    """The file that an elastix transform starts from, beside it or where it says; None where there is none."""
+    found = _INITIAL.findall(text)
+    name = found[-1].strip('"') if found else ""
+    if name in ("", "NoInitialTransform"):
+        return None
+    beside, elsewhere = path.parent / Path(name).name, Path(name)
+    return elsewhere if not os.path.isfile(beside) and os.path.isfile(elsewhere) else beside
+
+
+def files_read_with(path: Path) -> tuple[Path, ...]:
+    """Return the files that a chain of elastix parameter files leads to, ``path`` not among them."""
+    files: list[Path] = []
+    with contextlib.suppress(InputError):  # reading the transform says what is wrong
+        while suffix_of(path) == ".txt" and len(files) < _MAX_CHAIN:
+            text = read_bytes(path, _MAX_BYTES).decode("latin-1")
+            below = _initial(path, text) if "(Transform " in text else None
+            if below is None or below in files:
+                break
+            files.append(below)
+            path = below
+    return tuple(files)
 
 
 def _elastix_fields(text: str) -> dict[str, list[str]]:
@@ -67,31 +109,35 @@ def _elastix_fields(text: str) -> dict[str, list[str]]:
     for line in text.splitlines():
         match = re.match(r"\s*\((\w+)\s+(.*?)\)\s*(//.*)?$", line)
         if match:
-            fields[match[1]] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', match[2])]
+            fields[match[1]] = [part.strip('"') for part in re.findall(r'"[^"]*"|\S+', match[2])] or [""]
     return fields
 
 
 def _elastix_transform(fields: dict[str, list[str]]) -> Any:
     sitk = simple_itk()
-    name = fields["Transform"][0]
+    name = fields.get("Transform", [""])[0]
 
-    def numbers(key: str, default: list[float] | None = None) -> list[float]:
+    def numbers(key: str, default: list[float] | None = None, count: int | None = None) -> list[float]:
         if key not in fields and default is not None:
             return default
+        count = count or (len(default) if default else None)
         try:
-            return [float(value) for value in fields[key]]
+            values = [float(value) for value in fields[key]]
         except (KeyError, ValueError):
-            raise InputError(f"no usable {key}") from None
+            values = []
+        if not values or not np.isfinite(values).all() or count not in (None, len(values)):
+            raise InputError(f"no usable {key}")
+        return values
 
     if numbers("FixedImageDimension", [3.0]) != [3.0]:
         raise InputError("not a transform of three dimensions")
     parameters = numbers("TransformParameters")
     makers: dict[str, tuple[int, Callable[[], Any]]] = {
         "TranslationTransform": (3, lambda: sitk.TranslationTransform(3, parameters)),
-        "EulerTransform": (6, lambda: _euler(parameters, numbers("CenterOfRotationPoint"), fields)),
+        "EulerTransform": (6, lambda: _euler(parameters, numbers("CenterOfRotationPoint", count=3), fields)),
         "AffineTransform": (
             12,
-            lambda: sitk.AffineTransform(parameters[:9], parameters[9:], numbers("CenterOfRotationPoint")),
+            lambda: sitk.AffineTransform(parameters[:9], parameters[9:], numbers("CenterOfRotationPoint", count=3)),
         ),
     }
     if name in makers:
@@ -102,20 +148,24 @@ def _elastix_transform(fields: dict[str, list[str]]) -> Any:
     if name not in ("BSplineTransform", "RecursiveBSplineTransform"):
         raise InputError(f"a {name} is not read; write the field with transformix -def all")
     size = [int(n) for n in numbers("GridSize")]
-    order = int(numbers("BSplineTransformSplineOrder", [3.0])[0])
+    order = numbers("BSplineTransformSplineOrder", [3.0])[0]
+    if order not in _SPLINE_ORDERS:
+        raise InputError(f"B-splines of order {order:.6g}, want 1, 2 or 3")
     if len(size) != 3 or min(size) < 1 or len(parameters) != 3 * size[0] * size[1] * size[2]:
         raise InputError(f"{len(parameters)} B-spline parameters do not fit a grid of {size}")
     # elastix writes the direction column by column.
     axes = np.array(numbers("GridDirection", [1, 0, 0, 0, 1, 0, 0, 0, 1])).reshape(3, 3).T
-    spacing, index = np.array(numbers("GridSpacing")), np.array(numbers("GridIndex", [0, 0, 0]))
-    origin = np.array(numbers("GridOrigin")) + axes @ (spacing * index)
+    spacing, index = np.array(numbers("GridSpacing", count=3)), np.array(numbers("GridIndex", [0.0, 0.0, 0.0]))
+    if min(spacing) <= 0:
+        raise InputError("no usable GridSpacing")
+    origin = np.array(numbers("GridOrigin", count=3)) + axes @ (spacing * index)
     grid = Grid((size[0], size[1], size[2]), tuple(spacing), tuple(origin), tuple(axes.ravel()))
     images = []
     for component in np.array(parameters).reshape(3, *grid.shape):
         image = sitk.GetImageFromArray(component)
         place(image, grid)
         images.append(image)
-    return sitk.BSplineTransform(images, order)
+    return sitk.BSplineTransform(images, int(order))
 
 
 def _euler(parameters: list[float], center: list[float], fields: dict[str, list[str]]) -> Any:

@@ -23,10 +23,17 @@ from depthcli.core.volumes import Grid, Volume
 from depthcli.data.formats.files import atomic_path, naming, read_bytes, shown
 from depthcli.data.formats.headers import image_size
 from depthcli.data.formats.images import IMAGE_SUFFIXES, read_grey
-from depthcli.data.formats.nifti import check_whole, encode_header
+from depthcli.data.formats.nifti import check_whole, encode_header, read_header
+from depthcli.data.formats.volume_headers import META_SUFFIXES, NRRD_SUFFIXES, check_volume, files_behind
 
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img")
 """Endings of volume files; ``.img`` is DIR-Lab's raw format, with its size in ``meta.json``."""
+
+_ITK_READERS = {
+    **dict.fromkeys((".nii", ".nii.gz"), "NiftiImageIO"),
+    **dict.fromkeys(META_SUFFIXES, "MetaImageIO"),
+    **dict.fromkeys(NRRD_SUFFIXES, "NrrdImageIO"),
+}
 
 Slab = Callable[[int, int], NDArray[np.float32]]
 """Slices ``first`` up to ``last`` of a volume, (n, Y, X), or (n, Y, X, 3) of a vector field."""
@@ -82,9 +89,8 @@ def read_grid(path: Path) -> Grid:
             return Grid((plane.width, plane.height, 1), (1.0, 1.0, 1.0))
         if suffix_of(path) == ".img":
             return _dirlab_grid(path)
-        reader = simple_itk().ImageFileReader()
-        reader.SetFileName(str(path))
-        with _one_line(), quiet():
+        reader = _reader(path)
+        with library_errors():
             reader.ReadImageInformation()
         size, spacing = reader.GetSize()[:3], reader.GetSpacing()[:3]
         if not 2 <= reader.GetDimension() <= 4 or not all(np.isfinite(s) and s > 0 for s in spacing):
@@ -95,21 +101,46 @@ def read_grid(path: Path) -> Grid:
 
 def read_image(path: Path) -> Any:
     """Return the SimpleITK image; InputError with the reason in one line."""
-    sitk = simple_itk()
-    with _one_line(), quiet():
-        return sitk.ReadImage(str(path))
+    reader = _reader(path)
+    with library_errors():
+        return reader.Execute()
+
+
+def files_read_with(path: Path) -> tuple[Path, ...]:
+    """Return the files that are read beside a volume: those with its values, or with its size."""
+    return (_dirlab_meta(path),) if suffix_of(path) == ".img" else files_behind(path)
+
+
+def _reader(path: Path) -> Any:
+    """SimpleITK's reader of a file whose header was checked; it tries no other format than that of the ending."""
+    kind = suffix_of(path)
+    if kind not in _ITK_READERS:
+        raise InputError(f"no volume of a kind that is read; want {' '.join(VOLUME_SUFFIXES)}")
+    if kind.startswith(".nii"):
+        read_header(path)
+    else:
+        check_volume(path)
+    reader = simple_itk().ImageFileReader()
+    reader.SetImageIO(_ITK_READERS[kind])
+    reader.SetFileName(str(path))
+    return reader
 
 
 @contextlib.contextmanager
-def _one_line() -> Iterator[None]:
-    """Errors of SimpleITK as an InputError with the reason in one line."""
+def library_errors() -> Iterator[None]:
+    """Make an InputError of one line of whatever SimpleITK raises on damaged data; what its C++ prints is dropped."""
     try:
-        yield
-    except RuntimeError as error:
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        with quiet():
+            yield
+    except InputError:
+        raise
+    except Exception as error:  # besides RuntimeError, UnicodeDecodeError of its own messages and TypeError
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
         reason = next((line.partition("ERROR: ")[2] or line for line in lines if "ERROR" in line), lines[-1])
         if "spacing" in str(error):
             reason = "a spacing of 0"
+        if not isinstance(error, RuntimeError):
+            reason = "damaged"
         raise InputError(f"cannot be read ({reason.partition('): ')[2] or reason})"[:300]) from None
 
 
@@ -157,8 +188,12 @@ def quiet() -> Iterator[None]:
         os.close(sink)
 
 
+def _dirlab_meta(path: Path) -> Path:
+    return path.parent / "meta.json"
+
+
 def _dirlab_grid(path: Path) -> Grid:
-    meta_file = path.parent / "meta.json"
+    meta_file = _dirlab_meta(path)
     try:
         meta = json.loads(read_bytes(meta_file, 1 << 20))
         size = tuple(int(n) for n in meta["size"])

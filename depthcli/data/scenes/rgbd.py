@@ -95,7 +95,12 @@ class RgbdScene(Scene):
         files = {"color": self.color, "depth": self.depth}
         if self.hidden is not None:
             files["hidden"] = self.hidden
-        return files if self.calibration is None else {**files, "calibration": self.calibration}
+        if self.calibration is not None:
+            from depthcli.data.formats.kinect import files_read_with
+
+            files["calibration"] = self.calibration
+            files |= {f"calibration: {file.name}": file for file in files_read_with(self.calibration) if self.raw}
+        return files
 
     @property
     def has_truth(self) -> bool:

@@ -111,9 +111,15 @@ class VolumePairScene(Scene):
 
     @property
     def input_files(self) -> dict[str, Path]:
-        """Volumes, transform and the landmarks of the fixed volume."""
+        """Volumes, transform and the landmarks of the fixed volume, each with the files that its header names."""
+        from depthcli.data.formats import transforms, volumes
+
         roles = ("fixed", "moving_warped", "moving", "transform", "displacement", "mask", "landmarks_fixed")
-        return {role: file for role in roles if (file := getattr(self, role)) is not None}
+        files: dict[str, Path] = {role: file for role in roles if (file := getattr(self, role)) is not None}
+        for role, file in tuple(files.items()):
+            behind = volumes.files_read_with(file) + transforms.files_read_with(file)
+            files |= {f"{role}: {number}": each for number, each in enumerate(behind, 1)}
+        return files
 
     @property
     def has_truth(self) -> bool:
@@ -146,7 +152,7 @@ class VolumePairScene(Scene):
         inside = None
         if self.mask is not None:
             mask = read_volume(self.mask)
-            self._same_grid(self.mask, mask.grid, grid)
+            _check_grid(self.mask, mask.grid, grid)
             inside = mask.values > 0
             if not inside.any():
                 raise InputError(f"{self.mask}: no voxel is set")
@@ -155,10 +161,10 @@ class VolumePairScene(Scene):
         if self.moving_warped is not None:
             del fixed
             warped = read_volume(self.moving_warped)
-            self._same_grid(self.moving_warped, warped.grid, grid)
+            _check_grid(self.moving_warped, warped.grid, grid)
             moved, source = warped.values, self.moving_warped
         elif self.moving is not None:
-            moved, source = self._warp(fixed, convention), self.moving
+            moved, source = self._warp(fixed, convention)
             del fixed
         else:
             raise InputError(f"{self.folder}: neither moving_warped.* nor moving.* with its transform")
@@ -199,11 +205,11 @@ class VolumePairScene(Scene):
         fixed = read_volume(self.fixed)
         if self.error_true is not None:
             dense = read_volume(self.error_true)
-            self._same_grid(self.error_true, dense.grid, fixed.grid)
+            _check_grid(self.error_true, dense.grid, fixed.grid)
             error = dense.values
             if self.mask is not None:
                 mask = read_volume(self.mask)
-                self._same_grid(self.mask, mask.grid, fixed.grid)
+                _check_grid(self.mask, mask.grid, fixed.grid)
                 error = np.where(mask.values > 0, error, np.float32(np.nan))
             return RegistrationTruth(fixed.grid, np.zeros((0, 3)), error)
         points = self.landmarks(fixed.grid)
@@ -235,7 +241,10 @@ class VolumePairScene(Scene):
             )
         return points
 
-    def _warp(self, fixed: Volume, convention: str) -> NDArray[np.float32]:
+    def _warp(self, fixed: Volume, convention: str) -> tuple[NDArray[np.float32], Path]:
+        """The moving volume on the fixed grid, and the file that is to blame where it holds what is no number."""
+        import numpy as np
+
         from depthcli.data.formats.fields import read_moving_transform
         from depthcli.data.formats.volumes import place, read_volume, simple_itk
 
@@ -251,7 +260,8 @@ class VolumePairScene(Scene):
             image, grid.size, transform, sitk.sitkLinear, grid.origin, grid.spacing, grid.direction, low
         )
         values: NDArray[np.float32] = sitk.GetArrayFromImage(warped)
-        return values
+        through = self.displacement or self.transform or self.moving
+        return values, through if np.isfinite(moving.values).all() else self.moving
 
     @staticmethod
     def _usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, file: Path) -> NDArray[np.float32]:
@@ -268,14 +278,10 @@ class VolumePairScene(Scene):
             raise InputError(f"{file}: all voxels are {values.flat[0]:g}; nothing to compare")
         return values
 
-    @staticmethod
-    def _same_grid(file: Path, grid: Grid, fixed: Grid) -> None:
-        if grid.same_as(fixed):
-            return
-        have, want = (" x ".join(map(str, each.size)) for each in (grid, fixed))
-        if have == want:
-            have, want = (f"spacing {each.spacing} from {each.origin}" for each in (grid, fixed))
-        raise InputError(f"{file}: another grid than the fixed volume's ({have}, want {want})")
+
+def _check_grid(file: Path, grid: Grid, fixed: Grid) -> None:
+    if not grid.same_as(fixed):
+        raise InputError(f"{file}: another grid than the fixed volume's ({grid.difference(fixed)})")
 
 
 def _spacing(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:

@@ -267,7 +267,7 @@ def _with_missing(score: Score, share: float, n_points: int) -> Score:
 def _at_points(path: Path, truth: PreparedTruth) -> Errors:
     volume = read_volume(path)
     if not volume.grid.same_as(truth.truth.grid):
-        raise InputError(f"{path}: another grid than the fixed volume's")
+        raise InputError(f"{path}: another grid than the fixed volume's ({volume.grid.difference(truth.truth.grid)})")
     if truth.inside is not None:
         return volume.values[truth.inside]
     assert truth.landmarks is not None
