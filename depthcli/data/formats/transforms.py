@@ -45,8 +45,11 @@ def read_transform(path: Path) -> Any:
         with open_regular(path):
             pass
         _try_elsewhere(path)
-        with library_errors():
-            return sitk.ReadTransform(str(path))
+        try:
+            with library_errors():
+                return sitk.ReadTransform(str(path))
+        except InputError:
+            raise InputError("not a transform that ITK can read") from None
 
 
 def _try_elsewhere(path: Path) -> None:

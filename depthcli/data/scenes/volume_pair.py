@@ -254,12 +254,9 @@ class VolumePairScene(Scene):
         transform = read_moving_transform(self.transform, self.displacement, convention, fixed, moving)
         image = sitk.GetImageFromArray(moving.values)
         place(image, moving.grid)
-        grid = fixed.grid
-        low = float(moving.values.min())
-        warped = sitk.Resample(
-            image, grid.size, transform, sitk.sitkLinear, grid.origin, grid.spacing, grid.direction, low
-        )
-        values: NDArray[np.float32] = sitk.GetArrayFromImage(warped)
+        grid, low = fixed.grid, float(moving.values.min())
+        placed = grid.size, transform, sitk.sitkLinear, grid.origin, grid.spacing, grid.direction
+        values: NDArray[np.float32] = sitk.GetArrayFromImage(sitk.Resample(image, *placed, low))
         through = self.displacement or self.transform or self.moving
         return values, through if np.isfinite(moving.values).all() else self.moving
 
