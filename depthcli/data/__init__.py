@@ -1,1 +1,1 @@
-"""Files: images, disparity maps, folders of scenes. The only package below jobs/ that opens paths."""
+"""Files: images, disparity maps, folders of scenes. The only package below the commands that opens paths."""

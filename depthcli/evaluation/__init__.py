@@ -1,1 +1,1 @@
-"""Measures of error, curves, tables and pictures. Algorithms on arrays; files are written by jobs/."""
+"""Measures of error, curves, tables and pictures. Files are written by the commands."""

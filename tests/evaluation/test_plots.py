@@ -87,7 +87,7 @@ def test_dense_thresholds_agree_with_the_table(name: str, threshold: float | Non
         if score.region == main and at is not None and score.measure == judge.at(at):
             assert dense[at] == score
             compared += 1
-    assert compared >= 3
+    assert compared >= min(3, len(judge.thresholds))
     values = [s.value for s in dense.values()]
     assert values == sorted(values, reverse=True)
     assert all(s.value == s.measure.worst for s in judge.missing(truth, dense=True))

@@ -47,6 +47,23 @@ def test_same_bytes_at_any_thread_count_and_inputs_untouched(aggregate):
 
 
 @pytest.mark.parametrize("aggregate", AGGREGATIONS)
+def test_means_depend_on_the_pixels_within_the_halo_alone(aggregate):
+    """A tile with this margin has the means of the whole image."""
+    halo = aggregate.halo()
+    if halo is None:
+        pytest.skip("depends on the whole image, as it says")
+    height, width = 2 * halo + 40, 2 * halo + 60
+    pair, volume = blocky_pair(height, width), random_volume(height, width, 8)
+    rows, columns = slice(11, height - 9), slice(13, width - 8)
+    tile = type(pair)(*(np.ascontiguousarray(image[rows, columns]) for image in (pair.left, pair.right)))
+    part = aggregate(CostVolume(np.ascontiguousarray(volume.costs[rows, columns]), volume.scale), tile).costs
+    whole = aggregate(volume, pair).costs[rows, columns]
+    inner = np.s_[halo : part.shape[0] - halo, 7 + halo : part.shape[1] - halo]
+    assert whole[inner].size
+    np.testing.assert_array_equal(part[inner], whole[inner])
+
+
+@pytest.mark.parametrize("aggregate", AGGREGATIONS)
 def test_aggregation_helps_against_noise(aggregate):
     shift = 4
     pair = shifted_pair(40, 60, shift, noise=60, seed=3)

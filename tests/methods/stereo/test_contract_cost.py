@@ -42,6 +42,22 @@ def test_same_bytes_at_any_thread_count_and_inputs_untouched(cost):
 
 
 @pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("color", [False, True])
+def test_costs_depend_on_the_pixels_within_the_halo_alone(cost, color):
+    """A tile with this margin has the costs of the whole image."""
+    halo = cost.halo()
+    if halo is None:
+        pytest.skip("depends on the whole image, as it says")
+    pair, top, left, bottom, right = shifted_pair(50, 90, 3, color, noise=9), 11, 13, 42, 80
+    rows, columns = slice(top, bottom), slice(left, right)
+    tile = StereoPair(np.ascontiguousarray(pair.left[rows, columns]), np.ascontiguousarray(pair.right[rows, columns]))
+    whole = cost(pair, 8).costs[top + halo : bottom - halo, left + 7 + halo : right - halo]
+    part = cost(tile, 8).costs[halo : bottom - top - halo, 7 + halo : right - left - halo]
+    assert whole.size
+    np.testing.assert_array_equal(part, whole)
+
+
+@pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize(("height", "width", "disparities"), TINY)
 def test_tiny_images_and_wide_ranges(cost, height, width, disparities):
     for color in (False, True):

@@ -40,6 +40,28 @@ def test_tiny_images_and_wide_ranges(step, height, width, disparities):
 
 
 @pytest.mark.parametrize("step", STEPS)
+def test_the_map_depends_on_the_rows_within_the_halo_alone(step):
+    """A band of rows with this margin has the values of the whole map."""
+    halo = step.halo()
+    if halo is None:
+        pytest.skip("depends on the whole map, as it says")
+    height = 2 * halo + 40
+    disparity, context = noisy_case(height, 60, 20, 4)
+    rows = slice(9, height - 7)
+    pair, volume = context.pair, context.volume
+    band = RefinementContext(
+        type(pair)(pair.left[rows], pair.right[rows]),
+        type(volume)(np.ascontiguousarray(volume.costs[rows]), volume.scale),
+        context.right[rows],
+    )
+    part = step(DisparityMap(disparity.values[rows].copy(), disparity.status[rows].copy()), band)
+    whole = step(disparity, context)
+    inner = slice(halo, part.values.shape[0] - halo)
+    np.testing.assert_array_equal(part.values[inner], whole.values[rows][inner])
+    np.testing.assert_array_equal(part.status[inner], whole.status[rows][inner])
+
+
+@pytest.mark.parametrize("step", STEPS)
 def test_every_pixel_without_value_has_a_reason(step):
     disparity, evidence = noisy_case(30, 50, 20, 1)
     result = step(disparity, evidence)
