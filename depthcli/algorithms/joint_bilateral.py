@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,7 +44,7 @@ def joint_bilateral_fill(
 
 
 @parallel_jit
-def _bilateral_means(color: Any, values: Any, pixels: Any, spatial: Any, likeness: Any) -> Any:
+def _bilateral_means(color, values, pixels, spatial, likeness):  # type: ignore[no-untyped-def]
     height, width = values.shape
     reach = spatial.shape[0] // 2
     means = np.empty(len(pixels), np.float32)

@@ -105,26 +105,29 @@ class RegionGraph:
     Attributes
     ----------
     sizes : (N,) int64 pixels of every region
-    means : (N, C) float64 mean color of every region
     edges : (E, 2) int32 pairs i < j of 4-neighboring regions, sorted
     boundary : (E,) int64 number of 4-neighbor pixel pairs along the common boundary
     sums : (N, C) float64 sum of the colors of every region
     """
 
     sizes: NDArray[np.int64]
-    means: NDArray[np.float64]
     edges: NDArray[np.int32]
     boundary: NDArray[np.int64]
     sums: NDArray[np.float64]
+
+    @property
+    def means(self) -> NDArray[np.float64]:
+        """Mean color of every region, (N, C) float64."""
+        return self.sums / np.maximum(self.sizes, 1)[:, None]
 
 
 def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
     """Return the graph of the regions of ``labels`` (H, W), 0 .. n - 1, over ``image`` (H, W) or (H, W, C)."""
     count = int(labels.max()) + 1 if labels.size else 0
-    flat = labels.ravel()
+    flat = labels.ravel().astype(np.intp)  # once, not in each of the sums
     sizes = np.bincount(flat, minlength=count)
-    channels = image.reshape(flat.size, -1)
-    sums = np.stack([np.bincount(flat, channels[:, c], count) for c in range(channels.shape[1])], axis=1)
+    channels = image.reshape(flat.size, -1).T.astype(np.float64, order="C")
+    sums = np.stack([np.bincount(flat, channel, count) for channel in channels], axis=1)
     keys = []
     for one, other in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
         touching = one != other
@@ -167,7 +170,7 @@ def _graph(
     pairs, place = np.unique(keys, return_inverse=True)
     boundary = np.bincount(place, lengths, len(pairs)).astype(np.int64)
     edges = np.stack([pairs // count, pairs % count], axis=1).astype(np.int32)
-    return RegionGraph(sizes, sums / np.maximum(sizes, 1)[:, None], edges, boundary, sums)
+    return RegionGraph(sizes, edges, boundary, sums)
 
 
 def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> tuple[RegionGraph, NDArray[np.int32]]:

@@ -51,8 +51,6 @@ def trws(
             f"want values and unary (N, K) and weights (N, 4) for N = {count} active pixels, "
             f"got {values.shape}, {unary.shape}, {weights.shape}"
         )
-    if iterations < 1 or truncation < 0:
-        raise ValueError(f"want iterations >= 1 and truncation >= 0, got {iterations}, {truncation}")
     if count == 0:
         return np.empty(0, np.int32), 0.0
     if not (np.isfinite(unary[:, 0]).all() and np.isfinite(values[:, 0]).all()):
@@ -165,9 +163,7 @@ def _visit(  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _pass(  # type: ignore[no-untyped-def]
-    nodes, values, unary, weights, truncation, choices, share, earlier, messages, backward, row_bounds,
-):  # fmt: skip
+def _pass(nodes, values, unary, weights, truncation, choices, share, earlier, messages, backward, row_bounds):  # type: ignore[no-untyped-def]
     # A forward (0) or backward (1) pass; ``row_bounds`` (H,) float64 become the rows' parts of the lower bound.
     height, width = nodes.shape[0] - 2, nodes.shape[1] - 2
     for turn in range(2):

@@ -115,5 +115,3 @@ def test_bad_problems():
         trws(values, np.full_like(unary, np.inf), active, weights, 1.0)
     with pytest.raises(ValueError, match="weights >= 0"):
         trws(values, unary, active, -weights - 1, 1.0)
-    with pytest.raises(ValueError, match="iterations"):
-        trws(values, unary, active, weights, 1.0, 0)

@@ -37,7 +37,7 @@ def edge_distance(disparity, jump, gap_tolerance):
     return np.array(rows), np.array(columns).T
 
 
-def nearest_allowed(disparity, jump, tolerance):
+def max_disparity_in_gaps(disparity, jump, tolerance):
     limit = np.full(disparity.shape, np.inf)
     for y, row in enumerate(disparity):
         known = np.flatnonzero(~np.isnan(row))

@@ -61,19 +61,14 @@ def mean_field(
     Raises
     ------
     ValueError
-        For shapes that do not fit, values that are not finite, negative weights, or features too many or too far
-        apart for the lattice.
+        For shapes that do not fit, values that are not finite, or features too many or too far apart for the lattice.
     """
     if unary.ndim != 2 or unary.shape[1] == 0 or unary.dtype != np.float32:
         raise ValueError(f"want unary energies (N, L) float32 with L > 0, got {unary.shape} {unary.dtype}")
-    if truncation < 1 or iterations < 0:
-        raise ValueError(f"want truncation >= 1 and iterations >= 0, got {truncation}, {iterations}")
     count, labels = unary.shape
     for kernel in kernels:
         if kernel.features.ndim != 2 or len(kernel.features) != count or kernel.features.dtype != np.float32:
             raise ValueError(f"want features ({count}, d) float32, got {kernel.features.shape} {kernel.features.dtype}")
-        if not 0 <= kernel.weight < np.inf:
-            raise ValueError(f"want a weight >= 0, got {kernel.weight}")
     q: NDArray[np.float32] = memory.empty((count, labels), np.float32)
     field = _Field.of([kernel for kernel in kernels if kernel.weight > 0 and iterations], count, labels)
     energies, marginals = np.ascontiguousarray(unary).reshape(-1), q.reshape(-1)

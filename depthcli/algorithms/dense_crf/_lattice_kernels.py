@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from depthcli.kernels.jit import jit, parallel_jit, prange
@@ -13,7 +11,7 @@ _TILE = 64  # points whose simplices are computed together: their coordinates st
 
 
 @jit
-def _find(table: Any, place: Any, key: Any) -> Any:
+def _find(table, place, key):  # type: ignore[no-untyped-def]
     # Position of ``key`` in an open-addressed hash table, or of the free cell where it belongs.
     mask = np.uint64(table.size - 1)
     h = key * np.uint64(0x9E3779B97F4A7C15)
@@ -24,7 +22,7 @@ def _find(table: Any, place: Any, key: Any) -> Any:
 
 
 @parallel_jit
-def find_extremes(features: Any, band: int, ends: Any) -> None:
+def find_extremes(features, band, ends):  # type: ignore[no-untyped-def]
     """Write the smallest and largest features of bands to ``ends`` (2, B, d); NaN where any is not finite."""
     count, d = features.shape
     for b in prange(ends.shape[1]):
@@ -40,7 +38,7 @@ def find_extremes(features: Any, band: int, ends: Any) -> None:
 
 
 @jit
-def _steps(shifts: Any) -> Any:
+def _steps(shifts):  # type: ignore[no-untyped-def]
     # What a key changes by along every axis, and in addition where the last coordinate wraps around.
     d = shifts.shape[0]
     steps = np.ones(d + 1, np.uint64)
@@ -52,7 +50,7 @@ def _steps(shifts: Any) -> Any:
 
 
 @parallel_jit
-def embed(features: Any, scales: Any, shifts: Any, band: int, slots: Any, weights: Any, keys: Any, sizes: Any) -> None:
+def embed(features, scales, shifts, band, slots, weights, keys, sizes):  # type: ignore[no-untyped-def]
     """Write simplices, as ``slots`` that count from 0 in every band, and barycentric ``weights`` of points.
 
     ``sizes`` becomes the number of vertices of every band, even where ``keys`` has no room for them.
@@ -116,7 +114,7 @@ def embed(features: Any, scales: Any, shifts: Any, band: int, slots: Any, weight
 
 
 @jit
-def _nearest(elevated: Any, base: Any, rest: Any, rank: Any, off: Any) -> None:
+def _nearest(elevated, base, rest, rank, off):  # type: ignore[no-untyped-def]
     # The vertex of remainder 0 of every point's simplex is ``base`` times d + 1: the nearest point whose coordinates
     # are multiples of d + 1, after some moved by one where their sum is not 0. ``rest`` is the residual in units of
     # d + 1, ``rank`` its rank among the coordinates, ``off`` scratch.
@@ -148,7 +146,7 @@ def _nearest(elevated: Any, base: Any, rest: Any, rank: Any, off: Any) -> None:
 
 
 @jit
-def merge_vertices(keys: Any, sizes: Any, vertex: Any, own: Any, first_slot: Any) -> Any:
+def merge_vertices(keys, sizes, vertex, own, first_slot):  # type: ignore[no-untyped-def]
     """Number the vertices of all bands; return the hash table, and how many first keys of ``own`` are vertices."""
     total = first_slot[-1]
     capacity = 1024
@@ -170,7 +168,7 @@ def merge_vertices(keys: Any, sizes: Any, vertex: Any, own: Any, first_slot: Any
 
 
 @parallel_jit
-def renumber_slots(slots: Any, first_slot: Any, band: int) -> None:
+def renumber_slots(slots, first_slot, band):  # type: ignore[no-untyped-def]
     """Turn slot numbers within a band into slot numbers over all bands, in place."""
     for b in prange(first_slot.size - 1):
         for n in range(b * band, min(slots.shape[0], (b + 1) * band)):
@@ -179,7 +177,7 @@ def renumber_slots(slots: Any, first_slot: Any, band: int) -> None:
 
 
 @parallel_jit
-def find_neighbors(own: Any, table: Any, place: Any, shifts: Any, neighbors: Any) -> None:
+def find_neighbors(own, table, place, shifts, neighbors):  # type: ignore[no-untyped-def]
     """Write the two neighbors of every vertex along every axis, the number of vertices for none."""
     axes, _, vertices = neighbors.shape
     steps, wrap = _steps(shifts)
@@ -196,7 +194,7 @@ def find_neighbors(own: Any, table: Any, place: Any, shifts: Any, neighbors: Any
 
 
 @parallel_jit
-def spread(values: Any, slots: Any, weights: Any, first_slot: Any, band: int, partial: Any) -> None:
+def spread(values, slots, weights, first_slot, band, partial):  # type: ignore[no-untyped-def]
     """Spread (N, C) values over (T, C) slots."""
     count, corners = slots.shape
     for b in prange(first_slot.size - 1):
@@ -209,7 +207,7 @@ def spread(values: Any, slots: Any, weights: Any, first_slot: Any, band: int, pa
 
 
 @parallel_jit
-def read(values: Any, slots: Any, vertex: Any, weights: Any, result: Any) -> None:
+def read(values, slots, vertex, weights, result):  # type: ignore[no-untyped-def]
     """Read (N, C) values from (V + 1, C) vertices."""
     count, corners = slots.shape
     for n in prange(count):
@@ -222,9 +220,7 @@ def read(values: Any, slots: Any, vertex: Any, weights: Any, result: Any) -> Non
 
 
 @parallel_jit
-def compute_own_share(
-    slots: Any, vertex: Any, weights: Any, neighbors: Any, factors: Any, density: Any, result: Any
-) -> None:
+def compute_own_share(slots, vertex, weights, neighbors, factors, density, result):  # type: ignore[no-untyped-def]
     """Write the own share of every point; see ``Lattice.own_share``."""
     axes = factors.shape[0]
     for n in prange(result.size):
@@ -243,7 +239,7 @@ def compute_own_share(
 
 
 @jit
-def _response(slots: Any, vertex: Any, neighbors: Any, start: int, stop: int, turn: int) -> Any:
+def _response(slots, vertex, neighbors, start, stop, turn):  # type: ignore[no-untyped-def]
     # Response of the blur at one vertex of a simplex to another one. The path takes one step along each axis between
     # the two, plus ``turn`` steps along every axis, which cancel.
     axes = neighbors.shape[0]
@@ -266,7 +262,7 @@ def _response(slots: Any, vertex: Any, neighbors: Any, start: int, stop: int, tu
 
 
 @parallel_jit
-def gather_vertices(partial: Any, order: Any, first: Any, values: Any, width: int) -> None:
+def gather_vertices(partial, order, first, values, width):  # type: ignore[no-untyped-def]
     """Sum the slots of every vertex, rows of ``width``."""
     for v in prange(first.size - 1):
         to = v * width
@@ -278,7 +274,7 @@ def gather_vertices(partial: Any, order: Any, first: Any, values: Any, width: in
 
 
 @parallel_jit
-def blur_axis(source: Any, left: Any, right: Any, target: Any, width: int) -> None:
+def blur_axis(source, left, right, target, width):  # type: ignore[no-untyped-def]
     """Blur vertices, rows of ``width``, by [1/2 1 1/2] along one axis."""
     half = splat(np.float32(0.5))
     for v in prange(left.size):

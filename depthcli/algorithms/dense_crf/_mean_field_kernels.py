@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from depthcli.algorithms.dense_crf.permutohedral import BAND
@@ -16,10 +14,7 @@ _BLOCK = 4 * LANES  # labels that are held in registers together
 
 
 @parallel_jit
-def join_lattices(
-    slots: Any, weights: Any, density: Any, share: Any, weight: Any, offset: Any, column: int, all_slots: Any,
-    all_weights: Any, own: Any,
-) -> None:  # fmt: skip
+def join_lattices(slots, weights, density, share, weight, offset, column, all_slots, all_weights, own):  # type: ignore[no-untyped-def]
     """Write the corners of one lattice into the columns from ``column`` on, with normalized weights."""
     for n in prange(own.size):
         scale = np.sqrt(weight / density[n])
@@ -30,10 +25,7 @@ def join_lattices(
 
 
 @parallel_jit
-def start(
-    unary: Any, q: Any, labels: int, slots: Any, weights: Any, corners: int, bands: Any, width: int,
-    partial: Any, finite: Any,
-) -> None:  # fmt: skip
+def start(unary, q, labels, slots, weights, corners, bands, width, partial, finite):  # type: ignore[no-untyped-def]
     """Write the initial marginals, softmax(-unary), to ``q`` and spread them over the lattices.
 
     ``finite`` becomes False for bands that have an energy that is not finite.
@@ -59,10 +51,7 @@ def start(
 
 
 @parallel_jit
-def update(
-    unary: Any, q: Any, labels: int, near: Any, slots: Any, vertex: Any, weights: Any, corners: int, own: Any,
-    truncation: int, bands: Any, width: int, more: bool, partial: Any,
-) -> None:  # fmt: skip
+def update(unary, q, labels, near, slots, vertex, weights, corners, own, truncation, bands, width, more, partial):  # type: ignore[no-untyped-def]
     """Run one step of mean field for all points: read messages, write marginals to ``q``, spread them (if ``more``)."""
     count = own.size
     # Rows of a tile lie one behind the other, with zeros between them for the windows that reach beyond their ends.
@@ -94,7 +83,7 @@ def update(
 
 
 @jit
-def _clear(partial: Any, bands: Any, b: int, width: int) -> None:
+def _clear(partial, bands, b, width):  # type: ignore[no-untyped-def]
     zero = splat(np.float32(0.0))
     for k in range(0, bands.shape[1], 2):
         for i in range(bands[b, k] * width, bands[b, k + 1] * width, LANES):
@@ -102,10 +91,7 @@ def _clear(partial: Any, bands: Any, b: int, width: int) -> None:
 
 
 @jit
-def _spread(
-    tile: Any, stride: int, total: Any, slots: Any, weights: Any, corners: int, first: int, size: int, width: int,
-    partial: Any,
-) -> None:  # fmt: skip
+def _spread(tile, stride, total, slots, weights, corners, first, size, width, partial):  # type: ignore[no-untyped-def]
     # Adds the marginals of points, the rows of a tile divided by their ``total``, to their slots.
     for p in range(size):
         factor = np.float32(1.0) / total[p]
@@ -127,10 +113,7 @@ def _spread(
 
 
 @jit
-def _read(
-    near: Any, width: int, slots: Any, vertex: Any, weights: Any, corners: int, own: Any, q: Any, labels: int,
-    first: int, size: int, message: Any, lead: int, stride: int, spare: Any,
-) -> None:  # fmt: skip
+def _read(near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride, spare):  # type: ignore[no-untyped-def]
     # Writes the messages of points to the rows of a tile: values of their vertices without their own share.
     for p in range(size):
         begin, at, to = (first + p) * corners, (first + p) * labels, lead + p * stride
@@ -161,7 +144,7 @@ def _read(
 
 
 @jit
-def _window(source: Any, length: int, target: Any) -> None:
+def _window(source, length, target):  # type: ignore[no-untyped-def]
     # target[i] = source[i] + ... + source[i + length - 1]. The window doubles once for every further binary digit of
     # its length, and grows by one where that is 1: more additions than a running sum, but on sixteen labels at a time.
     digit = 0
@@ -183,9 +166,7 @@ def _window(source: Any, length: int, target: Any) -> None:
 
 
 @jit
-def _energies(
-    unary: Any, labels: int, first: int, size: int, gain: Any, begin: int, stride: int, tile: Any
-) -> None:  # fmt: skip
+def _energies(unary, labels, first, size, gain, begin, stride, tile):  # type: ignore[no-untyped-def]
     # tile = unary - gain, row by row.
     for p in range(size):
         at, source, to = (first + p) * labels, begin + p * stride, p * stride
@@ -196,7 +177,7 @@ def _energies(
 
 
 @jit
-def _softmax(tile: Any, stride: int, labels: int, width: int, size: int, total: Any) -> None:
+def _softmax(tile, stride, labels, width, size, total):  # type: ignore[no-untyped-def]
     # tile = exp(smallest energy - energy), row by row, 0 behind the labels; total = sums of the rows.
     for p in range(size):
         at = p * stride
@@ -220,7 +201,7 @@ def _softmax(tile: Any, stride: int, labels: int, width: int, size: int, total: 
 
 
 @jit
-def _write(tile: Any, stride: int, total: Any, q: Any, first: int, labels: int, size: int) -> None:
+def _write(tile, stride, total, q, first, labels, size):  # type: ignore[no-untyped-def]
     # q = the rows of a tile divided by their ``total``.
     for p in range(size):
         factor = np.float32(1.0) / total[p]

@@ -5,8 +5,6 @@ They are inlined, so that they work on scalars and on the lanes of a vectorized 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from depthcli.kernels.jit import jit
@@ -16,19 +14,19 @@ MAD_TO_SIGMA = 1.4826
 
 
 @jit
-def biweight_root(residual: Any) -> Any:
+def biweight_root(residual):  # type: ignore[no-untyped-def]
     """Return ``max(0, 1 - r^2)``, the root of Tukey's biweight, of a float32 residual in units of its gate."""
     return max(np.float32(0), np.float32(1) - residual * residual)
 
 
 @jit
-def huber_weight(residual: Any, limit: Any) -> Any:
+def huber_weight(residual, limit):  # type: ignore[no-untyped-def]
     """Return Huber's weight of a residual: 1 up to ``limit``, ``limit / |r|`` beyond it."""
     return min(1.0, limit / max(abs(residual), 1e-30))
 
 
 @jit
-def plane_slopes(xx: Any, xy: Any, yy: Any, xd: Any, yd: Any, determinant: Any) -> Any:
+def plane_slopes(xx, xy, yy, xd, yd, determinant):  # type: ignore[no-untyped-def]
     """Solve for the slopes (a, b) of ``d = a x + b y + c`` by Cramer's rule.
 
     Parameters
@@ -40,7 +38,7 @@ def plane_slopes(xx: Any, xy: Any, yy: Any, xd: Any, yd: Any, determinant: Any) 
 
 
 @jit
-def plane_moments(x: Any, y: Any, d: Any, weights: Any) -> Any:
+def plane_moments(x, y, d, weights):  # type: ignore[no-untyped-def]
     """Return the sums of w, wx, wy, wd, wxx, wxy, wyy, wxd and wyd over float64 samples."""
     s = sx = sy = sd = sxx = sxy = syy = sxd = syd = 0.0
     for i in range(d.size):
@@ -59,7 +57,7 @@ def plane_moments(x: Any, y: Any, d: Any, weights: Any) -> Any:
 
 
 @jit
-def solve_cholesky(matrix: Any, right: Any, terms: int, solution: Any) -> bool:
+def solve_cholesky(matrix, right, terms, solution):  # type: ignore[no-untyped-def]
     """Solve normal equations of ``terms`` unknowns, by the lower half of ``matrix``, which is overwritten.
 
     False, and no ``solution``, where a pivot vanishes beside its diagonal element: the system is singular.
@@ -91,7 +89,7 @@ def solve_cholesky(matrix: Any, right: Any, terms: int, solution: Any) -> bool:
 
 
 @jit
-def smallest(values: Any, k: int) -> Any:
+def smallest(values, k):  # type: ignore[no-untyped-def]
     """Return the k-th smallest of ``values`` (Hoare's selection), which are reordered."""
     low, high = 0, values.size - 1
     while low < high:

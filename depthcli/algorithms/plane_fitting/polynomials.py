@@ -17,7 +17,7 @@ from depthcli.algorithms.plane_fitting.least_squares import (
 from depthcli.algorithms.plane_fitting.segment_planes import Members
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
-# Chosen on generated Kinect frames (``depthcli sample --kinect``).
+# Values that refine-kinect dsrm was published with; nothing in the repository varies them.
 _MIN_PLANE_PIXELS, _MIN_QUADRIC_PIXELS = 30, 100  # known pixels from which a surface has degree 1, 2
 _CONVERGED = 0.05  # a surface that moves by less than this share of the floor of the scale is final
 _SCALE_UPDATES = 3  # iterations after which the scale of the residuals is left as it is
@@ -120,8 +120,8 @@ def fit_polynomials(
 
 @parallel_jit
 def _fit(  # type: ignore[no-untyped-def]
-    order, begins, values, coefficients, center, bounds, scale, unit, degree, huber, iterations, warm_iterations,
-    floor, samples,
+    order, begins, values, coefficients, center, bounds, scale, unit, degree, huber, iterations, warm_iterations, floor,
+    samples,
 ):  # fmt: skip
     for s in prange(begins.size - 1):
         known = begins[s + 1] - begins[s]

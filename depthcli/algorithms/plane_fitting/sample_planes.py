@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -114,10 +113,10 @@ class RobustFit(BaseModel):
 
 
 @parallel_jit
-def _fit(
-    nearest: Any, rows: Any, columns: Any, values: Any, image: Any, at_rows: Any, at_columns: Any, noise: Any,
-    color_rate: Any, slope: Any, steps: int, marks: Any, result: Any, sigma: Any, confidence: Any, mark: Any,
-) -> None:  # fmt: skip
+def _fit(  # type: ignore[no-untyped-def]
+    nearest, rows, columns, values, image, at_rows, at_columns, noise, color_rate, slope, steps, marks, result, sigma,
+    confidence, mark,
+):  # fmt: skip
     for p in prange(at_rows.size):
         count = 0
         while count < nearest.shape[1] and nearest[p, count] >= 0:
@@ -148,7 +147,7 @@ def _fit(
 
 
 @jit
-def _start(dx: Any, dy: Any, v: Any, w: Any, noise: Any, slope: Any) -> Any:
+def _start(dx, dy, v, w, noise, slope):  # type: ignore[no-untyped-def]
     # The value of the sample that the largest weight agrees with, and the standard deviation of slopes at its depth.
     best = np.float32(-1.0)
     start = v[0]
@@ -166,9 +165,7 @@ def _start(dx: Any, dy: Any, v: Any, w: Any, noise: Any, slope: Any) -> Any:
 
 
 @jit
-def _plane(
-    dx: Any, dy: Any, v: Any, w: Any, m: Any, total: Any, noise: Any, steep: Any, start: Any, steps: int
-) -> Any:  # fmt: skip
+def _plane(dx, dy, v, w, m, total, noise, steep, start, steps):  # type: ignore[no-untyped-def]
     # Value at the pixel, its standard deviation, the weighted share of inliers and their mean mark.
     a, b, c = start, np.float32(0.0), np.float32(0.0)
     variance = np.float32(1.0)
@@ -250,10 +247,7 @@ def nearest_samples(
 
 
 @parallel_jit
-def _nearest(
-    rows: Any, columns: Any, order: Any, first: Any, side: int, across: int, down: int, at_rows: Any,
-    at_columns: Any, skip_own: bool, nearest: Any,
-) -> None:  # fmt: skip
+def _nearest(rows, columns, order, first, side, across, down, at_rows, at_columns, skip_own, nearest):  # type: ignore[no-untyped-def]
     count = nearest.shape[1]
     for p in prange(at_rows.size):
         y, x = at_rows[p], at_columns[p]
@@ -285,7 +279,7 @@ def _nearest(
 
 
 @jit
-def _insert(best: Any, have: int, key: Any) -> Any:
+def _insert(best, have, key):  # type: ignore[no-untyped-def]
     count = best.size
     if have == count and key >= best[count - 1]:
         return have

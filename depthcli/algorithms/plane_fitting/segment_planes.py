@@ -127,8 +127,8 @@ def fit_segment_planes(
 
 @parallel_jit
 def _fit(  # type: ignore[no-untyped-def]
-    values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center
-):
+    values, width, order, starts, chosen, tolerance, trials, max_slope, flatness, seed, coefficients, support, center,
+):  # fmt: skip
     for k in prange(chosen.size):
         first = starts[chosen[k]]
         count = starts[chosen[k] + 1] - first

@@ -14,7 +14,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 RADIUS = 4
 """Half side of the windows, pixels."""
 
-# Chosen on generated Kinect frames (``depthcli sample --kinect``).
+# Values that refine-kinect accurate was published with; nothing in the repository varies them.
 _GATE = 4.0  # larger residuals have no weight, multiples of the noise
 _FIRST_GATE, _FIRST_GATE_GROWTH = 6.4, 1.0  # before there is a plane: the gate, and its growth a pixel of distance
 _RIDGE = 1.0  # square pixels added to the scatter: thin support must not yield steep planes
@@ -94,9 +94,7 @@ def _fit(disparity, trust, affected, first_gate, growth, gate, value, slope_x, s
 
 
 @jit
-def _fit_block(  # type: ignore[no-untyped-def]
-    disparity, trust, y, left, width, first_gate, growth, gate, sums, value, slope_x, slope_y, scale,
-):  # fmt: skip
+def _fit_block(disparity, trust, y, left, width, first_gate, growth, gate, sums, value, slope_x, slope_y, scale):  # type: ignore[no-untyped-def]
     one, zero = np.float32(1), np.float32(0)
     s, sx, sy, sd, sxx = sums[0, :width], sums[1, :width], sums[2, :width], sums[3, :width], sums[4, :width]
     sxy, syy, sxd, syd, sdd = sums[5, :width], sums[6, :width], sums[7, :width], sums[8, :width], sums[9, :width]

@@ -13,7 +13,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 BLOCK = 64
 """Pixels of a row that kernels work on at a time, one in every lane."""
 
-# Chosen with the preset stereo accurate on the Middlebury pairs; the device kernels (slanted.cl) have the same values.
+# Values of the preset stereo accurate, not varied by any script; the device kernels (slanted.cl) have the same.
 _RIDGE = np.float32(0.2)  # square pixels added to the variance of positions
 _COLOR_THRESHOLD = np.float32(75.0)  # sum over the channels of the differences, grey levels
 _MIN_SAMPLES = np.float32(6.0)
@@ -75,7 +75,7 @@ def difference_limits(radius: int) -> tuple[int, NDArray[np.float32], np.float32
 
 
 @parallel_jit
-def _fit(values: Any, valid: Any, planes: Any, grid: Any, margin: int, spread: Any, result: Any) -> None:
+def _fit(values, valid, planes, grid, margin, spread, result):  # type: ignore[no-untyped-def]
     # Weights and differences of all samples first (SIMD over the block), then one sum after another.
     _, height, width = result.shape
     count = grid.shape[0]
@@ -106,7 +106,7 @@ def _fit(values: Any, valid: Any, planes: Any, grid: Any, margin: int, spread: A
 
 
 @jit
-def _near_samples(values: Any, valid: Any, planes: Any, grid: Any, y: int, x: int, near: Any, apart: Any) -> None:
+def _near_samples(values, valid, planes, grid, y, x, near, apart):  # type: ignore[no-untyped-def]
     red0, green0, blue0 = planes[0, y, x : x + BLOCK], planes[1, y, x : x + BLOCK], planes[2, y, x : x + BLOCK]
     value0 = values[y, x : x + BLOCK]
     for k in range(grid.shape[0]):
@@ -128,7 +128,7 @@ def _near_samples(values: Any, valid: Any, planes: Any, grid: Any, y: int, x: in
 
 
 @jit
-def _reweight(near: Any, apart: Any, grid: Any, slope_x: Any, slope_y: Any, offset: Any, weights: Any) -> None:
+def _reweight(near, apart, grid, slope_x, slope_y, offset, weights):  # type: ignore[no-untyped-def]
     for k in range(grid.shape[0]):
         dy, dx = np.float32(grid[k, 0]), np.float32(grid[k, 1])
         source, difference, out = near[k], apart[k], weights[k]
@@ -137,7 +137,7 @@ def _reweight(near: Any, apart: Any, grid: Any, slope_x: Any, slope_y: Any, offs
 
 
 @jit
-def _sum_moments(weights: Any, apart: Any, grid: Any, sums: Any) -> None:
+def _sum_moments(weights, apart, grid, sums):  # type: ignore[no-untyped-def]
     sums[:] = 0
     for k in range(grid.shape[0]):
         dy, dx = np.float32(grid[k, 0]), np.float32(grid[k, 1])
@@ -153,7 +153,7 @@ def _sum_moments(weights: Any, apart: Any, grid: Any, sums: Any) -> None:
 
 
 @jit
-def _residual_variance(weights: Any, apart: Any, grid: Any, slope_x: Any, slope_y: Any, offset: Any, sums: Any) -> None:
+def _residual_variance(weights, apart, grid, slope_x, slope_y, offset, sums):  # type: ignore[no-untyped-def]
     # The weighted mean of the squared residuals, into the first row of ``sums``.
     squares, total = sums[0], sums[1]
     squares[:] = 0
@@ -171,7 +171,7 @@ def _residual_variance(weights: Any, apart: Any, grid: Any, slope_x: Any, slope_
 
 
 @jit
-def _solve(sums: Any, slope_x: Any, slope_y: Any, offset: Any) -> None:
+def _solve(sums, slope_x, slope_y, offset):  # type: ignore[no-untyped-def]
     one = np.float32(1)
     for i in range(BLOCK):
         s = sums[0, i]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -55,7 +53,7 @@ def mode_colors(image: NDArray[np.uint8], spatial_radius: float, color_radius: f
 
 
 @parallel_jit
-def _shift(planes: Any, radius: float, limit: Any, modes: Any) -> None:
+def _shift(planes, radius, limit, modes):  # type: ignore[no-untyped-def]
     # Sums of a window stay separate by lane until all its rows are added: six sums of vectors, no branch.
     height, width, _ = modes.shape
     for y in prange(height):

@@ -1,4 +1,4 @@
-"""Choice among the candidates of every unreliable pixel, by votes, measurement and neighbors."""
+"""The choice of one candidate disparity for every unreliable pixel, by its votes, its measurement and its neighbors."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.algorithms.trws import trws
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
-# Chosen by experiment; scripts/kinect_experiments.py has the figures of the presets.
+# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 AGREEMENT = 4.0
-"""A candidate that is nearer to the measurement agrees with it, multiples of the noise."""
-_MIN_SHARE = 0.08  # added to the shares of votes: small ones differ little
-_MAX_PROBABILITY = 0.97  # of a measurement to be right, or to be wrong
+"""A candidate agrees with the measurement if it differs by less than this, multiples of the noise."""
+_MIN_SHARE = 0.08  # added to every share of votes, so that small shares cost about the same
+_MAX_PROBABILITY = 0.97  # largest probability that a measurement is correct, and that it is wrong
 _EDGE_COLOR = 12.0  # contrast over which smoothness falls by 1/e, L1 in 8-bit Lab
 _MIN_WEIGHT = 0.02  # of smoothness, across the strongest color edge
 _MAX_EXTRA_COST = 4.0  # candidates that cost more than the cheapest by this are left out
@@ -25,7 +25,7 @@ def choose_candidates(
     shares: NDArray[np.float32],
     lab: NDArray[np.uint8],
     disparity: NDArray[np.float32],
-    right: NDArray[np.float32],
+    p_correct: NDArray[np.float32],
     unreliable: NDArray[np.bool_],
     planes: WindowPlanes,
     noise: float,
@@ -36,7 +36,7 @@ def choose_candidates(
     """Choose a value for every unreliable pixel, (H, W) float32; NaN where it has no candidate, and elsewhere.
 
     The cost of a candidate is ``-ln(share + 0.08)`` and, where something was measured, ``-ln`` of the probability
-    that it is right (for candidates close to it) or wrong; differences of neighbors cost, less across color edges.
+    that it is correct (for candidates close to it) or wrong; differences of neighbors cost, less across color edges.
     TRW-S minimizes the sum.
 
     Parameters
@@ -45,7 +45,7 @@ def choose_candidates(
     values, shares : (N, K) of :func:`depthcli.methods.kinect.plane_voting.cast_votes`
     lab : (H, W, 3) uint8
     disparity : (H, W) float32 measured, pixels, NaN = unknown
-    right : (H, W) float32, probability that a measured value is right
+    p_correct : (H, W) float32, probability that a measured value is correct
     unreliable : (H, W) bool
     planes : known surfaces; at reliable pixels they are the fixed neighbors
     noise : pixels
@@ -58,7 +58,7 @@ def choose_candidates(
     unary = np.full(candidates.shape, np.inf, np.float32)
     weights = np.zeros((len(pixels), 4), np.float32)
     _costs(
-        pixels, values, shares, lab, disparity, right, unreliable, planes.value, planes.slope_x, planes.slope_y,
+        pixels, values, shares, lab, disparity, p_correct, unreliable, planes.value, planes.slope_x, planes.slope_y,
         np.float32(noise), np.float32(smoothness), np.float32(truncation), candidates, unary, weights,
     )  # fmt: skip
     has_candidates = np.isfinite(unary[:, 0])
@@ -75,8 +75,8 @@ def choose_candidates(
 
 @parallel_jit
 def _costs(  # type: ignore[no-untyped-def]
-    pixels, values, shares, lab, disparity, right, unreliable, value, slope_x, slope_y, noise, smoothness, truncation,
-    candidates, unary, weights,
+    pixels, values, shares, lab, disparity, p_correct, unreliable, value, slope_x, slope_y, noise, smoothness,
+    truncation, candidates, unary, weights,
 ):  # fmt: skip
     height, width = disparity.shape
     for n in prange(len(pixels)):
@@ -97,7 +97,7 @@ def _costs(  # type: ignore[no-untyped-def]
             unary[n, count] = -np.log(np.float32(_MIN_SHARE))
             count += 1
         if known:
-            p = min(max(right[y, x], np.float32(1 - _MAX_PROBABILITY)), np.float32(_MAX_PROBABILITY))
+            p = min(max(p_correct[y, x], np.float32(1 - _MAX_PROBABILITY)), np.float32(_MAX_PROBABILITY))
             for i in range(count):
                 close = abs(candidates[n, i] - measured) < np.float32(AGREEMENT) * noise
                 unary[n, i] -= np.log(p) if close else np.log(np.float32(1) - p)

@@ -13,8 +13,8 @@ from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, RefinedDepth
 
 _NOISE_SAMPLES = 60_000  # second differences along either axis: as many give the median within a percent
-_CORRECTED = 3.0  # multiples of the noise: a measurement that moves by more was wrong, not noisy
-_FARTHEST = np.float32(1e-3)  # share of the smallest measured disparity below which a value is none
+_MAX_NOISE = 3.0  # standard deviations: a measurement that moves by more was wrong, not noisy
+_MIN_RELATIVE_DISPARITY = np.float32(1e-3)  # of a value, over the smallest measured disparity; below it is none
 
 
 def measured_disparity(frame: RgbdFrame) -> NDArray[np.float32]:
@@ -88,13 +88,13 @@ def refined_depth(
     """
     measured = frame.disparity
     known = ~np.isnan(measured)
-    values = np.where(disparity > np.nanmin(measured) * _FARTHEST, disparity, np.float32(np.nan))
+    values = np.where(disparity > np.nanmin(measured) * _MIN_RELATIVE_DISPARITY, disparity, np.float32(np.nan))
     depth = depth_of_disparity(values, frame.fb)
     same = values == measured
     depth[same] = frame.depth[same]
     status = np.zeros(frame.shape, np.uint8)
     status[known & ~same] = DepthStatus.SMOOTHED
-    status[known & (np.abs(values - measured) > _CORRECTED * noise)] = DepthStatus.CORRECTED
+    status[known & (np.abs(values - measured) > _MAX_NOISE * noise)] = DepthStatus.CORRECTED
     status[~known] = DepthStatus.GAP_FILLED
     if fallback is not None:
         status[~known & fallback] = DepthStatus.FALLBACK

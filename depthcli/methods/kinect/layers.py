@@ -17,7 +17,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.depth_edges import edge_distance
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level
 from depthcli.methods.kinect.model import SurfaceModel
-from depthcli.methods.kinect.shadows import nearest_allowed
+from depthcli.methods.kinect.shadows import max_disparity_in_gaps
 from depthcli.methods.kinect.surfaces import add_detail, join_segments
 
 CORE_DISTANCE = 6
@@ -77,7 +77,7 @@ class Measurement:
             disparity=disparity,
             reliable=np.where(unreliable, np.float32(np.nan), disparity),
             core=unreliable & (distance.row > CORE_DISTANCE) & (distance.column > 1),
-            limit=nearest_allowed(disparity, jump * noise),
+            limit=max_disparity_in_gaps(disparity, jump * noise),
             noise=noise,
         )
 
@@ -125,10 +125,12 @@ def fit_layer(
     join : False: a segment without a model stays without a surface
     """
     count = int(labels.max()) + 1
-    sizes = _count(labels, measurement.disparity, measurement.reliable, measurement.core, count)
-    size, known, unreliable, core = sizes.T
-    modelled = (known >= min_known) & (known >= min_share * size)
-    by_core = ~modelled & (core >= _MIN_CORE_PIXELS) & (2 * core >= known + unreliable)
+    size, reliable, measured, core = (
+        np.bincount(labels[chosen].ravel(), minlength=count)
+        for chosen in (..., ~np.isnan(measurement.reliable), ~np.isnan(measurement.disparity), measurement.core)
+    )
+    modelled = (reliable >= min_known) & (reliable >= min_share * size)
+    by_core = ~modelled & (core >= _MIN_CORE_PIXELS) & (2 * core >= measured)
     values = measurement.reliable
     if by_core.any():
         values = np.where(by_core[labels] & measurement.core, measurement.disparity, values)
@@ -138,24 +140,6 @@ def fit_layer(
     if join:
         owners = join_segments(labels, modelled, surfaces, color, measurement.limit)
     return Layer(owners[labels], surfaces, modelled[labels])
-
-
-@jit
-def _count(labels, disparity, reliable, core, count):  # type: ignore[no-untyped-def]
-    # Pixels of every segment: all, reliable, unreliable, and those in the core.
-    sizes = np.zeros((count, 4), np.int32)
-    height, width = labels.shape
-    for y in range(height):
-        for x in range(width):
-            s = labels[y, x]
-            sizes[s, 0] += 1
-            if not np.isnan(reliable[y, x]):
-                sizes[s, 1] += 1
-            elif not np.isnan(disparity[y, x]):
-                sizes[s, 2] += 1
-                if core[y, x]:
-                    sizes[s, 3] += 1
-    return sizes
 
 
 @dataclass(frozen=True)

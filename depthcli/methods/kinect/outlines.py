@@ -1,4 +1,4 @@
-"""Offset of true outlines from measured depth edges, estimated from the frame, and what it says of measurements.
+"""Probability that a measurement beside a depth edge is correct, by the offset of true outlines in the frame.
 
 A sensor that matches windows shows near surfaces too wide, by an amount that depends on the sensor, and registration
 to the color camera shifts them. Averaged over all depth edges of a frame, the contrast of the color image peaks at
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE
 
-# Chosen by experiment; scripts/kinect_experiments.py has the figures of the presets.
+# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 MIN_OFFSET, MAX_OFFSET = -6, 14
 """Range of an outline's offset from a depth edge, pixels into the near side."""
 _MAX_SLOPE = 0.2  # steps over a gap that are smaller are slopes, pixels of disparity a pixel
@@ -21,14 +21,14 @@ _PROFILE_REACH = 20  # pixels on both sides of an edge of the contrast profile
 _MAX_CONTRAST = 20.0  # larger contrast counts as this, L1 in 8-bit Lab
 _PEAK_END = 0.15  # the profile's peak ends where it falls below this share of its height
 _PRIOR_EDGES = 100.0  # weight of the prior distribution of offsets, edges of full contrast
-_MIN_PRIOR_SHARE = 0.1
+_MIN_PRIOR_SHARE = 0.1  # smallest share of the prior in the distribution of offsets
 _GAP_EDGE_PROBABILITY = 0.5  # that a gap without a step hides a surface behind its rims
 _WIDE_GAP_PROBABILITY = 0.6  # that an edge is at its place if its gap is wider than a shadow
 _MIXED_PIXEL_SHARE = 0.75  # of the pixels on an outline that belong to the near surface
-_MIN_RUN_PROBABILITY = 0.6  # each raised run has a pixel that is right with at least this probability
+_MIN_RUN_PROBABILITY = 0.6  # largest probability in a run of pixels nearer than the pixels beside it is at least this
 
 
-def truth_probability(lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float) -> NDArray[np.float32]:
+def correct_probability(lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float) -> NDArray[np.float32]:
     """Compute the probability that a measured value belongs to the surface that the color image shows there.
 
     Parameters
@@ -57,7 +57,7 @@ def _along_rows(
     inside = np.cumsum(offsets, axis=1) + _MIXED_PIXEL_SHARE * np.column_stack([offsets[:, 1:], np.zeros(2)])
     result = np.empty_like(disparity)
     inside = inside.astype(np.float32)
-    # Whether a measurement is wrong by its distance from the edge: on the near side, on the far side.
+    # Probability that a measurement is wrong, by its distance from the edge: on the near side, on the far side.
     near, far = np.float32(1) - inside[:, -MIN_OFFSET:], np.ascontiguousarray(inside[:, -MIN_OFFSET::-1])
     _probability(disparity, np.float32(jump), near, far, np.float32(gap_probability), result)
     return result
@@ -71,7 +71,7 @@ def outline_offsets(lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump
 
     Parameters
     ----------
-    lab, disparity, jump : as in :func:`truth_probability`
+    lab, disparity, jump : as in :func:`correct_probability`
     """
     sums = np.zeros((len(disparity), 2, 2 * _PROFILE_REACH))
     counts = np.zeros((len(disparity), 2), np.int64)
@@ -153,7 +153,8 @@ def _probability(disparity, jump, near, far, gap_probability, out):  # type: ign
 
 @jit
 def _lower(d, q, x, step, k, jump, wrong, probability):  # type: ignore[no-untyped-def]
-    # From x on, at distance k from the edge, as far as the surface and the probabilities ``wrong`` of distances reach.
+    # Lowers the probabilities q from x on, at distance k from the edge, to the end of the surface or of ``wrong``: the
+    # probability, by distance, that a measurement is wrong.
     last = x
     while k < wrong.size and 0 <= x < d.size:
         if not np.isnan(d[x]):

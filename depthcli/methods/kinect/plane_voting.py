@@ -1,4 +1,7 @@
-"""Votes of the planes around a pixel for its disparity, and pixels whose color speaks against the measured surface."""
+"""Candidates for the disparity of a pixel, from votes of the planes around it; pixels of hidden openings.
+
+An opening is *hidden* where the near surfaces on both sides have grown over it: neither a gap nor a step is measured.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,14 @@ from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.shadows import SLOPE_FADE
 
-# Chosen by experiment; scripts/kinect_experiments.py has the figures of the presets.
+# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 LEVELS = ((1, 5), (4, 36), (12, 108))
 """Stride and reach of the voters: every pixel within 5, every fourth within 36, every twelfth within 108 pixels."""
 _BIN = 5 / 3  # width of a bin of the histogram, multiples of the noise
 _SPACE_SCALES = 2.0 * 1.1 ** np.arange(32)  # scales of distance that weights are tabulated for, pixels
 _MIN_SHARE = 0.01  # smaller modes are no candidates
 _MIN_SIMILARITY = 0.002  # of colors, however different
-# Hidden openings:
+# Of hidden openings:
 _MIN_LIKELIHOOD_RATIO = 0.3  # of a pixel's color on its own surface to that on surfaces behind it
 _MIN_OPENING_DISTANCE = 9  # pixels: nearer ones may lie in the same opening
 _OPENING_REACH = 36  # pixels
@@ -29,7 +32,7 @@ _OPENING_SCALE = 20.0  # distance over which weights fall by 1/e, pixels
 
 @dataclass(frozen=True)
 class Voters:
-    """Planes of every n-th pixel of every n-th row.
+    """The planes that vote: those of every n-th pixel of every n-th row.
 
     Attributes
     ----------
@@ -46,7 +49,7 @@ class Voters:
 
     @classmethod
     def of(cls, lab: NDArray[np.uint8], planes: WindowPlanes, trust: NDArray[np.float32], stride: int) -> Voters:
-        """Sample full-size maps; each voter stands for the ``stride ** 2`` pixels of its cell."""
+        """Return every n-th plane with the weight ``trust`` (H, W) of its pixel, times the n x n pixels of its cell."""
         every = np.s_[::stride, ::stride]
         stack = np.stack([planes.value[every], planes.slope_x[every], planes.slope_y[every]])
         weight = np.where(np.isnan(stack[0]), np.float32(0), trust[every] * np.float32(stride * stride))
@@ -56,18 +59,19 @@ class Voters:
 
 @dataclass(frozen=True)
 class ShadowPrior:
-    """Influence of shadows on the votes; all (H, W) float32.
+    """Influence of the projector's shadows on the votes; all (H, W) float32.
 
     Attributes
     ----------
-    limit, beyond : votes for more than ``limit`` pixels count ``beyond`` times
-    rim, bonus : a disparity (NaN = none) that gets the share ``bonus`` of all votes in addition
+    limit, limit_factor : votes for disparities above ``limit``, pixels, are multiplied by ``limit_factor``
+    background, extra_share : disparity of the surface behind a shadow, pixels, NaN = none, which gets in addition
+        the share ``extra_share`` of all votes
     """
 
     limit: NDArray[np.float32]
-    beyond: NDArray[np.float32]
-    rim: NDArray[np.float32]
-    bonus: NDArray[np.float32]
+    limit_factor: NDArray[np.float32]
+    background: NDArray[np.float32]
+    extra_share: NDArray[np.float32]
 
 
 def color_similarity(sigma: float) -> NDArray[np.float32]:
@@ -85,7 +89,7 @@ def cast_votes(
     sigma_color: float,
     sigma_space: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Find the strongest modes of the votes for the disparity of some pixels.
+    """Compute the candidates for the disparity of some pixels: the strongest modes of the votes.
 
     Each voter votes for its plane, continued to the pixel along slopes that fade with distance, with the
     weight ``exp(-|Lab difference|_1 / sigma_color - |offset|_1 / sigma_space)``.
@@ -119,7 +123,7 @@ def cast_votes(
     scale = np.searchsorted(_SPACE_SCALES[:-1], sigma_space[pixels[:, 0], pixels[:, 1]])
     _vote(
         pixels, scale, lab, tuple(v.planes for v in voters), tuple(v.lab for v in voters),
-        tuple(v.weight for v in voters), prior.limit, prior.beyond, prior.rim, prior.bonus,
+        tuple(v.weight for v in voters), prior.limit, prior.limit_factor, prior.background, prior.extra_share,
         color_similarity(sigma_color), space, np.float32(low), np.float32(unit), bins, values, shares,
     )  # fmt: skip
     return values, shares
@@ -127,8 +131,8 @@ def cast_votes(
 
 @jit
 def _gather(  # type: ignore[no-untyped-def]
-    y, x, light, a, b, planes, colors, weight, stride, inner, reach, limit, beyond, similarity, space, low, unit, bins,
-    votes, extent,
+    y, x, light, a, b, planes, colors, weight, stride, inner, reach, limit, limit_factor, similarity, space, low, unit,
+    bins, votes, extent,
 ):  # fmt: skip
     # Adds the votes of one level to the histogram; those within ``inner`` pixels belong to the finer level.
     height, width = weight.shape
@@ -153,7 +157,7 @@ def _gather(  # type: ignore[no-untyped-def]
             fade = np.float32(1) / (np.float32(1) + (across * across + square) * per_square)
             d = value[u] + fade * (slope_x[u] * across + slope_y[u] * down)
             if d > limit:
-                w *= beyond
+                w *= limit_factor
             k = np.int32((d - low) * unit)
             if 1 <= k < bins - 1:
                 votes[k, 0] += w
@@ -164,8 +168,8 @@ def _gather(  # type: ignore[no-untyped-def]
 
 @parallel_jit
 def _vote(  # type: ignore[no-untyped-def]
-    pixels, scale, lab, planes, colors, weight, limit, beyond, rim, bonus, similarity, space, low, unit, bins, values,
-    shares,
+    pixels, scale, lab, planes, colors, weight, limit, limit_factor, background, extra_share, similarity, space, low,
+    unit, bins, values, shares,
 ):  # fmt: skip
     for block in prange((len(pixels) + 255) // 256):
         votes = np.zeros((bins, 2), np.float32)  # mass, and mass x value
@@ -175,7 +179,7 @@ def _vote(  # type: ignore[no-untyped-def]
             y, x = pixels[n]
             light, a, b = np.int32(lab[y, x, 0]), np.int32(lab[y, x, 1]), np.int32(lab[y, x, 2])
             extent[0], extent[1] = bins, -1
-            largest, factor, weights = limit[y, x], beyond[y, x], space[scale[n]]
+            largest, factor, weights = limit[y, x], limit_factor[y, x], space[scale[n]]
             inner = -1
             for level in range(len(LEVELS)):
                 stride, reach = LEVELS[level]
@@ -187,12 +191,12 @@ def _vote(  # type: ignore[no-untyped-def]
             total = np.float32(0)
             for k in range(extent[0], extent[1] + 1):
                 total += votes[k, 0]
-            if not np.isnan(rim[y, x]):
-                k = int((rim[y, x] - low) * per_unit)
+            if not np.isnan(background[y, x]):
+                k = int((background[y, x] - low) * per_unit)
                 if 1 <= k < bins - 1:
-                    w = max(bonus[y, x] * total, np.float32(1e-9))
+                    w = max(extra_share[y, x] * total, np.float32(1e-9))
                     votes[k, 0] += w
-                    votes[k, 1] += w * rim[y, x]
+                    votes[k, 1] += w * background[y, x]
                     total += w
                     extent[0] = min(extent[0], k)
                     extent[1] = max(extent[1], k)
@@ -234,16 +238,16 @@ def hidden_openings(
     jump: float,
     sigma_color: float,
 ) -> NDArray[np.bool_]:
-    """Select measured pixels, (H, W) bool, whose color speaks for a surface behind the measured one.
+    """Select the measured pixels, (H, W) bool, whose color is that of a surface behind the measured one.
 
-    Where near surfaces grow over a narrow opening from both sides, it is closed: neither a gap nor a step is left,
-    and only the color shows the surface behind.
+    A pixel is selected if its color is much less likely on the surface that was measured there than on those farther
+    away within 36 pixels. Only the color shows an opening that near surfaces have grown over from both sides.
 
     Parameters
     ----------
     lab : (H, W, 3) uint8
     planes : of the measured disparity
-    voters : every fourth pixel
+    voters : with a stride of 4
     trusted : (H, W) bool, pixels to test
     jump : surfaces that are farther by more lie behind, pixels
     sigma_color : as in :func:`cast_votes`

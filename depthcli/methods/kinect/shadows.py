@@ -1,4 +1,4 @@
-"""The projector's shadows: which surfaces can lie in a gap, and how far a frame's gaps are shadows at all.
+"""Shadows of the sensor's projector: which surfaces can lie in a gap, and whether a frame's gaps are shadows at all.
 
 With the projector on the right of the camera, pixels left of a near surface that the camera sees but the projector
 does not reach have no depth: of a row, the pixels x with ``x - d(x) >= x' - d(x')`` for a nearer pixel x' on their
@@ -13,25 +13,26 @@ from numpy.typing import NDArray
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
-# Chosen by experiment; scripts/kinect_experiments.py has the figures of the presets.
+# Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 SHADOW_FACTOR, GAP_FACTOR, HOLE_FACTOR = 0.02, 0.06, 0.5
-"""Likelihood of surfaces nearer than a shadow allows: in a shadow, in another gap, in a hole of one surface."""
+"""Likelihood of a surface that is nearer than a shadow allows: in a shadow, another gap, a hole of one surface."""
 SHADOW_BAND = 8
-"""Pixels right of a shadow where the near surface may have grown over the far one."""
+"""Width of the band on the right of a shadow where the near surface may have grown over the far one, pixels."""
 WIDTH_TOLERANCE = 4.0
 """Pixels by which a shadow may be wider than its step."""
 SLOPE_FADE = 20.0
-"""Distance over which a surface is continued along its slope, pixels."""
-_MATCHING_WIDTH = 3.0  # pixels by which a gap's width may differ from its step, to speak for shadows
-_FULL_SHARE = 0.5  # share of matching gaps from which on the confidence is 1
-_PRIOR_GAPS = 20.0  # non-matching gaps that count besides
-_SIMILAR_COLOR = 10  # L1 in 8-bit Lab
-_MIN_BONUS, _MAX_BONUS = 0.1, 0.6  # share of votes of the left rim's surface: in any shadow; in one of its width
-_BONUS_WIDTH = 2.0  # pixels between the shadow's width and the step over which the share falls by 1/e
+"""Distance from a surface at which half of its slope is left when it is continued, pixels."""
+_MAX_WIDTH_DIFFERENCE = 3.0  # between a gap and its step that still count as equal, pixels
+_FULL_SHARE = 0.5  # share of gaps as wide as their step from which on the confidence is 1
+_PRIOR_GAPS = 20.0  # gaps added to those of the frame, as if not as wide as their step
+_MAX_COLOR_DIFFERENCE = 10  # between a hole and the surface around it, L1 in 8-bit Lab
+# Share of the votes that the surface on the left of a shadow gets: least; where the shadow is as wide as its step.
+_MIN_EXTRA_SHARE, _MAX_EXTRA_SHARE = 0.1, 0.6
+_EXTRA_SHARE_SCALE = 2.0  # pixels between the shadow's width and the step over which the share falls by 1/e
 
 
 def shadow_confidence(disparity: NDArray[np.float32], jump: float) -> float:
-    """Estimate, in [0, 1], how far the frame's gaps are shadows: by how many are as wide as their step.
+    """Estimate the confidence, 0 .. 1, that the frame's gaps are shadows, from how many are as wide as their step.
 
     Gaps left of the near side count for it, those on the right of it against it.
 
@@ -54,7 +55,7 @@ def shadow_limits(
     tolerance: float,
     confidence: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Compute the largest disparity that fits a shadow at each pixel, and the likelihood of nearer surfaces.
+    """Compute the largest disparity that a shadow allows at each pixel, and the likelihood of surfaces above it.
 
     Parameters
     ----------
@@ -67,26 +68,27 @@ def shadow_limits(
     Returns
     -------
     limit : (H, W) float32, pixels; inf outside gaps
-    beyond : (H, W) float32 in (0, 1], factor of the likelihood; 1 outside gaps and for ``confidence`` 0
+    limit_factor : (H, W) float32 in (0, 1], factor of the likelihood; 1 outside gaps and for ``confidence`` 0
     """
     limit = np.full(disparity.shape, np.inf, np.float32)
-    beyond = np.ones(disparity.shape, np.float32)
+    limit_factor = np.ones(disparity.shape, np.float32)
     factors = (np.float32(f**confidence) for f in (SHADOW_FACTOR, GAP_FACTOR, HOLE_FACTOR))
     in_shadow, in_gap, in_hole = factors
     _limits(
         lab, disparity, planes.value, planes.slope_x, np.float32(jump), np.float32(tolerance), in_shadow, in_gap,
-        in_hole, limit, beyond,
+        in_hole, limit, limit_factor,
     )  # fmt: skip
-    return limit, beyond
+    return limit, limit_factor
 
 
-def left_rims(
+def shadow_background(
     disparity: NDArray[np.float32], planes: WindowPlanes, jump: float, confidence: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Continue the surfaces left of shadows into them and the band on their right, with a share of votes.
+    """Compute the disparity of the surface behind each shadow and the band on its right, and its share of the votes.
 
-    A shadow is as wide as the step to the surface that it falls on: where the left rim's step is as large, that is
-    the surface.
+    It is the surface on the left, continued along its slope.
+    A shadow is as wide as the step to the surface that it falls on: if the step to the surface on
+    the left is as large, that is the surface.
 
     Parameters
     ----------
@@ -94,14 +96,14 @@ def left_rims(
 
     Returns
     -------
-    rim : (H, W) float32, pixels, NaN = no shadow
-    bonus : (H, W) float32, share of all votes that the rim gets in addition
+    background : (H, W) float32, pixels, NaN = no shadow
+    extra_share : (H, W) float32, share of all votes that the background gets in addition
     """
-    rim = np.full(disparity.shape, np.nan, np.float32)
-    bonus = np.zeros(disparity.shape, np.float32)
-    low, high = np.float32(confidence * _MIN_BONUS), np.float32(confidence * _MAX_BONUS)
-    _rims(disparity, planes.value, planes.slope_x, np.float32(jump), low, high, rim, bonus)
-    return rim, bonus
+    background = np.full(disparity.shape, np.nan, np.float32)
+    extra_share = np.zeros(disparity.shape, np.float32)
+    low, high = np.float32(confidence * _MIN_EXTRA_SHARE), np.float32(confidence * _MAX_EXTRA_SHARE)
+    _background(disparity, planes.value, planes.slope_x, np.float32(jump), low, high, background, extra_share)
+    return background, extra_share
 
 
 @parallel_jit
@@ -118,7 +120,7 @@ def _count_runs(disparity, jump, counts):  # type: ignore[no-untyped-def]
                 step = d[x] - d[last]
                 side = 0 if step > 0 else 1
                 counts[y, side] += 1
-                if abs(np.float32(gap) - abs(step)) <= _MATCHING_WIDTH:
+                if abs(np.float32(gap) - abs(step)) <= _MAX_WIDTH_DIFFERENCE:
                     counts[y, 2 + side] += 1
             last = x
 
@@ -138,7 +140,7 @@ def _rim_contrast(lab, d, y, u, left, right):  # type: ignore[no-untyped-def]
 
 
 @parallel_jit
-def _limits(lab, disparity, value, slope_x, jump, tolerance, in_shadow, in_gap, in_hole, limit, beyond):  # type: ignore[no-untyped-def]
+def _limits(lab, disparity, value, slope_x, jump, tolerance, in_shadow, in_gap, in_hole, limit, limit_factor):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     for y in prange(height):
         d = disparity[y]
@@ -159,14 +161,14 @@ def _limits(lab, disparity, value, slope_x, jump, tolerance, in_shadow, in_gap, 
                 for u in range(last + 1, x):
                     if one_surface:
                         # a hole in one surface, if the color is that of the rims
-                        factor = in_hole if _rim_contrast(lab, d, y, u, last, x) < _SIMILAR_COLOR else in_gap
+                        factor = in_hole if _rim_contrast(lab, d, y, u, last, x) < _MAX_COLOR_DIFFERENCE else in_gap
                     limit[y, u] = d[x] - np.float32(x - u) + tolerance
-                    beyond[y, u] = factor
+                    limit_factor[y, u] = factor
             last = x
 
 
 @parallel_jit
-def _rims(disparity, value, slope_x, jump, low, high, rim, bonus):  # type: ignore[no-untyped-def]
+def _background(disparity, value, slope_x, jump, low, high, background, extra_share):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     for y in prange(height):
         d = disparity[y]
@@ -179,31 +181,32 @@ def _rims(disparity, value, slope_x, jump, low, high, rim, bonus):  # type: igno
             if gap > 0 and last >= 0 and step > jump and gap <= step + WIDTH_TOLERANCE:
                 for u in range(last + 1, min(x + SHADOW_BAND, width)):
                     far = np.float32(u - last)
-                    rim[y, u] = value[y, last] + slope_x[y, last] * far / (1 + (far / np.float32(SLOPE_FADE)) ** 2)
-                off = (np.float32(gap) - (d[x] - rim[y, x])) / np.float32(_BONUS_WIDTH)
+                    fade = 1 + (far / np.float32(SLOPE_FADE)) ** 2
+                    background[y, u] = value[y, last] + slope_x[y, last] * far / fade
+                off = (np.float32(gap) - (d[x] - background[y, x])) / np.float32(_EXTRA_SHARE_SCALE)
                 share = low + (high - low) * np.float32(np.exp(-off * off))
                 for u in range(last + 1, min(x + SHADOW_BAND, width)):
-                    bonus[y, u] = share
+                    extra_share[y, u] = share
             last = x
 
 
-def shadow_rims(disparity: NDArray[np.float32], jump: float) -> NDArray[np.float32]:
-    """Fill shadows with the value on their left: (H, W) float32, NaN elsewhere.
+def fill_shadows(disparity: NDArray[np.float32], jump: float) -> NDArray[np.float32]:
+    """Return the values of shadows, which are the disparities on their left: (H, W) float32, NaN elsewhere.
 
     Parameters
     ----------
     disparity : (H, W) float32, pixels, NaN = unknown
     jump : smallest step, pixels
     """
-    rim = np.full(disparity.shape, np.nan, np.float32)
-    bonus = np.zeros(disparity.shape, np.float32)
+    background = np.full(disparity.shape, np.nan, np.float32)
+    extra_share = np.zeros(disparity.shape, np.float32)
     level = np.zeros(disparity.shape, np.float32)
-    _rims(disparity, disparity, level, np.float32(jump), np.float32(0), np.float32(0), rim, bonus)
-    return rim
+    _background(disparity, disparity, level, np.float32(jump), np.float32(0), np.float32(0), background, extra_share)
+    return background
 
 
-def nearest_allowed(disparity: NDArray[np.float32], jump: float, tolerance: float = 2.5) -> NDArray[np.float32]:
-    """Compute the largest disparity (H, W) float32 that fits a gap seen as a shadow; inf where it is none.
+def max_disparity_in_gaps(disparity: NDArray[np.float32], jump: float, tolerance: float = 2.5) -> NDArray[np.float32]:
+    """Compute the largest disparity (H, W) float32 that a gap allows if it is a shadow; inf where it is none.
 
     A gap of n pixels beside a step is the shadow of its near side on a surface that is farther by about n pixels of
     disparity: on the far side of the step, if that is as far, or else on a surface behind it.
@@ -215,12 +218,12 @@ def nearest_allowed(disparity: NDArray[np.float32], jump: float, tolerance: floa
     tolerance : pixels of disparity
     """
     limit = np.full(disparity.shape, np.inf, np.float32)
-    _gap_limits(disparity, np.float32(jump), np.float32(tolerance), limit)
+    _max_in_gaps(disparity, np.float32(jump), np.float32(tolerance), limit)
     return limit
 
 
 @parallel_jit
-def _gap_limits(disparity, jump, tolerance, limit):  # type: ignore[no-untyped-def]
+def _max_in_gaps(disparity, jump, tolerance, limit):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     for y in prange(height):
         last = -1

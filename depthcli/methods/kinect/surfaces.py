@@ -14,7 +14,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 
 SHADOW_PENALTY = 1000.0
 """Cost of a surface that a shadow rules out: above any path of colors, so that it is taken only without another."""
-_BOUNDARY_COST = 10  # of a common boundary of one pixel, grey levels; chosen on generated Kinect frames
+_BOUNDARY_COST = 10  # of a common boundary of one pixel, grey levels; value of the shipped presets, not varied
 
 
 def join_segments(
@@ -61,7 +61,7 @@ def join_segments(
 
 
 @jit
-def _join(owners, mean, center_of, limits, starts, neighbors, boundary, coefficients, center, bounds, unit):  # type: ignore[no-untyped-def]
+def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coefficients, center, bounds, unit):  # type: ignore[no-untyped-def]
     waiting: Any = [(0.0, s, s) for s in range(owners.size) if owners[s] == s]
     heapq.heapify(waiting)
     modelled = owners >= 0
@@ -78,7 +78,10 @@ def _join(owners, mean, center_of, limits, starts, neighbors, boundary, coeffici
             step = _BOUNDARY_COST / np.sqrt(float(boundary[k]))
             for c in range(3):
                 step += abs(mean[s, c] - mean[t, c])
-            if surface_at(coefficients, center, bounds, unit, owner, center_of[t, 0], center_of[t, 1]) > limits[t]:
+            if (
+                surface_at(coefficients, center, bounds, unit, owner, segment_center[t, 0], segment_center[t, 1])
+                > limits[t]
+            ):
                 step += SHADOW_PENALTY
             heapq.heappush(waiting, (cost + step, np.int64(t), owner))
 

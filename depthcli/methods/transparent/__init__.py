@@ -1,8 +1,16 @@
 """Depth of transparent objects, from a sensor that sees through them and sparse depth from elsewhere (section 5.1).
 
-``cross_modal`` makes the sparse depth by stereo of a color and an infrared camera, whose images and costs ``modality``
-makes comparable; it may come from a file as well. ``fitted_frame`` cleans these samples, fits planes to them
-everywhere (``fit``), and finds the regions where the sensor contradicts them (``unreliable``). A pipeline replaces the
-sensor there: ``robust`` by the fit, ``crf``, the thesis's method, by a dense CRF over depth labels; ``nearest`` and
-``joint_bilateral`` are for comparison. All work in inverse depth, in which planes are affine.
+In: a ``SparseFrame`` (color, the sensor's depth, sparse depth), or an ``RgbIrFrame`` (color, infrared, the sensor's
+depth), of which ``cross_modal`` makes one. Out: a ``RefinedDepth``. In the order in which they are used:
+
+| module | decision |
+|---|---|
+| ``modality`` | how color and infrared images become comparable |
+| ``cross_modal`` | which matches of stereo between these images become sparse depth |
+| ``fitted_frame`` | which sparse samples are outliers; planes through the others at every pixel |
+| ``unreliable`` | in which regions the sensor contradicts the planes |
+| ``pipeline`` | what replaces the sensor there: ``robust`` the planes, far from samples smoothed (``smoothing``); ``crf``, \
+of the thesis, a dense CRF over depth labels; ``nearest`` and ``joint_bilateral`` are for comparison |
+
+All but ``cross_modal``, which works in pixels of disparity, compute with inverse depth, in which planes are affine.
 """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any
 
 import cv2
 import numpy as np
@@ -129,7 +128,7 @@ def mean_cost(volume: CostVolume) -> NDArray[np.float32]:
 
 
 @parallel_jit
-def _fade(costs: Any, left: Any, right: Any, out: Any) -> None:
+def _fade(costs, left, right, out):  # type: ignore[no-untyped-def]
     height, width, depth = costs.shape
     half = np.float32(0.5)
     for y in prange(height):

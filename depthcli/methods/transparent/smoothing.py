@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
@@ -59,7 +57,7 @@ class Smoothing(BaseModel):
 
 
 @parallel_jit
-def _smooth(values: Any, image: Any, wanted: Any, radius: int, rate: Any, result: Any) -> None:
+def _smooth(values, image, wanted, radius, rate, result):  # type: ignore[no-untyped-def]
     height, width = values.shape
     for y in prange(height):
         for x in range(width):

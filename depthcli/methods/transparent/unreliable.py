@@ -13,10 +13,10 @@ from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
 from depthcli.algorithms.plane_fitting.sample_planes import Samples
 
-# Chosen by experiment: scripts/transparent_experiments.py.
+# The first three are those of the figures of scripts/transparent_experiments.py, which varies none of them.
 _MAX_SAMPLE_EVIDENCE = 4.0  # of one sample for a region, standard deviations
 _MIN_EXPECTED_SAMPLES = 4.0  # a piece of a region whose area should hold as many is dropped if it holds one or none
-_SCORE_RANGE = -2, 4  # half squared deviations
+_SCORE_RANGE = -2, 4  # smallest and largest score of a pixel, half squared deviations
 _OUTLIER = 2.5  # standard deviations beyond which samples do not count for the noise
 _TRUNCATION_LOSS = 0.97  # deviation of a normal distribution without what lies beyond 2.5, over the whole one's
 
@@ -154,27 +154,29 @@ class UnreliableRegions(BaseModel):
         return tuple(weights)
 
     def _contradicted(self, region: Any, sensor: Any, samples: Samples, noise: float) -> NDArray[np.bool_]:
-        count, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+        labels, area = _pieces(region)
         nearer = self.beyond((samples.values - sensor[samples.rows, samples.columns]) / noise)
         known = np.isfinite(nearer)
         at = labels[samples.rows, samples.columns][known]
-        total = np.bincount(at, np.clip(nearer[known], -_MAX_SAMPLE_EVIDENCE, _MAX_SAMPLE_EVIDENCE), count)
-        number = np.bincount(at, minlength=count)
+        total = np.bincount(at, np.clip(nearer[known], -_MAX_SAMPLE_EVIDENCE, _MAX_SAMPLE_EVIDENCE), area.size)
+        number = np.bincount(at, minlength=area.size)
         keep = (number > 0) & (total >= self.min_region_evidence * np.sqrt(number))
-        keep &= total >= self.min_sample_evidence * number
-        keep &= statistics[:, cv2.CC_STAT_AREA] >= self.min_area * region.size
-        keep[0] = False
-        kept: NDArray[np.bool_] = keep[labels]
+        keep &= (total >= self.min_sample_evidence * number) & (area >= self.min_area * region.size)
+        kept: NDArray[np.bool_] = keep[labels] & region
         return kept
+
+
+def _pieces(region: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    # 8-connected pieces of a region: (H, W) labels, 0 outside, and the area of each.
+    _, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+    return np.asarray(labels, np.int32), np.asarray(statistics[:, cv2.CC_STAT_AREA], np.int32)
 
 
 def _with_samples(region: NDArray[np.bool_], samples: Samples) -> NDArray[np.bool_]:
     # Drop the pieces that hold one sample or none where their area should hold several: pixels that the sensor does
     # not know join such a piece to others; its own evidence may be a single wrong sample.
-    count, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
-    number = np.bincount(labels[samples.rows, samples.columns], minlength=count)
-    expected = statistics[:, cv2.CC_STAT_AREA] * (samples.values.size / region.size)
-    keep = (number > 1) | (expected < _MIN_EXPECTED_SAMPLES)
-    keep[0] = False
-    kept: NDArray[np.bool_] = keep[labels]
+    labels, area = _pieces(region)
+    number = np.bincount(labels[samples.rows, samples.columns], minlength=area.size)
+    keep = (number > 1) | (area * (samples.values.size / region.size) < _MIN_EXPECTED_SAMPLES)
+    kept: NDArray[np.bool_] = keep[labels] & region
     return kept

@@ -18,7 +18,7 @@ from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateral
 from depthcli.methods.kinect.pipeline.nearest import Nearest
 from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
-from depthcli.methods.kinect.shadows import shadow_rims
+from depthcli.methods.kinect.shadows import fill_shadows
 
 METHODS = [
     FastGlobalSmoother(), Guided(), Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateral(), Nearest(),
@@ -168,11 +168,11 @@ def test_realsense_lowers_the_noise_of_a_static_camera():
     assert errors[-1] < 0.8 * errors[0]
 
 
-def test_shadow_rims_hold_the_value_on_the_left():
+def test_fill_shadows_hold_the_value_on_the_left():
     truth = np.full((9, 90), 10.0, np.float32)
     truth[:, 40:60] = 20
     sample = simulate_kinect(np.zeros((9, 90, 3), np.uint8), truth, 0, noise=0.0, discs=0)
-    rims = shadow_rims(sample.disparity, 1.0)
+    rims = fill_shadows(sample.disparity, 1.0)
     np.testing.assert_array_equal(rims[sample.occluded], 10)
 
 

@@ -11,12 +11,12 @@ from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, simulate_kinect
-from depthcli.methods.kinect.outlines import MIN_OFFSET, outline_offsets, truth_probability
+from depthcli.methods.kinect.outlines import MIN_OFFSET, correct_probability, outline_offsets
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
 from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateral
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
 from depthcli.methods.kinect.plane_voting import LEVELS, ShadowPrior, Voters, cast_votes, hidden_openings
-from depthcli.methods.kinect.shadows import left_rims, shadow_confidence, shadow_limits
+from depthcli.methods.kinect.shadows import shadow_background, shadow_confidence, shadow_limits
 from tests.naive import kinect_votes as naive
 
 
@@ -132,9 +132,9 @@ def test_outline_offsets_are_the_simulated_fattening(fattening):
 
 
 @pytest.mark.slow
-def test_truth_probability_separates_right_from_wrong_measurements():
+def test_correct_probability_separates_right_from_wrong_measurements():
     sample = sample_of(size=(400, 300))
-    right = truth_probability(lab_of(sample.color), sample.disparity, 1.5)
+    right = correct_probability(lab_of(sample.color), sample.disparity, 1.5)
     known = sample.measured | sample.mismatch
     assert sample.mismatch[known & (right < 0.2)].mean() > 0.75
     assert sample.mismatch[known & (right > 0.9)].mean() < 0.05
@@ -143,8 +143,8 @@ def test_truth_probability_separates_right_from_wrong_measurements():
 def test_a_frame_without_edges_or_without_depth_has_no_unreliable_pixels():
     lab = np.full((20, 60, 3), 100, np.uint8)
     flat = np.full((20, 60), 12, np.float32)
-    assert (truth_probability(lab, flat, 1.0) == 1).all()
-    assert (truth_probability(lab, np.full_like(flat, np.nan), 1.0) == 1).all()
+    assert (correct_probability(lab, flat, 1.0) == 1).all()
+    assert (correct_probability(lab, np.full_like(flat, np.nan), 1.0) == 1).all()
     assert shadow_confidence(flat, 1.0) == 0
 
 
@@ -160,7 +160,7 @@ def test_limits_and_rims_of_shadows():
     sample = simulate_kinect(np.full((30, 120, 3), 90, np.uint8), truth, 0, noise=0.0, discs=0)
     planes = window_planes(sample.disparity, np.ones_like(truth), 0.1)
     limit, beyond = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, 1.0)
-    rim, bonus = left_rims(sample.disparity, planes, 1.0, 1.0)
+    rim, bonus = shadow_background(sample.disparity, planes, 1.0, 1.0)
     found = list(naive.shadows(sample.disparity, 1.0))
     assert len(found) == 30 and all(is_shadow for *_, is_shadow in found)
     for y, first, end, _ in found:

@@ -7,7 +7,7 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.methods.kinect.model.polynomial import Polynomial
-from depthcli.methods.kinect.shadows import nearest_allowed
+from depthcli.methods.kinect.shadows import max_disparity_in_gaps
 from depthcli.methods.kinect.surfaces import add_detail, join_segments
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.naive import kinect as naive
@@ -33,10 +33,10 @@ def one_segment(values):
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("unknown", [0.0, 0.3, 1.0])
-def test_nearest_allowed(shape, unknown):
+def test_max_disparity_in_gaps(shape, unknown):
     disparity = noisy(*shape, unknown=unknown)
-    found = nearest_allowed(disparity, 1.5, 2.5)
-    np.testing.assert_allclose(found, naive.nearest_allowed(disparity, 1.5, 2.5), rtol=1e-6)
+    found = max_disparity_in_gaps(disparity, 1.5, 2.5)
+    np.testing.assert_allclose(found, naive.max_disparity_in_gaps(disparity, 1.5, 2.5), rtol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -13,10 +13,10 @@ from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.kinect.candidate_choice import AGREEMENT, choose_candidates
 from depthcli.methods.kinect.disparity import measured_disparity, nearest_fill, noise_level, refined_depth
-from depthcli.methods.kinect.outlines import truth_probability
+from depthcli.methods.kinect.outlines import correct_probability
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.plane_voting import LEVELS, ShadowPrior, Voters, cast_votes, hidden_openings
-from depthcli.methods.kinect.shadows import GAP_FACTOR, left_rims, shadow_confidence, shadow_limits
+from depthcli.methods.kinect.shadows import GAP_FACTOR, shadow_background, shadow_confidence, shadow_limits
 
 
 class PlaneVotes(KinectPipeline):
@@ -61,39 +61,39 @@ class PlaneVotes(KinectPipeline):
         lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB), np.uint8)
         noise = noise_level(measured)
         jump = self.jump * noise
-        right = truth_probability(lab, measured, jump)
+        p_correct = correct_probability(lab, measured, jump)
         in_shadows = shadow_confidence(measured, jump) if self.shadows else 0.0
-        unreliable = ~known | (right < self.min_probability)
-        trust = np.where(known & (right > self.min_vote_probability), right, np.float32(0))
+        unreliable = ~known | (p_correct < self.min_probability)
+        trust = np.where(known & (p_correct > self.min_vote_probability), p_correct, np.float32(0))
         clock.stop("unreliable")
 
         refined = measured
         planes = window_planes(measured, trust, noise)
-        limit, beyond = shadow_limits(lab, measured, planes, jump, 3 * noise, in_shadows)
+        limit, limit_factor = shadow_limits(lab, measured, planes, jump, 3 * noise, in_shadows)
         clock.stop("planes")
         distance = cv2.distanceTransform((trust == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
         local = self.sigma_space + self.sigma_growth * distance
-        shadowed = np.where(known, in_shadows, np.clip(np.log(beyond) / np.log(GAP_FACTOR), 0, 1))
+        shadowed = np.where(known, in_shadows, np.clip(np.log(limit_factor) / np.log(GAP_FACTOR), 0, 1))
         sigma_space = (local ** (1 - shadowed) * self.sigma_shadow**shadowed).astype(np.float32)
         for step in range(self.passes):
             voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
             if step == 0 and self.opening_probability is not None:
                 opened = hidden_openings(lab, planes, voters[1], known & ~unreliable, jump, self.sigma_color)
-                right = np.where(opened, np.minimum(right, np.float32(self.opening_probability)), right)
+                p_correct = np.where(opened, np.minimum(p_correct, np.float32(self.opening_probability)), p_correct)
                 unreliable |= opened
                 clock.stop("openings")
             # All but the last pass work on every second pixel of every second row.
             grid = 1 if step == self.passes - 1 else 2
             every = np.s_[::grid, ::grid]
             pixels = np.argwhere(unreliable[every]).astype(np.int32)
-            rim, bonus = left_rims(measured, planes, jump, in_shadows)
-            bonus = np.where(known, bonus * (1 - right), bonus).astype(np.float32)
-            prior = ShadowPrior(limit, beyond, rim, bonus)
+            background, extra_share = shadow_background(measured, planes, jump, in_shadows)
+            extra_share = np.where(known, extra_share * (1 - p_correct), extra_share).astype(np.float32)
+            prior = ShadowPrior(limit, limit_factor, background, extra_share)
             votes = cast_votes(grid * pixels, lab, voters, prior, noise, self.candidates, self.sigma_color, sigma_space)
             clock.stop("votes")
             chosen = np.full_like(measured, np.nan)
             chosen[every] = choose_candidates(
-                pixels, *votes, lab[every], measured[every], right[every], unreliable[every], planes.every(grid),
+                pixels, *votes, lab[every], measured[every], p_correct[every], unreliable[every], planes.every(grid),
                 noise, self.smoothness, self.truncation, self.iterations,
             )  # fmt: skip
             # Where the choice agrees with the measurement, the measurement is more exact.

@@ -167,7 +167,7 @@ def carried_labels(
     shapes = (surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit)
     cost = np.empty(still.shape, np.float32)
     _held(layer.labels, still, measurement.reliable, measurement.limit, *shapes, surfaces.scale, np.float32(jump), cost)
-    labels, own = layer.labels.copy(), layer.own.copy()
+    labels, own = np.where(cost > 0, np.int32(-1), layer.labels), layer.own.copy()
     _sweep(
         cost, labels, own, color, measurement.reliable, measurement.limit, *shapes, np.float32(5 / measurement.noise)
     )
@@ -193,10 +193,6 @@ def _held(labels, still, reliable, limit, coefficients, center, bounds, unit, sc
 @jit
 def _sweep(cost, labels, own, color, reliable, limit, coefficients, center, bounds, unit, weight):  # type: ignore[no-untyped-def]
     height, width = labels.shape
-    for y in range(height):
-        for x in range(width):
-            if cost[y, x] > 0:
-                labels[y, x] = -1
     held = cost.copy()
     for step in (1, -1):
         for j in range(height):

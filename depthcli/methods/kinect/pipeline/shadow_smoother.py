@@ -13,7 +13,7 @@ from depthcli.methods.kinect.depth_edges import edge_distance
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.fast_global_smoother import weighted_smoothing
-from depthcli.methods.kinect.shadows import shadow_confidence, shadow_rims
+from depthcli.methods.kinect.shadows import fill_shadows, shadow_confidence
 
 
 class ShadowSmoother(KinectPipeline):
@@ -43,7 +43,7 @@ class ShadowSmoother(KinectPipeline):
         confidence = known.astype(np.float32)
         band = edge_distance(measured, jump).inside(self.row_band, self.column_band)
         confidence[known & band] = self.edge_confidence
-        rims = shadow_rims(measured, jump)
+        rims = fill_shadows(measured, jump)
         shadow = ~known & ~np.isnan(rims)
         confidence[shadow] = self.shadow_confidence * shadow_confidence(measured, jump)
         clock.stop("confidence")
