@@ -47,7 +47,8 @@ def join_segments(
     if modelled.all() or not modelled.any():
         return owners
     graph = region_graph(labels, color)
-    centers = np.stack([np.bincount(labels.ravel(), axis.ravel(), count) for axis in np.indices(labels.shape)], axis=1)
+    places = np.indices(labels.shape, np.float64).reshape(2, -1)
+    centers = np.stack([np.bincount(labels.ravel(), axis, count) for axis in places], axis=1)
     limited = np.isfinite(limit)
     n_limited = np.bincount(labels[limited], minlength=count)
     mean_limit = np.bincount(labels[limited], limit[limited], count) / np.maximum(n_limited, 1)
@@ -78,10 +79,8 @@ def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coe
             step = _BOUNDARY_COST / np.sqrt(float(boundary[k]))
             for c in range(3):
                 step += abs(mean[s, c] - mean[t, c])
-            if (
-                surface_at(coefficients, center, bounds, unit, owner, segment_center[t, 0], segment_center[t, 1])
-                > limits[t]
-            ):
+            y, x = segment_center[t]
+            if surface_at(coefficients, center, bounds, unit, owner, y, x) > limits[t]:
                 step += SHADOW_PENALTY
             heapq.heappush(waiting, (cost + step, np.int64(t), owner))
 

@@ -9,8 +9,8 @@ depth), of which ``cross_modal`` makes one. Out: a ``RefinedDepth``. In the orde
 | ``cross_modal`` | which matches of stereo between these images become sparse depth |
 | ``fitted_frame`` | which sparse samples are outliers; planes through the others at every pixel |
 | ``unreliable`` | in which regions the sensor contradicts the planes |
-| ``pipeline`` | what replaces the sensor there: ``robust`` the planes, far from samples smoothed (``smoothing``); ``crf``, \
-of the thesis, a dense CRF over depth labels; ``nearest`` and ``joint_bilateral`` are for comparison |
+| ``pipeline`` | what replaces the sensor there: ``robust`` the planes, far from samples smoothed (``smoothing``); \
+``crf``, of the thesis, a dense CRF over depth labels; ``nearest`` and ``joint_bilateral`` are for comparison |
 
 All but ``cross_modal``, which works in pixels of disparity, compute with inverse depth, in which planes are affine.
 """
