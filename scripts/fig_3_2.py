@@ -24,11 +24,12 @@ import _env  # noqa: F401  (first: continues in the checkout's environment)
 from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
-from depthcli.core.method import device_implementation_of
+from depthcli.core.result import Clock
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.device import Device, open_device
 from depthcli.evaluation.render import Table
 from depthcli.methods.stereo.aggregation import Aggregator
+from depthcli.methods.stereo.aggregation import _device as implementations
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.aggregation.cross import Cross
@@ -83,10 +84,9 @@ def measure_aggregations(device: Device, pair: StereoPair, windows: list[int], r
     bandwidth = device.bandwidth()
     rows: list[dict[str, object]] = []
     for name, window, method in aggregations(windows):
-        implementation = device_implementation_of(method)
-        assert implementation is not None
-        naive, _ = on_device(device, lambda m=method, i=implementation: i.naive(m, copied, there), min(repeat, 3))  # type: ignore[misc]
-        fast, nbytes = on_device(device, lambda m=method, i=implementation: i.run(m, copied, there), repeat)  # type: ignore[misc]
+        fast_version, naive_version = (getattr(implementations, way + method.method_name()) for way in ("", "naive_"))
+        naive, _ = on_device(device, lambda m=method, run=naive_version: run(m, copied, there), min(repeat, 3))  # type: ignore[misc]
+        fast, nbytes = on_device(device, lambda m=method, run=fast_version: run(m, copied, there), repeat)  # type: ignore[misc]
         processor = by_clock(lambda m=method: m(volume, pair), min(repeat, 5))  # type: ignore[misc]
         share = 100 * nbytes / (fast / 1e3) / bandwidth
         rows.append({
@@ -103,7 +103,7 @@ def measure_presets(device: Device, pair: StereoPair, repeat: int) -> list[tuple
     for preset in PRESETS:
         found = find_config("stereo", preset)
         pipeline = load_config(StereoConfig, found, [], lambda name: find_preset("stereo", name)).pipeline
-        there = by_clock(lambda p=pipeline: local.run(p, pair, DISPARITIES - 1, device), repeat)  # type: ignore[misc]
+        there = by_clock(lambda p=pipeline: local(p, DevicePair(device, pair), DISPARITIES - 1, Clock()), repeat)  # type: ignore[misc]
         here = by_clock(lambda p=pipeline: p(pair, DISPARITIES - 1), min(repeat, 5))  # type: ignore[misc]
         rows.append((preset, f"{there:.2f}", f"{here:.1f}", f"{here / there:.1f}"))
         print(rows[-1], flush=True)

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from depthcli.data.formats.pictures import Palette
     from depthcli.device import Device
     from depthcli.methods.stereo.config import PairConfig
-    from depthcli.methods.stereo.matching import Limits, Matcher
+    from depthcli.methods.stereo.matcher import Matcher
+    from depthcli.methods.stereo.matching import Limits
     from depthcli.methods.stereo.search_range import SearchRange
     from depthcli.methods.stereo.volume import StereoResult
 

@@ -13,7 +13,7 @@ from depthcli.data.scenes.stereo import StereoScene
 if TYPE_CHECKING:
     from depthcli.device import Device
     from depthcli.methods.stereo.config import StereoConfig
-    from depthcli.methods.stereo.matching import Matcher
+    from depthcli.methods.stereo.matcher import Matcher
 
 _DEVICE = Option(
     "device", str, "Where to match: cpu, auto (a GPU if there is one), opencl or cuda, with :N. Default: cpu.", "NAME",
@@ -60,11 +60,13 @@ class StereoCommand(PairCommand["StereoConfig"]):
 
     def device_columns(self, config: StereoConfig) -> dict[str, str]:
         """Return the device, where the config names one."""
+        from depthcli.core.method import device_implementation_of
+
         device = self.device(config)
         if device is None:
             return {}
         where = f"{device.info.address}, {device.info.name}"
-        if config.pipeline.device_implementation() is None:
+        if device_implementation_of(config.pipeline) is None:
             where = f"cpu: {config.pipeline.method_name()} has no kernels for {where}"
         return {"device": where}
 

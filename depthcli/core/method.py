@@ -155,22 +155,21 @@ def _load(package: str, name: str) -> type[Method]:
 
 
 def device_implementation_of(method: object) -> Any | None:
-    """Return the module with ``run``, which does on a device what ``method`` does; None where the method has none.
+    """Return the function that does on a device what ``method`` does; None where the method has none.
 
-    It lies in the folder ``_device`` of the method's family and has the method's name.
+    It lies in the package ``_device`` of the method's family and has the method's name.
     """
     family, _, name = type(method).__module__.rpartition(".")
-    return _device_implementation(family, name)
+    return getattr(_device_package(family), name, None)
 
 
 @cache
-def _device_implementation(family: str, name: str) -> Any | None:
+def _device_package(family: str) -> Any | None:
     try:
-        if importlib.util.find_spec(f"{family}._device.{name}") is None:
-            return None
-    except ModuleNotFoundError:  # the family has no such folder
-        return None
-    return importlib.import_module(f"{family}._device.{name}")
+        found = importlib.util.find_spec(f"{family}._device") is not None
+    except ModuleNotFoundError:  # the method's module lies in no package
+        found = False
+    return importlib.import_module(f"{family}._device") if found else None
 
 
 def method_of(package: str, key: str = "method") -> Any:

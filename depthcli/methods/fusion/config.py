@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from numpy.typing import NDArray
 from pydantic import Field
@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.core.frames import StereoPair
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.config import PairConfig
-from depthcli.methods.stereo.matching import Matcher
+from depthcli.methods.stereo.matcher import Matcher
 from depthcli.methods.stereo.volume import StereoResult
 
 
@@ -31,6 +31,8 @@ class FusionWithVolumes(Matcher):
     read_volumes : gives file name -> (H, W, D) costs, when a pair is matched
     """
 
+    has_tiles: ClassVar[bool] = False  # the volumes are those of the whole pair
+
     fusion: Fusion
     read_volumes: Callable[[], Mapping[str, NDArray[Any]]]
 
@@ -41,8 +43,3 @@ class FusionWithVolumes(Matcher):
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the peak working memory for images of (H, W) ``shape``, bytes."""
         return self.fusion.peak_bytes(shape, max_disparity)
-
-    @property
-    def has_tiles(self) -> bool:
-        """Return False: the volumes are those of the whole pair."""
-        return False

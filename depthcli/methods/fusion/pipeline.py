@@ -20,11 +20,10 @@ from depthcli.methods.fusion.blend import UNIT, add_weighted, blend, squash
 from depthcli.methods.fusion.maps import MapFusion
 from depthcli.methods.fusion.measures import Measure, comparable, measure_weights
 from depthcli.methods.fusion.votes import Ballot, Consensus
-from depthcli.methods.stereo.adjustment import adjusted
+from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
 from depthcli.methods.stereo.aggregation import Aggregation
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.cost import light_weights
-from depthcli.methods.stereo.matching import AdjustingMatcher
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import RefinementStep

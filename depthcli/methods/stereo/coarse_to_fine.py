@@ -19,12 +19,16 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.stereo.cost._fill import hamming_volume
-from depthcli.methods.stereo.cost.census import census_transform
+from depthcli.methods.stereo.cost.census import Census, census_transform
+from depthcli.methods.stereo.matcher import Matcher
+from depthcli.methods.stereo.optimization.scanline import Scanline
+from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.stages import CostStages
 from depthcli.methods.stereo.tiles import BIN, BLOCK, Candidates, Memory
-from depthcli.methods.stereo.tiling import Prior, match_by_costs, refined_map
+from depthcli.methods.stereo.tiling import Prior, match_by_costs, match_by_patches, refined_map
+from depthcli.methods.stereo.volume import StereoResult
 
 # Set by hand so that the maps of large pairs are near those of whole pairs (README: Aloe at several sizes).
 _MIN_DISPARITIES = 256  # smaller ranges are searched whole
@@ -36,6 +40,48 @@ _UNSURE_SHARE = 0.25  # of the pixels of a block without agreement; above it, wh
 _ROW_STEP, _ROW_WINDOW, _ROW_CELLS = 4, (7, 7), 1 << 25  # rows matched by themselves, their census, cells at a time
 _ROW_ISLAND_SIZE = 10  # pixels of these rows that must belong together
 _FAR_AWAY = np.float32(1e6)  # pixels, beyond every range: stands for no thin structure
+
+
+# What matches the smaller sizes for methods without cost stages: fast, and it keeps only what both views agree on.
+_FINDER = CostStages(
+    cost=Census(window=(7, 7)),
+    optimization=Scanline(p1=25, p2=120, edge_threshold=15, edge_divisor=6),
+    refinement=(LeftRightCheck(), SpeckleFilter(size=50), BackgroundFill()),
+)
+
+
+def match_in_tiles(matcher: Matcher, pair: StereoPair, max_disparity: int, memory: int) -> StereoResult:
+    """Match a pair over disparities 0 .. ``max_disparity`` inclusive in at most ``memory`` bytes.
+
+    Methods with cost stages compute costs tile by tile; the right view's map, and every step that looks at maps alone,
+    is that of the whole image. Any other method matches every tile for itself, over one range from its smallest to its
+    largest candidate; pictures and tables that it would write are left out.
+
+    Returns
+    -------
+    StereoResult
+        ``figures`` has ``tiles``, their number, ``levels``, the number of sizes that were matched, and ``exact``:
+        1 where the map is that of the whole pair, else 0.
+
+    Raises
+    ------
+    InputError
+        Not even the smallest tiles fit.
+    """
+    clock = Clock()
+    prepared, rest = matcher.prepared(pair, max_disparity, clock)
+    held = 0 if prepared is pair else pair.right.nbytes + pair.shape[0] * pair.shape[1]
+    available = Memory.of_process(memory, held)
+    stages = rest.cost_stages()
+    halo = None if stages is None else stages.halo()
+    prior = None if halo is not None else coarse_prior(stages or _FINDER, prepared, max_disparity, available, clock)
+    candidates = Candidates.everywhere(pair.shape, max_disparity) if prior is None else prior.candidates
+    if stages is None:
+        result = match_by_patches(rest, prepared, candidates, available, clock)
+    else:
+        result, _ = match_by_costs(stages, prepared, candidates, prior, halo, available, clock)
+    result.figures |= {"levels": 1.0 if prior is None else float(prior.levels), "exact": float(halo is not None)}
+    return result
 
 
 def coarse_prior(

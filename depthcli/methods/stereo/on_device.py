@@ -1,8 +1,9 @@
 """What the stages of a pipeline hand to each other on a device, and how a stage is run there.
 
-A method's device implementation lies in the folder ``_device`` of its family, in a module of the method's name with a
-function ``run``: cost ``run(method, pair, disparities)``, aggregation and optimization ``run(method, volume, pair)``,
-refinement ``run(method, disparity, context)``, as the methods themselves, on the types below.
+A method's device implementation is the function of its name in the package ``_device`` of its family. Its arguments
+are the method and those of the method's ``__call__``, as the types below: a cost has ``census(method, pair,
+disparities)``, aggregation and optimization ``cross(method, volume, pair)``, refinement ``median(method, disparity,
+context)``.
 """
 
 from __future__ import annotations
@@ -14,16 +15,20 @@ from typing import Any
 
 import numpy as np
 
+from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
-from depthcli.core.method import Method, device_implementation_of
+from depthcli.core.memory import show_bytes
+from depthcli.core.method import device_implementation_of
+from depthcli.core.result import Clock
 from depthcli.device import Device, DeviceArray, Kernels
-from depthcli.methods.stereo.volume import CostVolume, RefinementContext
+from depthcli.methods.stereo.matcher import Matcher
+from depthcli.methods.stereo.volume import CostVolume, FixedPoint, RefinementContext, StereoResult, as_fixed_point
 
 PIXELS = (32, 8)
 """Group of kernels that give every pixel a thread."""
 
-_IMAGES = Kernels("depthcli.methods.stereo", "images.cl")
+_CONVERSIONS = Kernels("depthcli.methods.stereo", "conversions.cl")
 
 
 @dataclass(frozen=True)
@@ -70,7 +75,7 @@ class DevicePair:
     def _luma(self, image: DeviceArray) -> DeviceArray:
         height, width = self.shape
         grey = self.device.empty((height, width), np.uint8)
-        self.device.launch(_IMAGES, "luma", (width, height), PIXELS, image, grey, height, width)
+        self.device.launch(_CONVERSIONS, "luma", (width, height), PIXELS, image, grey, height, width)
         return grey
 
 
@@ -95,6 +100,20 @@ class DeviceVolume:
     def download(self) -> CostVolume:
         """Copy the volume to the host."""
         return CostVolume(self.device.download(self.costs), self.scale)
+
+    def as_fixed_point(self) -> DeviceVolume:
+        """Convert costs as :func:`depthcli.methods.stereo.volume.as_fixed_point` does; float32 ones on the host."""
+        if self.costs.dtype == np.uint16:
+            return self
+        if self.costs.dtype == np.float32:
+            return DeviceVolume.upload(self.device, as_fixed_point(self.download()))
+        fixed = self.device.empty(self.costs.shape, np.uint16)
+        height, width, depth = self.costs.shape
+        self.device.launch(
+            _CONVERSIONS, "to_fixed_point", (width * depth, height), (256, 1), self.costs, fixed, width * depth, height,
+            FixedPoint.FRACTION,
+        )  # fmt: skip
+        return DeviceVolume(self.device, fixed, self.scale * FixedPoint.FRACTION)
 
     @classmethod
     def upload(cls, device: Device, volume: CostVolume) -> DeviceVolume:
@@ -152,6 +171,21 @@ class DeviceContext:
         return RefinementContext(self.pair.host, self.volume.download(), self.pair.device.download(self.right))
 
 
+def match_on_device(matcher: Matcher, pair: StereoPair, max_disparity: int, device: Device) -> StereoResult:
+    """Match a pair by the matcher's device implementation; InputError where it does not fit on the device."""
+    need, available = matcher.device_bytes(pair.shape, max_disparity), device.info.memory
+    assert need is not None
+    if need > available:
+        raise InputError(
+            f"needs about {show_bytes(need)} on {device.info.address} ({device.info.name}), which has "
+            f"{show_bytes(available)}; see --device, --max-disparity"
+        )
+    clock = Clock()
+    pair, rest = matcher.prepared(pair, max_disparity, clock)
+    result: StereoResult = run_stage(rest, DevicePair(device, pair), max_disparity, clock)
+    return result
+
+
 def c_type(dtype: Any) -> str:
     """Return the name in C of a NumPy type that kernels take."""
     return {"uint8": "uchar", "uint16": "ushort", "int16": "short", "float32": "float"}[np.dtype(dtype).name]
@@ -166,16 +200,16 @@ def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, in
     return (depth, width, height), (lanes, 256 // lanes, 1)
 
 
-def run_stage(stage: Method, *arguments: Any) -> Any:
+def run_stage(stage: object, *arguments: Any) -> Any:
     """Run a stage by its device implementation or, where it has none, on the processor, with transfers.
 
     Parameters
     ----------
-    arguments : of ``run``: those of the stage itself as types of this module
+    arguments : those of the stage's ``__call__``, as types of this module
     """
     implementation = device_implementation_of(stage)
     if implementation is not None:
-        return implementation.run(stage, *arguments)
+        return implementation(stage, *arguments)
     result = stage(*(_on_host(argument) for argument in arguments))  # type: ignore[operator]
     kind = DeviceVolume if isinstance(result, CostVolume) else DeviceMap
     return kind.upload(arguments[0].device, result)

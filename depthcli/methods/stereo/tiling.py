@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,7 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.confidence import confidence_maps
+from depthcli.methods.stereo.matcher import Matcher
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
@@ -103,32 +104,21 @@ def match_by_costs(
 
 
 def match_by_patches(
-    match: Callable[[StereoPair, int], StereoResult],
-    peak_bytes: Callable[[tuple[int, int], int], int],
-    pair: StereoPair,
-    candidates: Candidates,
-    available: Memory,
-    clock: Clock,
+    matcher: Matcher, pair: StereoPair, candidates: Candidates, available: Memory, clock: Clock
 ) -> StereoResult:
-    """Match every tile as a pair of its own, over one range from its smallest to its largest candidate.
-
-    Parameters
-    ----------
-    match, peak_bytes : of a :class:`~depthcli.methods.stereo.matching.Matcher`
-    candidates : disparities that are searched
-    """
+    """Match every tile as a pair of its own, over one range from the smallest to the largest of its ``candidates``."""
     plan = available.tiles(
         pair,
         candidates,
         Margins(_PATCH_HALO, _PATH_HALO // 2, True),
-        lambda tile: peak_bytes(tile.shape, tile.depth - 1) + _recycled(tile),
+        lambda tile: matcher.peak_bytes(tile.shape, tile.depth - 1) + _recycled(tile),
     )
     clock.stop("plan")
     values, status = np.zeros(pair.shape, np.float32), np.zeros(pair.shape, np.uint8)
     confidence: dict[str, NDArray[np.float32]] = {}
     for tile in plan:
         (span,) = tile.spans
-        part = match(tile.cut(pair, span.low), span.count - 1)
+        part = matcher(tile.cut(pair, span.low), span.count - 1)
         values[tile.place] = part.disparity.values[tile.inside] + np.float32(span.low)
         status[tile.place] = part.disparity.status[tile.inside]
         for name, own in part.confidence.items():

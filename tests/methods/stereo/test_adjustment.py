@@ -16,7 +16,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.fusion.pipeline import Fusion
-from depthcli.methods.stereo.adjustment import ReducedPair, adjusted, light
+from depthcli.methods.stereo.adjustment import adjusted, light, reduction_factor
 from depthcli.methods.stereo.adjustment import rows as row_alignment
 from depthcli.methods.stereo.adjustment.resampling import CELL, resample
 from depthcli.methods.stereo.config import StereoConfig
@@ -235,7 +235,7 @@ def test_threads_do_not_matter(scene):
 @pytest.mark.slow
 def test_large_pairs_are_reduced_further():
     made = make_scene("planes", seed=1, height=700, width=900, max_disparity=60)
-    assert ReducedPair.of(StereoPair(made.left, made.right), 60).factor == 4
+    assert reduction_factor(made.left.shape[:2], 60) == 4
     askew = shifted(made.right, TILTED)
     aligned = adjusted(StereoPair(made.left, askew), 60, BOTH).right.astype(int)
     inside = (slice(8, -8), slice(8, -80))

@@ -27,7 +27,8 @@ from depthcli.methods.stereo.aggregation.cross import Cross
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.cost.combined import Combined
-from depthcli.methods.stereo.matching import Limits, Matcher, match
+from depthcli.methods.stereo.matcher import Matcher
+from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck

@@ -7,20 +7,21 @@ cost has to tolerate them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Literal, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.adjustment.light import estimate_gains, light_trust
-from depthcli.methods.stereo.adjustment.resampling import IDENTITY, Correction
+from depthcli.methods.stereo.adjustment.resampling import IDENTITY
 from depthcli.methods.stereo.adjustment.rows import BLOCK, estimate_row_shift
 from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.matcher import Matcher
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
@@ -66,62 +67,68 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
     """
     if not what:
         return pair
-    reduced = ReducedPair.of(pair, max_disparity)
+    factor = reduction_factor(pair.shape, max_disparity)
+    reduced = _reduced(pair, factor)
     correction = previous = IDENTITY
     disparity = None
     max_matches = 0
     for _ in range(_MAX_PASSES):
-        new_disparity = reduced.match(correction)
+        new_disparity = _matched(correction.apply(reduced, 1), -(-max_disparity // factor))
         n_matches = 0 if new_disparity is None else int(np.count_nonzero(~np.isnan(new_disparity)))
         if new_disparity is None or n_matches < _MIN_SHARE_OF_MATCHES * max_matches:
             correction = previous
             break
         disparity, previous, max_matches = new_disparity, correction, max(max_matches, n_matches)
         if "light" in what:
-            right = replace(correction, gains=IDENTITY.gains).apply(reduced.pair, 1).right
-            correction = replace(correction, gains=estimate_gains(disparity, reduced.pair.left, right))
+            right = replace(correction, gains=IDENTITY.gains).apply(reduced, 1).right
+            correction = replace(correction, gains=estimate_gains(disparity, reduced.left, right))
         if "rows" in what:
-            right = replace(correction, row_shift=IDENTITY.row_shift).apply(reduced.pair, 1).right
-            row_shift = estimate_row_shift(disparity, reduced.pair.left, right, correction.row_shift)
+            right = replace(correction, row_shift=IDENTITY.row_shift).apply(reduced, 1).right
+            row_shift = estimate_row_shift(disparity, reduced.left, right, correction.row_shift)
             correction = replace(correction, row_shift=row_shift)
         if np.abs(correction.row_shift - previous.row_shift).sum() <= _REMATCH_THRESHOLD:
             break
-    pair = correction.apply(pair, reduced.factor)
+    pair = correction.apply(pair, factor)
     if "light" in what and disparity is not None:
-        right = correction.apply(reduced.pair, 1).right
-        trust = light_trust(disparity, reduced.pair.left, right, reduced.factor, pair.shape)
+        right = correction.apply(reduced, 1).right
+        trust = light_trust(disparity, reduced.left, right, factor, pair.shape)
         pair = replace(pair, light_trust=trust)
     if clock is not None:
         clock.stop("adjustment")
     return pair
 
 
-@dataclass(frozen=True)
-class ReducedPair:
-    """A pair of 8-bit color images ``factor`` times smaller, and its largest disparity."""
+class AdjustingMatcher(Matcher, BaseModel):
+    """A matcher that first adjusts the right image to the left one."""
 
-    pair: StereoPair
-    factor: int
-    max_disparity: int
+    adjust: Adjust = ()
 
-    @classmethod
-    def of(cls, pair: StereoPair, max_disparity: int) -> ReducedPair:
-        """Return ``pair`` reduced by the smallest power of 2 at which it can be matched quickly."""
-        factor, n_pixels = 2, pair.shape[0] * pair.shape[1]
-        while n_pixels > _MAX_PIXELS * factor**2 or n_pixels * max_disparity > _MAX_COSTS * factor**3:
-            factor *= 2
-        height, width = (-(-side // factor) for side in pair.shape)
-        left, right = (
-            cast(Image, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)) for image in pair.clamped
-        )
-        small = StereoPair(*StereoPair(left, right, pair.bits).color8)
-        return cls(small, factor, -(-max_disparity // factor))
+    def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, Matcher]:
+        """Return the pair with an adjusted right image, and the matcher without that step."""
+        return adjusted(pair, max_disparity, self.adjust, clock), self.model_copy(update={"adjust": ()})
 
-    def match(self, correction: Correction) -> NDArray[np.float32] | None:
-        """Return (H, W) float32 disparities of the corrected pair, NaN without a match; None for too few matches."""
-        if min(self.pair.shape) < BLOCK or self.max_disparity + 1 < _MIN_DISPARITIES:
-            return None
-        pair = correction.apply(self.pair, 1)
-        volume = _COST(pair, self.max_disparity + 1)
-        disparity = finish(pair, volume, _OPTIMIZATION, _REFINEMENT, (), Clock())[0].disparity
-        return disparity.values if np.count_nonzero(disparity.valid) >= _MIN_MATCHES else None
+
+def reduction_factor(shape: tuple[int, int], max_disparity: int) -> int:
+    """Return the smallest power of 2 by which a pair of (H, W) ``shape`` must be reduced to be matched quickly."""
+    factor, n_pixels = 2, shape[0] * shape[1]
+    while n_pixels > _MAX_PIXELS * factor**2 or n_pixels * max_disparity > _MAX_COSTS * factor**3:
+        factor *= 2
+    return factor
+
+
+def _reduced(pair: StereoPair, factor: int) -> StereoPair:
+    # 8-bit color images.
+    height, width = (-(-side // factor) for side in pair.shape)
+    left, right = (
+        cast(Image, cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)) for image in pair.clamped
+    )
+    return StereoPair(*StereoPair(left, right, pair.bits).color8)
+
+
+def _matched(pair: StereoPair, max_disparity: int) -> NDArray[np.float32] | None:
+    # Disparities of a reduced pair, NaN without a match; None where there are too few of them.
+    if min(pair.shape) < BLOCK or max_disparity + 1 < _MIN_DISPARITIES:
+        return None
+    volume = _COST(pair, max_disparity + 1)
+    disparity = finish(pair, volume, _OPTIMIZATION, _REFINEMENT, (), Clock())[0].disparity
+    return disparity.values if np.count_nonzero(disparity.valid) >= _MIN_MATCHES else None

@@ -47,6 +47,25 @@ def _subtract(sums: Any, terms: Any) -> None:
         sums[i] -= np.uint32(terms[i])
 
 
+@jit
+def _row_means(columns: Any, window: Any, means: Any, radius: int, rows: int, factor: Any) -> None:
+    # ``columns`` are sums over ``rows`` rows.
+    width, depth = means.shape
+    window[:] = 0
+    for x in range(min(radius, width)):
+        _add(window, columns[x * depth : (x + 1) * depth])
+    for x in range(width):
+        if x + radius < width:
+            _add(window, columns[(x + radius) * depth : (x + radius + 1) * depth])
+        if x - radius - 1 >= 0:
+            _subtract(window, columns[(x - radius - 1) * depth : (x - radius) * depth])
+        area = rows * (min(width, x + radius + 1) - max(0, x - radius))
+        scale = factor / np.float32(area)
+        out = means[x]
+        for i in range(out.size):
+            out[i] = np.uint16(np.int32(np.float32(np.int32(window[i])) * scale + np.float32(0.5)))
+
+
 @parallel_jit
 def _box_means(costs: Any, means: Any, radius: int, factor: Any, bands: int) -> None:
     # One band of rows a task: a running sum of rows (columns), then along x a running sum of columns.
@@ -65,16 +84,4 @@ def _box_means(costs: Any, means: Any, radius: int, factor: Any, bands: int) -> 
             if y - radius - 1 >= 0 and y > first:
                 _subtract(columns, costs[y - radius - 1].reshape(width * depth))
             rows = min(height, y + radius + 1) - max(0, y - radius)
-            window[:] = 0
-            for x in range(min(radius, width)):
-                _add(window, columns[x * depth : (x + 1) * depth])
-            for x in range(width):
-                if x + radius < width:
-                    _add(window, columns[(x + radius) * depth : (x + radius + 1) * depth])
-                if x - radius - 1 >= 0:
-                    _subtract(window, columns[(x - radius - 1) * depth : (x - radius) * depth])
-                area = rows * (min(width, x + radius + 1) - max(0, x - radius))
-                scale = factor / np.float32(area)
-                out = means[y, x]
-                for i in range(out.size):
-                    out[i] = np.uint16(np.int32(np.float32(np.int32(window[i])) * scale + np.float32(0.5)))
+            _row_means(columns, window, means[y], radius, rows, factor)

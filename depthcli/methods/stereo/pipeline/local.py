@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
+from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.pipeline import CostPipeline
 from depthcli.methods.stereo.stages import CostStages, finish
 from depthcli.methods.stereo.volume import StereoResult
@@ -12,15 +13,22 @@ from depthcli.methods.stereo.volume import StereoResult
 class Local(CostStages, CostPipeline):
     """Stereo by matching costs: any measure, any aggregation, any optimization, any list of refinements."""
 
-    def match_prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> StereoResult:
-        """Match by the stages, in order."""
+    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+        """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
+        clock = Clock()
+        pair = adjusted(pair, max_disparity, self.adjust, clock)
         volume = self.volume(pair, max_disparity, clock)
-        result, _, _ = finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)
-        return result
+        return finish(pair, volume, self.optimization, self.refinement, self.confidence, clock)[0]
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the bytes of the volumes and of the maps."""
         return self.volume_bytes(shape, max_disparity) + 200 * shape[0] * shape[1] + (64 << 20)
+
+    def device_bytes(self, shape: tuple[int, int], max_disparity: int) -> int | None:
+        """Estimate the bytes of the volumes, where scanlines run one after another, and of the maps."""
+        intersects = getattr(self.aggregation, "support", "") == "intersection"
+        bytes_per_cell = 18 if intersects else 10 if self.aggregation is not None else 7
+        return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + 100)
 
     def cost_stages(self) -> CostStages | None:
         """Return the pipeline itself, but where a refinement step looks at costs: it needs the whole volume."""

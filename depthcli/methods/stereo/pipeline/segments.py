@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
+from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.pipeline import CostPipeline
 from depthcli.methods.stereo.segments.steps import SegmentSteps
@@ -19,8 +20,10 @@ class Segments(SegmentSteps, CostPipeline):
     (``visibility``). The defaults switch these off; the presets say what they use.
     """
 
-    def match_prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> StereoResult:
-        """Compute the costs, then find planes."""
+    def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
+        """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
+        clock = Clock()
+        pair = adjusted(pair, max_disparity, self.adjust, clock)
         volume = self.cost(pair, max_disparity + 1)
         clock.stop("cost")
         return self.from_volume(pair, volume, max_disparity, clock)

@@ -77,12 +77,38 @@ def _equal(low: Any, high: Any) -> Any:
     return not varied
 
 
+@jit
+def _weigh(planes: Any, trust: Any, by_color: Any, by_distance: Any, y: int, x0: int, weights: Any) -> None:
+    # The weights of the windows of a block of pixels that begins at (y, x0), in a form that compiles to vector code.
+    size = by_distance.shape[0]
+    middle = x0 + size // 2
+    reds = planes[0, y + size // 2, middle : middle + _BLOCK]
+    greens = planes[1, y + size // 2, middle : middle + _BLOCK]
+    blues = planes[2, y + size // 2, middle : middle + _BLOCK]
+    for dy in range(size):
+        for dx in range(size):
+            start = x0 + dx
+            red = planes[0, y + dy, start : start + _BLOCK]
+            green = planes[1, y + dy, start : start + _BLOCK]
+            blue = planes[2, y + dy, start : start + _BLOCK]
+            trusted = trust[y + dy, start : start + _BLOCK]
+            near = by_distance[dy, dx]
+            out = weights[dy * size + dx]
+            for i in range(_BLOCK):
+                color = (
+                    abs(np.int32(red[i]) - np.int32(reds[i]))
+                    + abs(np.int32(green[i]) - np.int32(greens[i]))
+                    + abs(np.int32(blue[i]) - np.int32(blues[i]))
+                )
+                out[i] = by_color[np.uint32(color)] * near * trusted[i]
+
+
 @parallel_jit
 def _filter(
     planes: Any, bins: Any, trust: Any, by_color: Any, by_distance: Any, lowest: Any, highest: Any, filtered: Any
 ) -> None:
     # All inputs but the last three have a margin without trust. Weights are computed for a block of pixels at
-    # a time (SIMD), then each pixel fills and reads its histogram.
+    # a time, then each pixel fills and reads its histogram.
     height, width = filtered.shape
     size = by_distance.shape[0]
     for y in prange(height):
@@ -92,26 +118,7 @@ def _filter(
             x1 = min(width, x0 + _BLOCK)
             if _equal(lowest[y, x0:x1], highest[y, x0:x1]):
                 continue
-            middle = x0 + size // 2
-            reds = planes[0, y + size // 2, middle : middle + _BLOCK]
-            greens = planes[1, y + size // 2, middle : middle + _BLOCK]
-            blues = planes[2, y + size // 2, middle : middle + _BLOCK]
-            for dy in range(size):
-                for dx in range(size):
-                    start = x0 + dx
-                    red = planes[0, y + dy, start : start + _BLOCK]
-                    green = planes[1, y + dy, start : start + _BLOCK]
-                    blue = planes[2, y + dy, start : start + _BLOCK]
-                    trusted = trust[y + dy, start : start + _BLOCK]
-                    near = by_distance[dy, dx]
-                    out = weights[dy * size + dx]
-                    for i in range(_BLOCK):
-                        color = (
-                            abs(np.int32(red[i]) - np.int32(reds[i]))
-                            + abs(np.int32(green[i]) - np.int32(greens[i]))
-                            + abs(np.int32(blue[i]) - np.int32(blues[i]))
-                        )
-                        out[i] = by_color[np.uint32(color)] * near * trusted[i]
+            _weigh(planes, trust, by_color, by_distance, y, x0, weights)
             for x in range(x0, x1):
                 low, high = lowest[y, x], highest[y, x]
                 if low >= high or np.isnan(filtered[y, x]):

@@ -1,30 +1,204 @@
 """Device implementations of the aggregations; see :mod:`depthcli.methods.stereo.on_device`.
 
-Each has ``run``, made for the device, and ``naive``, a thread a cell that reads its window from global memory. They
-are the two columns of the thesis's figure 3.2.
+Each has a second version, ``naive_...``: a thread a cell that reads its window from global memory. The two are the
+columns of the thesis's figure 3.2. Both return the same means as the method, unless the docstring says otherwise.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
-from depthcli.device import Kernels
-from depthcli.methods.stereo.on_device import DeviceVolume
-from depthcli.methods.stereo.volume import FixedPoint, as_fixed_point
+from depthcli.device import Device, DeviceArray, Kernels
+from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
+from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
+from depthcli.methods.stereo.aggregation.cross import Cross
+from depthcli.methods.stereo.on_device import PIXELS, DevicePair, DeviceVolume, cells
+from depthcli.methods.stereo.volume import FixedPoint
 
-_FIXED = Kernels(__name__, "fixed_point.cl")
+_WEIGHTS, _WINDOW, _CROSS, _CUT = (
+    Kernels(__name__, f"{file}.cl") for file in ("adaptive_weight", "constant_window", "cross", "intersection")
+)
+_TILE, _LANES, _THREADS = 32, 64, 256  # pixels and disparities of a group of adaptive weights, and its threads
+_BAND = 64  # rows or columns that one thread's running sum goes along; each starts with a window's sum
 
 
-def fixed_point(volume: DeviceVolume) -> DeviceVolume:
-    """Convert costs as :func:`depthcli.methods.stereo.volume.as_fixed_point` does; float32 ones on the host."""
-    if volume.costs.dtype == np.uint16:
-        return volume
-    if volume.costs.dtype == np.float32:
-        return DeviceVolume.upload(volume.device, as_fixed_point(volume.download()))
-    out = volume.device.empty(volume.costs.shape, np.uint16)
+def adaptive_weight(method: AdaptiveWeight, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
+    """Return the same means but for rounding; weights are shared by a tile of pixels and disparities."""
     height, width, depth = volume.costs.shape
-    volume.device.launch(
-        _FIXED, "to_fixed_point", (width * depth, height), (256, 1), volume.costs, out, width * depth, height,
-        FixedPoint.FRACTION,
+    size = (-(-width // _TILE) * _THREADS, -(-depth // _LANES), height)
+    return _weighted_means(method, volume, pair, "shared_weights", size, (_THREADS, 1, 1))
+
+
+def naive_adaptive_weight(method: AdaptiveWeight, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
+    """Return the same means but for rounding; every cell computes all weights of its window."""
+    return _weighted_means(method, volume, pair, "naive_weights", *cells(volume.costs))
+
+
+def _weighted_means(
+    method: AdaptiveWeight, volume: DeviceVolume, pair: DevicePair, kernel: str, size: tuple[int, int, int],
+    group: tuple[int, int, int],
+) -> DeviceVolume:  # fmt: skip
+    device = volume.device
+    whole = volume.costs.dtype != np.float32
+    factor = 16 if volume.costs.dtype == np.uint8 else 1
+    means = device.empty(volume.costs.shape, np.uint16 if whole else np.float32)
+    left, right = (device.upload(method.planes(image)) for image in pair.host.color8)
+    out = "ushort" if whole else "float"
+    kernels = _WEIGHTS.with_macros(COST=volume.c_type, OUT=out, SQUARED=int(method.norm == "squared"))
+    rates = math.log2(math.e) / method.gamma_color, math.log2(math.e) / method.gamma_space
+    device.launch(
+        kernels, kernel, size, group, volume.costs, left, right, means, *means.shape, method.window // 2, *rates,
+        float(factor), 0.5 if whole else 0.0,
     )  # fmt: skip
-    return DeviceVolume(volume.device, out, volume.scale * FixedPoint.FRACTION)
+    return DeviceVolume(device, means, volume.scale * factor)
+
+
+def constant_window(method: ConstantWindow, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
+    """Return the same means, by two running sums."""
+    if volume.costs.dtype != np.uint8:
+        volume = volume.as_fixed_point()
+    device = volume.device
+    height, width, depth = volume.costs.shape
+    radius = method.window // 2
+    narrow = np.iinfo(volume.costs.dtype).max * method.window < 1 << 16
+    kernels = _WINDOW.with_macros(COST=volume.c_type, SUM="ushort" if narrow else "uint")
+    sums = device.empty(volume.costs.shape, np.uint16 if narrow else np.uint32)
+    means = device.empty(volume.costs.shape, np.uint16)
+    band = max(_BAND, method.window)
+    device.launch(
+        kernels, "column_sums", (width * depth, -(-height // band)), (256, 1),
+        volume.costs, sums, height, width * depth, radius, band,
+    )  # fmt: skip
+    (lanes, columns, _), _ = cells(means)
+    device.launch(
+        kernels, "row_means", (lanes, -(-columns // band), height), (cells(means)[1][0], 1, 4),
+        sums, means, height, width, depth, radius, float(_factor(volume)), band,
+    )  # fmt: skip
+    return DeviceVolume(device, means, volume.scale * _factor(volume))
+
+
+def naive_constant_window(method: ConstantWindow, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
+    """Return the same means, each summed anew."""
+    if volume.costs.dtype != np.uint8:
+        volume = volume.as_fixed_point()
+    device = volume.device
+    means = device.empty(volume.costs.shape, np.uint16)
+    kernels = _WINDOW.with_macros(COST=volume.c_type, SUM="uint")
+    device.launch(
+        kernels, "naive_window", *cells(means), volume.costs, means, *means.shape, method.window // 2,
+        float(_factor(volume)),
+    )  # fmt: skip
+    return DeviceVolume(device, means, volume.scale * _factor(volume))
+
+
+def _factor(volume: DeviceVolume) -> int:
+    return FixedPoint.FRACTION if volume.costs.dtype == np.uint8 else 1
+
+
+def cross(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
+    """Return the same means, by orthogonal integrals."""
+    return _aggregate(method, volume, pair, _cut_means if method.support == "intersection" else _means)
+
+
+def naive_cross(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
+    """Return the same means, every support summed anew."""
+    return _aggregate(method, volume, pair, _naive_cut if method.support == "intersection" else _naive)
+
+
+@dataclass(frozen=True)
+class _Supports:
+    """Arms of both views, (4, H, W) uint8, and the kernels for their lengths."""
+
+    device: Device
+    left: DeviceArray
+    right: DeviceArray
+    kernels: Kernels
+
+
+def _aggregate(
+    method: Cross,
+    volume: DeviceVolume,
+    pair: DevicePair,
+    iteration: Callable[[_Supports, DeviceArray, int], DeviceArray],
+) -> DeviceVolume:
+    volume = volume.as_fixed_point()
+    left = _arms(method, pair, pair.color[0])
+    right = _arms(method, pair, pair.color[1]) if method.support == "intersection" else left
+    shift = max(0, (FixedPoint.LARGEST * (2 * method.length + 1)).bit_length() - 16)
+    supports = _Supports(volume.device, left, right, _CROSS.with_macros(SHIFT=shift))
+    costs = volume.costs
+    for k in range(method.iterations):
+        costs = iteration(supports, costs, int(k % 2 == 0))
+    return DeviceVolume(volume.device, costs, volume.scale)
+
+
+def _arms(method: Cross, pair: DevicePair, image: DeviceArray) -> DeviceArray:
+    height, width = pair.shape
+    device = pair.device
+    if method.smoothing:
+        smooth = device.empty(image.shape, np.uint8)
+        device.launch(_CROSS, "median_3", (width, height), PIXELS, image, smooth, height, width)
+        image = smooth
+    arms = device.empty((4, height, width), np.uint8)
+    device.launch(
+        _CROSS, "grow_arms", (width, height, 4), (*PIXELS, 1), image, arms, height, width,
+        method.length, method.threshold, method.inner_length, method.inner_threshold,
+    )  # fmt: skip
+    return arms
+
+
+def _naive(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
+    device, arms = supports.device, supports.left
+    means = device.empty(costs.shape, np.uint16)
+    inverse = _inverse(device, arms, across)
+    device.launch(
+        supports.kernels, "naive_cross", *cells(means), costs, arms, inverse, means, *costs.shape, across
+    )  # fmt: skip
+    return means
+
+
+def _means(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
+    device, arms = supports.device, supports.left
+    inverse = _inverse(device, arms, across)
+    sums = device.empty(costs.shape, np.uint32)
+    for last, along in enumerate((across, 1 - across)):
+        _prefix(device, supports.kernels, "prefix", costs, sums, along)
+        out = device.empty(costs.shape, np.uint16)
+        device.launch(supports.kernels, "spans", *cells(out), sums, arms, inverse, out, *costs.shape, along, last)
+        costs = out
+    return costs
+
+
+def _naive_cut(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
+    device, arms = supports.device, (supports.left, supports.right)
+    means = device.empty(costs.shape, np.uint16)
+    device.launch(_CUT, "naive_cut", *cells(means), costs, *arms, means, *costs.shape, across)
+    return means
+
+
+def _cut_means(supports: _Supports, costs: DeviceArray, across: int) -> DeviceArray:
+    device, arms = supports.device, (supports.left, supports.right)
+    sums, words = device.empty(costs.shape, np.uint32), device.empty(costs.shape, np.uint32)
+    _prefix(device, _CROSS, "prefix", costs, sums, across)
+    device.launch(_CUT, "cut_spans", *cells(words), sums, *arms, words, *costs.shape, across)
+    totals, means = device.empty(costs.shape, np.uint64), device.empty(costs.shape, np.uint16)
+    _prefix(device, _CUT, "prefix_spans", words, totals, 1 - across)
+    device.launch(_CUT, "cut_means", *cells(means), totals, *arms, means, *costs.shape, 1 - across)
+    return means
+
+
+def _inverse(device: Device, arms: DeviceArray, across: int) -> DeviceArray:
+    _, height, width = arms.shape
+    inverse = device.empty((height, width), np.float32)
+    device.launch(_CROSS, "inverse_areas", (width, height), PIXELS, arms, inverse, height, width, across)
+    return inverse
+
+
+def _prefix(device: Device, kernels: Kernels, name: str, source: DeviceArray, sums: DeviceArray, along: int) -> None:
+    height, width, depth = source.shape
+    lines, count = (height * depth, width) if along else (width * depth, height)
+    device.launch(kernels, name, (lines,), (64,), source, sums, lines, width, depth, count, along)

@@ -1,1 +1,68 @@
-"""Device implementations of the pipelines for devices: ``run(method, pair, max_disparity, device)``."""
+"""Device implementation of the local pipeline: from the two images to the map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from depthcli.core.method import device_implementation_of
+from depthcli.core.result import Clock
+from depthcli.device import DeviceArray, Kernels
+from depthcli.kernels.winners import winners
+from depthcli.methods.confidence import confidence_maps
+from depthcli.methods.stereo.on_device import DeviceContext, DeviceMap, DevicePair, DeviceVolume, run_stage
+from depthcli.methods.stereo.pipeline.local import Local
+from depthcli.methods.stereo.volume import StereoResult
+
+_KERNELS = Kernels("depthcli.methods.stereo", "selection.cl")
+_LANES, _PIXELS = 32, 8  # threads of a group along the disparities, and pixels of a group
+
+
+def local(method: Local, pair: DevicePair, max_disparity: int, clock: Clock) -> StereoResult:
+    """Match a pair whose right image is adjusted over disparities 0 .. ``max_disparity`` inclusive.
+
+    Stages without a device implementation run on the processor, with transfers; ``figures["stages_on_cpu"]`` counts
+    them. Confidence is measured on the processor.
+    """
+    device = pair.device
+
+    def stop(stage: str) -> None:
+        device.finish()
+        clock.stop(stage)
+
+    volume: DeviceVolume = run_stage(method.cost, pair, max_disparity + 1)
+    stop("cost")
+    if method.aggregation is not None:
+        volume = run_stage(method.aggregation, volume, pair)
+    stop("aggregation")
+    volume = run_stage(method.optimization, volume, pair)
+    left, right = _winners(volume)
+    disparity = DeviceMap.empty(device, left.shape)
+    device.launch(_KERNELS, "start_map", (left.size,), (256,), left, disparity.values, disparity.status, left.size)
+    stop("optimization")
+    context = DeviceContext(pair, volume, right)
+    for step in method.refinement:
+        disparity = run_stage(step, disparity, context)
+    found = disparity.download()
+    clock.stop("refinement")
+    maps = confidence_maps(device.download(volume.costs), method.confidence) if method.confidence else {}
+    clock.stop("confidence")
+    stages = [method.cost, method.aggregation, method.optimization, *method.refinement]
+    on_cpu = sum(stage is not None and device_implementation_of(stage) is None for stage in stages)
+    return StereoResult(found, seconds=clock.seconds, confidence=maps, figures={"stages_on_cpu": float(on_cpu)})
+
+
+def _winners(volume: DeviceVolume) -> tuple[DeviceArray, DeviceArray]:
+    device = volume.device
+    if volume.costs.dtype == np.float32:
+        left, right = winners(device.download(volume.costs))
+        return device.upload(left), device.upload(right)
+    height, width, depth = volume.costs.shape
+    found = []
+    for diagonal in (0, 1):
+        best = device.empty((height, width), np.uint16)
+        device.launch(
+            _KERNELS.with_macros(COST=volume.c_type), "winners", (_LANES, width, height), (_LANES, _PIXELS, 1),
+            volume.costs, best, height, width, depth, diagonal,
+        )  # fmt: skip
+        found.append(best)
+    return found[0], found[1]

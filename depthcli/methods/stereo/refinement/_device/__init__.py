@@ -1,1 +1,145 @@
-"""Device implementations of the refinement steps; see :mod:`depthcli.methods.stereo.on_device`."""
+"""Device implementations of the refinement steps; see :mod:`depthcli.methods.stereo.on_device`.
+
+Each returns the same map as the step of its name, unless its docstring says otherwise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from depthcli.algorithms.plane_fitting.window_slopes import BLOCK, difference_limits
+from depthcli.device import DeviceArray, Kernels
+from depthcli.methods.stereo.on_device import PIXELS, DeviceContext, DeviceMap
+from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
+from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
+from depthcli.methods.stereo.refinement.median import Median
+from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
+from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter, steps_of
+from depthcli.methods.stereo.refinement.subpixel import Subpixel
+from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
+from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
+
+_FILLS, _MEDIANS, _SLANTED, _SPECKLES = (
+    Kernels(__name__, f"{file}.cl") for file in ("fills", "medians", "slanted", "speckles")
+)
+_SELECTION = Kernels("depthcli.methods.stereo", "selection.cl")
+
+
+def background_fill(method: BackgroundFill, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
+    """Return the same map."""
+    height, width = disparity.values.shape
+    rows = disparity.device.empty((height, width), np.float32)
+    disparity.device.launch(_FILLS, "fill_rows", (width, height), PIXELS, disparity.values, rows, height, width)
+    return disparity.refined(_FILLS, "fill_columns", [rows])
+
+
+def left_right_check(method: LeftRightCheck, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
+    """Return the same map."""
+    parameters = context.volume.disparities, float(method.tolerance)
+    return disparity.refined(_SELECTION, "left_right_check", [context.right], *parameters)
+
+
+def median(method: Median, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
+    """Return the same map."""
+    return disparity.refined(_MEDIANS.with_macros(WINDOW=method.window), "plain_median")
+
+
+def slanted_median(method: SlantedMedian, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
+    """Return the same map."""
+    device = disparity.device
+    height, width = disparity.values.shape
+    count = height * width
+    image = context.pair.color[0]
+    known, trust = device.empty((height, width), np.float32), device.empty((height, width), np.float32)
+    device.launch(_SLANTED, "split_values", (count,), (256,), disparity.values, known, trust, count)
+    gradient = _slopes(known, trust, image, method.slope_radius, context)
+    distance, rate = method.weights()
+    distances = device.upload(distance)
+    for _ in range(method.passes):
+        out = device.empty((height, width), np.float32)
+        device.launch(
+            _SLANTED, "slanted_median", (width, height), (BLOCK, 1), image, known, trust, gradient, distances, out,
+            height, width, method.radius, rate, float(context.volume.disparities - 1),
+        )  # fmt: skip
+        known = out
+    values, status = device.empty((height, width), np.float32), device.empty((height, width), np.uint8)
+    device.launch(_SLANTED, "join_values", (count,), (256,), disparity.values, known, values, count)
+    device.launch(_MEDIANS, "mark_changes", (count,), (256,), disparity.values, values, disparity.status, status, count)
+    return DeviceMap(device, values, status)
+
+
+def _slopes(
+    known: DeviceArray, trust: DeviceArray, image: DeviceArray, radius: int, context: DeviceContext
+) -> DeviceArray:
+    # As :func:`depthcli.algorithms.plane_fitting.window_slopes.slopes`, (2, H, W).
+    device = context.pair.device
+    height, width = known.shape
+    step, limits, spread = difference_limits(radius)
+    found = device.empty((2, height, width), np.float32)
+    device.launch(
+        _SLANTED, "slopes", (width, height), PIXELS, known, trust, image, device.upload(limits), found, height, width,
+        step, spread,
+    )  # fmt: skip
+    return found
+
+
+def speckle_filter(method: SpeckleFilter, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
+    """Return the same map: regions by union of trees (Playne and Hawick 2018)."""
+    device = disparity.device
+    height, width = disparity.values.shape
+    count, steps = height * width, steps_of(context.volume.disparities)
+    fixed = device.empty((height, width), np.int16)
+    parent, roots, sizes = (device.empty((height, width), np.int32) for _ in range(3))
+    all_pixels = ((count,), (256,))
+    device.launch(_SPECKLES, "start_regions", *all_pixels, disparity.values, fixed, parent, sizes, count, steps)
+    largest = round(method.step * steps)
+    device.launch(_SPECKLES, "join_regions", (width, height), PIXELS, fixed, parent, height, width, largest)
+    device.launch(_SPECKLES, "count_regions", *all_pixels, parent, roots, sizes, count)
+    out = DeviceMap.empty(device, (height, width))
+    device.launch(
+        _SPECKLES, "remove_small", *all_pixels, disparity.values, disparity.status, roots, sizes, out.values,
+        out.status, count, method.size,
+    )  # fmt: skip
+    return out
+
+
+def subpixel(method: Subpixel, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
+    """Return the same map; to a millionth of a pixel where the device has no double precision."""
+    height, width, depth = context.volume.costs.shape
+    values = disparity.device.empty((height, width), np.float32)
+    disparity.device.launch(
+        _SELECTION.with_macros(COST=context.volume.c_type), "move_to_minimum", (width, height), PIXELS,
+        context.volume.costs, disparity.values, values, height, width, depth,
+    )  # fmt: skip
+    return DeviceMap(disparity.device, values, disparity.status)
+
+
+def surface_fill(method: SurfaceFill, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
+    """Return the same map, up to rounding where the device has no double precision."""
+    height, width = disparity.values.shape
+    real = np.float64 if disparity.device.has_double else np.float32
+    planes = disparity.device.empty((height, width, 4), real)
+    disparity.device.launch(
+        _FILLS, "surfaces_at_gaps", (width, height), PIXELS, disparity.values, planes, height, width,
+        method.rows, method.reach, method.support,
+    )  # fmt: skip
+    return disparity.refined(_FILLS, "continue_surfaces", [planes], float(context.volume.disparities - 1))
+
+
+def weighted_median(method: WeightedMedian, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
+    """Return the same map, up to a bin of 1/8 pixel where half of the weights is reached in one order of sums alone."""
+    device = disparity.device
+    height, width = disparity.values.shape
+    by_color, by_distance = (device.upload(table) for table in method.tables())
+    values = disparity.values
+    for _ in range(method.passes):
+        filtered = device.empty((height, width), np.float32)
+        device.launch(
+            _MEDIANS, "weighted_median", (width, height), PIXELS, context.pair.color[0], values, disparity.status,
+            by_color, by_distance, filtered, height, width, method.radius, float(method.filled_weight),
+        )  # fmt: skip
+        values = filtered
+    status = device.empty((height, width), np.uint8)
+    count = height * width
+    device.launch(_MEDIANS, "mark_changes", (count,), (256,), disparity.values, values, disparity.status, status, count)
+    return DeviceMap(device, values, status)
