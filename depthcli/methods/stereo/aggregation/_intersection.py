@@ -25,7 +25,7 @@ def intersected_means(
     horizontal_first: bool,
     out: NDArray[np.uint16] | None = None,
 ) -> NDArray[np.uint16]:
-    """One aggregation: the first arms of every pixel on the second arm.
+    """Return means over the first arms of all pixels on the second arm of every pixel.
 
     Parameters
     ----------

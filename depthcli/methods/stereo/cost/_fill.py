@@ -12,7 +12,6 @@ import numpy as np
 from llvmlite import ir
 from numpy.typing import NDArray
 
-from depthcli.core import memory
 from depthcli.kernels.jit import intrinsic, parallel_jit, prange, types
 
 
@@ -148,8 +147,3 @@ def _tolerant_volume(
             out = costs[y, x]
             for i in range(out.size):
                 out[i] = np.uint8(min(np.int16(total[i] >> shift), limit))
-
-
-def empty_volume(shape: tuple[int, int], disparities: int) -> NDArray[np.uint8]:
-    """Return an uninitialized (H, W, D) uint8 volume."""
-    return memory.empty((*shape, disparities), np.uint8)

@@ -7,9 +7,10 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
+from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.methods.stereo.cost import CostMeasure, Sampling
-from depthcli.methods.stereo.cost._fill import difference_volume, empty_volume, tolerant_volume
+from depthcli.methods.stereo.cost._fill import difference_volume, tolerant_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
@@ -38,7 +39,7 @@ class AbsoluteDifference(CostMeasure):
         else:
             left, right = (image[None] for image in pair.grey8)
         scale = left.shape[0]
-        costs = empty_volume(pair.shape, disparities)
+        costs = memory.empty((*pair.shape, disparities), np.uint8)
         limit = min(round(self.truncation * scale), self.MAX_STORED)
         if self.sampling == "tolerant":
             tolerant_volume(left, right, costs, 0, np.int16(limit))

@@ -12,7 +12,7 @@ from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.cost import CostMeasure, Side
-from depthcli.methods.stereo.cost._fill import empty_volume, hamming_volume
+from depthcli.methods.stereo.cost._fill import hamming_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
@@ -33,7 +33,7 @@ class Census(CostMeasure):
         return max(self.window) // 2
 
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
-        costs = empty_volume(pair.shape, disparities)
+        costs = memory.empty((*pair.shape, disparities), np.uint8)
         left, right = (census_transform(image, self.window) for image in pair.grey)
         hamming_volume(left, right, costs)
         fill_outside(costs, np.uint8(round(self.outside)))

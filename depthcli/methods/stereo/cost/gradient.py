@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.cost import CostMeasure, Sampling
-from depthcli.methods.stereo.cost._fill import empty_volume, tolerant_volume
+from depthcli.methods.stereo.cost._fill import tolerant_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
@@ -36,7 +37,7 @@ class Gradient(CostMeasure):
         return 3 if self.sampling == "tolerant" else 2
 
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
-        costs = empty_volume(pair.shape, disparities)
+        costs = memory.empty((*pair.shape, disparities), np.uint8)
         left, right = (image_gradient(image, self.sigma) for image in pair.grey)
         limit = round(self.truncation * self.SCALE)
         if self.sampling == "tolerant":

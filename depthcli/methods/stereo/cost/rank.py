@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from depthcli.core import memory
 from depthcli.core.frames import Image, StereoPair
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.cost import CostMeasure, Side
-from depthcli.methods.stereo.cost._fill import difference_volume, empty_volume
+from depthcli.methods.stereo.cost._fill import difference_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 
@@ -32,7 +33,7 @@ class Rank(CostMeasure):
         return max(self.window) // 2
 
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
-        costs = empty_volume(pair.shape, disparities)
+        costs = memory.empty((*pair.shape, disparities), np.uint8)
         left, right = (rank_transform(image, self.window) for image in pair.grey)
         difference_volume(left[None], right[None], costs, np.int16(255))
         fill_outside(costs, np.uint8(round(self.outside)))

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.cost import CostMeasure, Side
-from depthcli.methods.stereo.cost._fill import empty_volume
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 _BAND = 16  # rows whose windows one task slides over; any number gives the same costs
@@ -41,7 +41,7 @@ class Zncc(CostMeasure):
         return max(self.window) // 2
 
     def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
-        costs = empty_volume(pair.shape, disparities)
+        costs = memory.empty((*pair.shape, disparities), np.uint8)
         ry, rx = self.window[1] // 2, self.window[0] // 2
         padded = [np.pad(image, ((ry, ry), (rx, rx)), mode="edge") for image in pair.grey8]
         moments = [_moments(image, self.window, self.noise) for image in padded]

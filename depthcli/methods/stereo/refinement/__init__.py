@@ -17,7 +17,7 @@ class Refinement(Method):
     """A step of refinement."""
 
     needs_costs: ClassVar[bool] = True
-    """Whether it uses costs. Steps without costs run once on the whole map of an image that was matched in tiles."""
+    """Whether it uses costs, for which the pair must be matched whole; others also refine the map of many tiles."""
 
     fills: ClassVar[bool] = False
     """Whether it sets values of pixels that have none."""
@@ -36,6 +36,16 @@ def marked(
 ) -> DisparityMap:
     """Return the map with new ``values``, and ``status`` added to the status of ``pixels`` (H, W)."""
     return DisparityMap(values, disparity.status | np.where(pixels, np.uint8(status), np.uint8(0)))
+
+
+def with_filled(disparity: DisparityMap, values: NDArray[np.float32]) -> DisparityMap:
+    """Return the map with new ``values``; pixels that had none are marked as filled."""
+    return marked(disparity, values, ~disparity.valid & ~np.isnan(values), Status.FILLED)
+
+
+def with_smoothed(disparity: DisparityMap, values: NDArray[np.float32]) -> DisparityMap:
+    """Return the map with new ``values``; pixels whose value changed are marked as smoothed."""
+    return marked(disparity, values, disparity.valid & (values != disparity.values), Status.SMOOTHED)
 
 
 RefinementStep = Annotated[Refinement, *method_of("depthcli.methods.stereo.refinement")]

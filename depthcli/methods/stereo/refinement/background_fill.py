@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement, marked
+from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
 
 
@@ -19,8 +19,8 @@ class BackgroundFill(Refinement):
     are filled from the rows above and below. A map without any value stays empty.
     """
 
-    needs_costs: ClassVar[bool] = False
-    fills: ClassVar[bool] = True
+    needs_costs = False
+    fills = True
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         return fill_background(disparity)
@@ -31,7 +31,7 @@ def fill_background(disparity: DisparityMap) -> DisparityMap:
     values = disparity.values.copy()
     _fill_rows(values)
     _fill_columns(values)
-    return marked(disparity, values, ~disparity.valid & ~np.isnan(values), Status.FILLED)
+    return with_filled(disparity, values)
 
 
 @parallel_jit

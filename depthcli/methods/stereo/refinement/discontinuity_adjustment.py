@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement, marked
+from depthcli.methods.stereo.refinement import Refinement, with_smoothed
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 
 
@@ -22,8 +22,7 @@ class DiscontinuityAdjustment(Refinement):
             adjusted = values.copy()
             _adjust(values, context.volume.costs, axis, adjusted)
             values = adjusted
-        changed = disparity.valid & (values != disparity.values)
-        return marked(disparity, values, changed, Status.SMOOTHED)
+        return with_smoothed(disparity, values)
 
 
 @parallel_jit

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement, marked
+from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
 
 # The 16 directions in which the nearest value is searched: (dy, dx) of a step.
@@ -25,15 +25,14 @@ class Interpolation(Refinement):
     The candidates are the nearest values in 16 directions. A pixel without any candidate stays empty.
     """
 
-    needs_costs: ClassVar[bool] = False
-    fills: ClassVar[bool] = True
+    needs_costs = False
+    fills = True
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = disparity.values.copy()
         occluded = (disparity.status & np.uint8(Status.OCCLUDED)) != 0
         _interpolate(disparity.values, occluded, context.pair.color8[0], _DIRECTIONS, values)
-        filled = np.isnan(disparity.values) & ~np.isnan(values)
-        return marked(disparity, values, filled, Status.FILLED)
+        return with_filled(disparity, values)
 
 
 @parallel_jit

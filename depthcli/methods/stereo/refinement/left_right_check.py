@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -21,8 +21,7 @@ class LeftRightCheck(Refinement):
     is occluded if no pixel of the right view at all is matched to it, else mismatched (Hirschmueller 2008).
     """
 
-    needs_costs: ClassVar[bool] = False
-
+    needs_costs = False
     aliases = ("LRC",)
 
     tolerance: float = Field(1.0, ge=0, le=16384, description="largest accepted difference of the views, pixels")

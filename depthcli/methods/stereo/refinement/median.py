@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
 from pydantic import Field
 
-from depthcli.core.maps import DisparityMap, Status
-from depthcli.methods.stereo.refinement import Refinement, marked
+from depthcli.core.maps import DisparityMap
+from depthcli.methods.stereo.refinement import Refinement, with_smoothed
 from depthcli.methods.stereo.volume import RefinementContext
 
 
 class Median(Refinement):
     """Median of a square window. Where a window has a pixel without a value, its center is not changed."""
 
-    needs_costs: ClassVar[bool] = False
+    needs_costs = False
 
     window: Literal[3, 5] = Field(3, description="side of the window, pixels")
 
@@ -28,5 +28,4 @@ class Median(Refinement):
         whole = cv2.erode(valid.astype(np.uint8), np.ones((self.window, self.window), np.uint8)).astype(bool)
         filtered = cv2.medianBlur(np.where(valid, disparity.values, np.float32(0)), self.window)
         values = np.where(whole, filtered, disparity.values).astype(np.float32)
-        changed = whole & (values != disparity.values)
-        return marked(disparity, values, changed, Status.SMOOTHED)
+        return with_smoothed(disparity, values)

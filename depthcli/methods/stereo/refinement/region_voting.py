@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.cross_support import cross_arms
-from depthcli.methods.stereo.refinement import Refinement, marked
+from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
 
 
 class RegionVoting(Refinement):
     """Give an empty pixel the most frequent disparity of its cross-shaped support, where enough pixels agree."""
 
-    needs_costs: ClassVar[bool] = False
-    fills: ClassVar[bool] = True
+    needs_costs = False
+    fills = True
 
     length: int = Field(34, ge=1, le=255, description="longest arm of the support, pixels")
     threshold: int = Field(20, ge=0, le=255, description="color difference that ends an arm, grey levels")
@@ -41,8 +41,7 @@ class RegionVoting(Refinement):
             values = voted
             if settled:
                 break
-        filled = np.isnan(disparity.values) & ~np.isnan(values)
-        return marked(disparity, values, filled, Status.FILLED)
+        return with_filled(disparity, values)
 
 
 @parallel_jit

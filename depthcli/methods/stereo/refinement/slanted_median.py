@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_slopes import BLOCK, color_planes, framed, slopes
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap
 from depthcli.kernels.exponential import exp_minus_16
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement, marked
+from depthcli.methods.stereo.refinement import Refinement, with_smoothed
 from depthcli.methods.stereo.volume import RefinementContext
 
 _STEPS_PER_PIXEL = 8  # resolution of results; finer differences would be noise
@@ -27,7 +27,7 @@ class SlantedMedian(Refinement):
     value stay so.
     """
 
-    needs_costs: ClassVar[bool] = False
+    needs_costs = False
 
     radius: int = Field(6, ge=1, le=32, description="half side of the window, pixels")
     color_scale: float = Field(8.0, gt=0, le=1e4, description="mean color difference of weight 1/e, grey levels")
@@ -40,8 +40,7 @@ class SlantedMedian(Refinement):
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = self.filtered(disparity.values, context.pair.color8[0], context.volume.disparities - 1)
-        changed = disparity.valid & (values != disparity.values)
-        return marked(disparity, values, changed, Status.SMOOTHED)
+        return with_smoothed(disparity, values)
 
     def filtered(
         self, values: NDArray[np.float32], image: NDArray[np.uint8], max_disparity: float

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import cv2
 import numpy as np
 from pydantic import Field
@@ -18,7 +16,7 @@ _MAX_STEPS = 16  # of a pixel, as in OpenCV's 16-bit disparities; fewer above 20
 class SpeckleFilter(Refinement):
     """Remove connected regions of similar disparity that are too small to be trusted (``cv2.filterSpeckles``)."""
 
-    needs_costs: ClassVar[bool] = False
+    needs_costs = False
 
     size: int = Field(50, ge=1, le=10**8, description="regions of at most this many pixels are removed")
     step: float = Field(1.0, ge=0, le=64, description="largest disparity step inside a region, pixels")

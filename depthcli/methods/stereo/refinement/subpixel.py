@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ class Subpixel(Refinement):
     range are not changed.
     """
 
-    needs_costs: ClassVar[bool] = False
+    needs_costs = False
 
     def halo(self) -> int | None:
         return 0

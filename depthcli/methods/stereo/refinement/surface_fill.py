@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.least_squares import huber_weight, plane_moments, plane_slopes
-from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement
+from depthcli.methods.stereo.refinement import Refinement, with_filled
 from depthcli.methods.stereo.volume import RefinementContext
 
 # Chosen with the presets on the Middlebury pairs; the device kernel (fills.cl) has the same values.
@@ -31,8 +31,8 @@ class SurfaceFill(Refinement):
     by least squares with Huber weights, and the gap's pixels take the plane's values.
     """
 
-    needs_costs: ClassVar[bool] = False
-    fills: ClassVar[bool] = True
+    needs_costs = False
+    fills = True
 
     rows: int = Field(20, ge=0, le=64, description="rows above and below that the plane is fitted to")
     reach: int = Field(20, ge=1, le=255, description="pixels of each row that the plane is fitted to")
@@ -41,12 +41,11 @@ class SurfaceFill(Refinement):
     def halo(self) -> int | None:
         return self.rows
 
-    def __call__(self, disparity: DisparityMap, evidence: RefinementContext) -> DisparityMap:
+    def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = disparity.values.copy()
-        largest = np.float32(evidence.volume.disparities - 1)
+        largest = np.float32(context.volume.disparities - 1)
         _continue_surfaces(disparity.values, values, self.rows, self.reach, self.support, largest)
-        filled = np.isnan(disparity.values) & ~np.isnan(values)
-        return DisparityMap(values, disparity.status | np.where(filled, np.uint8(Status.FILLED), np.uint8(0)))
+        return with_filled(disparity, values)
 
 
 @parallel_jit

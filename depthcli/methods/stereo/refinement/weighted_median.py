@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.stereo.refinement import Refinement, marked
+from depthcli.methods.stereo.refinement import Refinement, with_smoothed
 from depthcli.methods.stereo.volume import RefinementContext
 
 _BINS_PER_PIXEL = 8
@@ -26,8 +26,7 @@ class WeightedMedian(Refinement):
     median's bin (a whole-pixel map stays one). Pixels without a value stay so.
     """
 
-    needs_costs: ClassVar[bool] = False
-
+    needs_costs = False
     aliases = ("WM",)
 
     radius: int = Field(7, ge=1, le=32, description="half side of the window, pixels")
@@ -57,8 +56,7 @@ class WeightedMedian(Refinement):
             filtered = values.copy()
             _filter(planes, np.pad(bins, frame), trust, by_color, by_distance, lowest, highest, filtered)
             values = filtered
-        changed = valid & (values != disparity.values)
-        return marked(disparity, values, changed, Status.SMOOTHED)
+        return with_smoothed(disparity, values)
 
     def tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the factors of weights by the sum of channel differences, (766,), and by place, (2 radius + 1)^2."""

@@ -52,7 +52,12 @@ def slanted_median(method: SlantedMedian, disparity: DeviceMap, context: DeviceC
     image = context.pair.color[0]
     known, trust = device.empty((height, width), np.float32), device.empty((height, width), np.float32)
     device.launch(_SLANTED, "split_values", (count,), (256,), disparity.values, known, trust, count)
-    gradient = _slopes(known, trust, image, method.slope_radius, context)
+    step, limits, spread = difference_limits(method.slope_radius)
+    gradient = device.empty((2, height, width), np.float32)
+    device.launch(
+        _SLANTED, "slopes", (width, height), PIXELS, known, trust, image, device.upload(limits), gradient, height,
+        width, step, spread,
+    )  # fmt: skip
     distance, rate = method.weights()
     distances = device.upload(distance)
     for _ in range(method.passes):
@@ -62,25 +67,9 @@ def slanted_median(method: SlantedMedian, disparity: DeviceMap, context: DeviceC
             height, width, method.radius, rate, float(context.volume.disparities - 1),
         )  # fmt: skip
         known = out
-    values, status = device.empty((height, width), np.float32), device.empty((height, width), np.uint8)
+    values = device.empty((height, width), np.float32)
     device.launch(_SLANTED, "join_values", (count,), (256,), disparity.values, known, values, count)
-    device.launch(_MEDIANS, "mark_changes", (count,), (256,), disparity.values, values, disparity.status, status, count)
-    return DeviceMap(device, values, status)
-
-
-def _slopes(
-    known: DeviceArray, trust: DeviceArray, image: DeviceArray, radius: int, context: DeviceContext
-) -> DeviceArray:
-    # As :func:`depthcli.algorithms.plane_fitting.window_slopes.slopes`, (2, H, W).
-    device = context.pair.device
-    height, width = known.shape
-    step, limits, spread = difference_limits(radius)
-    found = device.empty((2, height, width), np.float32)
-    device.launch(
-        _SLANTED, "slopes", (width, height), PIXELS, known, trust, image, device.upload(limits), found, height, width,
-        step, spread,
-    )  # fmt: skip
-    return found
+    return _with_smoothed(disparity, values)
 
 
 def speckle_filter(method: SpeckleFilter, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
@@ -139,7 +128,11 @@ def weighted_median(method: WeightedMedian, disparity: DeviceMap, context: Devic
             by_color, by_distance, filtered, height, width, method.radius, float(method.filled_weight),
         )  # fmt: skip
         values = filtered
-    status = device.empty((height, width), np.uint8)
-    count = height * width
+    return _with_smoothed(disparity, values)
+
+
+def _with_smoothed(disparity: DeviceMap, values: DeviceArray) -> DeviceMap:
+    device, count = disparity.device, values.size
+    status = device.empty(values.shape, np.uint8)
     device.launch(_MEDIANS, "mark_changes", (count,), (256,), disparity.values, values, disparity.status, status, count)
     return DeviceMap(device, values, status)
