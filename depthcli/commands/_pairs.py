@@ -128,6 +128,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         from depthcli.batch.task import Outcome
         from depthcli.commands._rectified import rectified_pair
         from depthcli.commands._save import save_stereo
+        from depthcli.core.memory import show_bytes
         from depthcli.core.result import Clock
         from depthcli.methods.stereo.matching import match
         from depthcli.methods.stereo.search_range import complete_range
@@ -155,9 +156,12 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         clock.stop("other")
         clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
         measured = float(np.mean(result.disparity.measured))
-        warnings += [*_warnings(pair, measured), *_range_warnings(result, search, key_points)]
+        warnings += _warnings(pair, result, measured, search, key_points)
         if result.figures.get("exact") == 0 and memory < limits.tile_memory:
-            warnings.append(_tiles_warning(result, memory))
+            warnings.append(
+                f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
+                f"{show_bytes(memory)} of memory may be used: with more the map is another one"
+            )
         save_stereo(result, folder, search.low, search.top)
         clock.stop("save")
         columns = {
@@ -193,7 +197,9 @@ def _partly_used(pair: StereoPair) -> bool:
     return pair.bits is not None and pair.bits < 8 * pair.left.dtype.itemsize
 
 
-def _warnings(pair: StereoPair, measured: float) -> list[str]:
+def _warnings(
+    pair: StereoPair, result: StereoResult, measured: float, search: SearchRange, key_points: dict[str, int]
+) -> list[str]:
     warnings = []
     if _partly_used(pair):
         warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
@@ -202,29 +208,14 @@ def _warnings(pair: StereoPair, measured: float) -> list[str]:
             f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
             "not rectified, search range too small, or no texture?"
         )
-    return warnings
-
-
-def _range_warnings(result: StereoResult, search: SearchRange, key_points: dict[str, int]) -> list[str]:
-    shares = search.share_at_ends(result.disparity)
-    warnings = [
-        f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
-        for share, end, option in zip(
-            shares, (search.low, search.top), ("--min-disparity", "--max-disparity"), strict=True
-        )
-        if share > _MAX_SHARE_AT_END
-    ]
+    ends = ((search.low, "--min-disparity"), (search.top, "--max-disparity"))
+    for share, (end, option) in zip(search.share_at_ends(result.disparity), ends, strict=True):
+        if share > _MAX_SHARE_AT_END:
+            warnings.append(
+                f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
+            )
     if key_points and search.low > key_points["range_low"] and key_points["range_low"] < 0:
         warnings.append(f"key points have disparities down to {key_points['range_low']}; see --min-disparity")
     if search.low < 0:
         warnings.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
     return warnings
-
-
-def _tiles_warning(result: StereoResult, memory: int) -> str:
-    from depthcli.core.memory import show_bytes
-
-    return (
-        f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
-        f"{show_bytes(memory)} of memory may be used: with more the map is another one"
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -53,7 +52,10 @@ class SearchRange:
         if self.low > 0:
             left, right = pair.left[:, self.low :].copy(), pair.right[:, : width - self.low].copy()
         else:
-            left, right = _widened(pair.left, -self.low, 0), _widened(pair.right, 0, -self.low)
+            left, right = (
+                cast(Image, cv2.copyMakeBorder(image, 0, 0, before, behind, cv2.BORDER_REPLICATE))
+                for image, before, behind in ((pair.left, -self.low, 0), (pair.right, 0, -self.low))
+            )
         return StereoPair(left, right, pair.bits)
 
     def restore(self, result: StereoResult, width: int) -> StereoResult:
@@ -108,10 +110,11 @@ def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:
     height, width = pair.shape
     shrink = min(1.0, (_MAX_PIXELS / (height * width)) ** 0.5)
     size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
-    views = [_smaller(image, size) for image in pair.grey8]
-    detect: Callable[[NDArray[np.uint8]], Any] = Surf(threshold=1e-6)
+    detect = Surf(threshold=1e-6)
+    left, right = (
+        detect(np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)) for image in pair.grey8
+    )
     largest, smallest = _MAX_SHIFT * size[0], _MIN_SHIFT * size[0]
-    left, right = (detect(view) for view in views)
     found = consistent(match_rectified(left, right, largest, _MAX_ROW_DIFFERENCE, min_disparity=smallest))
     if len(found) < _MIN_MATCHES:
         raise InputError(
@@ -154,13 +157,3 @@ def complete_range(low: int | str, top: int | str | None, pair: StereoPair) -> t
     if top <= low:
         raise InputError(f"disparities from {low} to {top} are to be searched, which are none")
     return SearchRange(low, top), columns
-
-
-def _smaller(image: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    if image.shape[::-1] == size:
-        return image
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _widened(image: Image, before: int, behind: int) -> Image:
-    return cast(Image, cv2.copyMakeBorder(image, 0, 0, before, behind, cv2.BORDER_REPLICATE))

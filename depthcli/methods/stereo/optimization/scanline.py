@@ -42,7 +42,8 @@ class Scanline(Optimizer):
             padding = ((0, 0), (0, 0), (0, LANES - disparities))
             costs = np.pad(costs.astype(np.uint16), padding, constant_values=_PADDING_COST)
         table = self.penalties(volume.scale, volume.costs.dtype == np.uint8)
-        edges = _path_edges(pair.color8[0], self.edge_threshold)
+        edges = np.zeros((4, *pair.shape), np.uint8)
+        _mark_edges(np.ascontiguousarray(pair.color8[0].transpose(2, 0, 1)), edges, self.edge_threshold)
         sums = [memory.empty(costs.shape, np.uint16) for _ in range(2)]
         _sweep_both(costs, sums[0], sums[1], edges, table, self.paths == 8)
         _add(sums[0], sums[1])
@@ -59,16 +60,9 @@ class Scanline(Optimizer):
         )
 
 
-def _path_edges(image: NDArray[np.uint8], threshold: int) -> NDArray[np.uint8]:
-    # (4, H, W) uint8: 1 where the pixel to the left, upper left, above, upper right differs in color.
-    height, width = image.shape[:2]
-    edges = np.zeros((4, height, width), np.uint8)
-    _mark_edges(np.ascontiguousarray(image.transpose(2, 0, 1)), edges, threshold)
-    return edges
-
-
 @parallel_jit
 def _mark_edges(planes: Any, edges: Any, threshold: int) -> None:
+    # Sets (4, H, W) to 1 where the pixel to the left, upper left, above, upper right differs in color.
     channels, height, width = planes.shape
     for y in prange(height):
         for k in range(4):
