@@ -17,7 +17,7 @@ from depthcli.core.memory import show_bytes
 from depthcli.device import Device
 from depthcli.methods.stereo.coarse_to_fine import match_in_tiles
 from depthcli.methods.stereo.matcher import Matcher
-from depthcli.methods.stereo.on_device import match_on_device
+from depthcli.methods.stereo.pipeline._device import match_on_device
 from depthcli.methods.stereo.volume import StereoResult
 
 TileMode = Literal["auto", "always", "never"]

@@ -15,15 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
-from depthcli.core.memory import show_bytes
 from depthcli.core.method import device_implementation_of
-from depthcli.core.result import Clock
 from depthcli.device import Device, DeviceArray, Kernels
-from depthcli.methods.stereo.matcher import Matcher
-from depthcli.methods.stereo.volume import CostVolume, FixedPoint, RefinementContext, StereoResult, as_fixed_point
+from depthcli.methods.stereo.volume import CostVolume, FixedPoint, RefinementContext, as_fixed_point
 
 PIXELS = (32, 8)
 """Group of kernels that give every pixel a thread."""
@@ -169,21 +165,6 @@ class DeviceContext:
     def host(self) -> RefinementContext:
         """Return the context on the host, for steps without a device implementation."""
         return RefinementContext(self.pair.host, self.volume.download(), self.pair.device.download(self.right))
-
-
-def match_on_device(matcher: Matcher, pair: StereoPair, max_disparity: int, device: Device) -> StereoResult:
-    """Match a pair by the matcher's device implementation; InputError where it does not fit on the device."""
-    need, available = matcher.device_bytes(pair.shape, max_disparity), device.info.memory
-    assert need is not None
-    if need > available:
-        raise InputError(
-            f"needs about {show_bytes(need)} on {device.info.address} ({device.info.name}), which has "
-            f"{show_bytes(available)}; see --device, --max-disparity"
-        )
-    clock = Clock()
-    pair, rest = matcher.prepared(pair, max_disparity, clock)
-    result: StereoResult = run_stage(rest, DevicePair(device, pair), max_disparity, clock)
-    return result
 
 
 def c_type(dtype: Any) -> str:
