@@ -132,8 +132,8 @@ def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
     for one, other in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
         touching = one != other
         keys.append(_pair_keys(one[touching], other[touching], count))
-    pairs = np.concatenate(keys)
-    return _graph(sizes.astype(np.int64), sums.astype(np.float64), pairs, np.ones(len(pairs), np.int64))
+    pairs, boundary = np.unique(np.concatenate(keys), return_counts=True)
+    return _graph(sizes.astype(np.int64), sums.astype(np.float64), pairs, boundary)
 
 
 def adjacency(
@@ -163,12 +163,10 @@ def _pair_keys(one: NDArray[np.int32], other: NDArray[np.int32], count: int) -> 
 
 
 def _graph(
-    sizes: NDArray[np.int64], sums: NDArray[np.float64], keys: NDArray[np.int64], lengths: NDArray[np.int64]
+    sizes: NDArray[np.int64], sums: NDArray[np.float64], pairs: NDArray[np.int64], boundary: NDArray[np.int64]
 ) -> RegionGraph:
-    # Pairs i < j are given as keys i * N + j, with lengths of their boundary that add up.
+    # Pairs i < j are given as numbers i * N + j.
     count = max(len(sizes), 1)
-    pairs, place = np.unique(keys, return_inverse=True)
-    boundary = np.bincount(place, lengths, len(pairs)).astype(np.int64)
     edges = np.stack([pairs // count, pairs % count], axis=1).astype(np.int32)
     return RegionGraph(sizes, edges, boundary, sums)
 
@@ -184,7 +182,9 @@ def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> t
     first, second = group[graph.edges.T]
     separate = first != second
     keys = _pair_keys(first[separate], second[separate], count)
-    return _graph(sizes, sums, keys, graph.boundary[separate]), group
+    pairs, place = np.unique(keys, return_inverse=True)
+    boundary = np.bincount(place, graph.boundary[separate], len(pairs)).astype(np.int64)
+    return _graph(sizes, sums, pairs, boundary), group
 
 
 def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min_size: int) -> NDArray[np.int32]:
