@@ -13,7 +13,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from depthcli.batch.json_csv import Row
-from depthcli.core.errors import IncompleteError
+from depthcli.core.errors import IncompleteError, printable
+from depthcli.core.text import one_line
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -110,6 +111,7 @@ class Reporter:
             self._bar = None
 
     def _line(self, text: str) -> None:
+        text = printable(text)
         with contextlib.suppress(OSError, ValueError):  # stderr was closed
             if self._bar is not None:
                 self._bar.write(text, file=sys.stderr)
@@ -170,6 +172,7 @@ def run_table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
 
 def aligned(lines: Sequence[tuple[str, ...]]) -> str:
     """Return rows of cells as a table whose first two columns are aligned left and the others right."""
+    lines = [tuple(map(one_line, line)) for line in lines]
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     table = []
     for line in lines:

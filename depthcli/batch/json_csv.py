@@ -9,6 +9,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TextIO, TypeAlias
 
+from depthcli.core.text import csv_cell
+
 Row: TypeAlias = dict[str, Any]
 """One row of a report: column -> JSON value."""
 
@@ -57,11 +59,14 @@ def to_csv(rows: Sequence[Mapping[str, object]]) -> str:
 
 
 def write_csv(file: TextIO, rows: Sequence[Mapping[str, object]]) -> None:
-    """Write rows to an open file as :func:`to_csv` does; mappings in them become ``outer_inner`` columns."""
+    """Write rows to an open file as :func:`to_csv` does; mappings in them become ``outer_inner`` columns.
+
+    No text becomes a formula of a spreadsheet, see :func:`~depthcli.core.text.csv_cell`.
+    """
     columns = list(dict.fromkeys(key for row in rows for key in _flat(row)))
     writer = csv.DictWriter(file, columns, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(map(_flat, rows))
+    writer.writerows({key: csv_cell(value) for key, value in _flat(row).items()} for row in rows)
 
 
 def _flat(row: Mapping[str, object]) -> dict[str, object]:

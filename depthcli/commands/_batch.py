@@ -11,6 +11,7 @@ from depthcli.batch.command import SOME_FAILED, Command, ConfigT, ModelT, SceneT
 from depthcli.commands._options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
 from depthcli.commands.evaluate import evaluate, new_page
 from depthcli.core.option import Option
+from depthcli.core.text import one_line
 from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
@@ -104,7 +105,8 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         from depthcli.batch.runner import scenes_of_shard
 
         names = [scene.name for scene in scenes_of_shard(self, config, scenes, options)]
-        text = to_json({"command": self.name, "scenes": names}) if values["json"] else "\n".join([*names, ""])
+        lines = "".join(f"{one_line(name)}\n" for name in names)
+        text = to_json({"command": self.name, "scenes": names}) if values["json"] else lines
         reporter.data(text)
         return 0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -86,7 +87,7 @@ class Scoring:
         place, rows = self.runs[start.run], self.reports[start.run]
         row: Row = next((rows[name] for name in names if name in rows), {})
         try:
-            path = place if place.is_file() else protocol.files.find(place, names)
+            path = place if os.path.isfile(place) else protocol.files.find(place, names)
             if path is None:
                 reason = (
                     f": the run failed there: {row['error']}" if row.get("error") else protocol.files.searched(names)
@@ -116,7 +117,7 @@ class Scoring:
         )
         if self.output is not None:
             if points := protocol.points(estimate, truth):
-                write_text(self.output / f"points/{result.run}/{result.scene}.csv", to_csv(points))
+                write_text(self.output / result.table_of_points, to_csv(points))
             picture = protocol.picture(estimate, truth)
             if picture is not None:
                 write_png(self.output / result.picture, picture)

@@ -6,6 +6,7 @@ is read and how it is scored is decided by the scene's protocol (``depthcli/eval
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -126,20 +127,21 @@ def evaluate(
     from depthcli.commands._scoring import Scoring
     from depthcli.data.formats.files import remove_leftovers
     from depthcli.evaluation.comparison import EvaluationReport
+    from depthcli.evaluation.plots import cache_below
     from depthcli.evaluation.protocols import Settings, load
 
     reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), Path(truth)
     places = _find_runs(runs)
     scored_by = None if protocol is None else load(protocol)(settings)
     found = _find_truth(truth, scored_by, kinds, layout, scenes, settings, reporter)
-    if len(found) > 1 and any(place.is_file() for place in places.values()):
+    if len(found) > 1 and any(map(os.path.isfile, places.values())):
         raise InputError(f"a single map wants a single scene, {truth} has {len(found)}: give a file, or --scenes")
     target = None if output is None else Path(output)
     if target is not None:
         remove_leftovers(target)
     scoring = Scoring(places, truth, target, scored_by, settings, page)
     results = []
-    with reporter:
+    with cache_below(target), reporter:
         reporter.start(len(found), 0, "evaluate")
         short = [scene.name.rpartition("/")[2] for scene in found]
         for scene, name in zip(found, short, strict=True):
@@ -151,7 +153,8 @@ def evaluate(
         if getattr(settings, name) is not None and scoring.protocols and not taken:
             reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
     report = EvaluationReport(tuple(places), tuple(results), scoring.protocols, truth)
-    _write(report, scoring)
+    with cache_below(target):
+        _write(report, scoring)
     for warning in report.warnings:
         reporter.info(f"warning: {warning}")
     for result in report.failed:
@@ -173,13 +176,14 @@ def new_page(command: Command, values: Values, output: Path | None) -> Page | No
 
 def _find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
     """Name -> folder or file of every run."""
+    from depthcli.data.formats.files import shown
     from depthcli.evaluation.comparison import run_names
 
     places = [Path(run) for run in runs]
     if not places:
         raise InputError("no run to evaluate")
-    if absent := [place for place in places if not (place.is_dir() or place.is_file())]:
-        raise InputError(f"{absent[0]}: no such folder")
+    if absent := [place for place in places if not (os.path.isdir(place) or os.path.isfile(place))]:
+        raise InputError(f"{shown(absent[0])}: no such folder")
     return dict(zip(run_names(places), places, strict=True))
 
 
@@ -196,7 +200,7 @@ def _find_truth(
     from depthcli.data.walk import discover_scenes, scene_with_file
     from depthcli.evaluation.protocols import load
 
-    if truth.is_file():
+    if os.path.isfile(truth):
         holding = scene_with_file(truth)
         if holding is None and scored_by is None:
             reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")

@@ -6,6 +6,7 @@ All that is wrong with the maps is reported together, and nothing is written the
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,7 +58,7 @@ class ExportCommand(Command):
         from depthcli.evaluation.benchmarks import Submission, benchmark
 
         target, bench = values["output"], benchmark(values["for_"])
-        if target.exists() and not values["overwrite"]:
+        if os.path.exists(target) and not values["overwrite"]:
             raise ConfigError(f"{target}: is there already; choose another --output, or --overwrite it")
         problems = [f"--method: {wrong}"] if (wrong := bench.check_name(values["method"])) else []
         if values["split"] is not None and values["split"] not in bench.scenes:
@@ -104,7 +105,7 @@ def _find_maps(
     from depthcli.batch.run_folder import read_report
     from depthcli.evaluation.protocols import load
 
-    if not run.is_dir():
+    if not os.path.isdir(run):
         raise InputError(f"{run}: no such folder")
     rows, files = read_report(run), load(bench.protocol).files
     entries: list[Entry] = []
@@ -140,7 +141,7 @@ def _entry(scene: str, split: str, path: Path, row: Row, seconds: float | None) 
     image = Path(row["source"]) if row.get("source") else None
     size = None
     try:
-        if image is not None and image.is_file():
+        if image is not None and os.path.isfile(image):
             header = image_size(image)
             size = (header.width, header.height)
     except InputError:

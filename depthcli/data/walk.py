@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -45,7 +46,7 @@ def discover_scenes(
     """
     folder = Path(folder)
     wanted = _wanted(None if kinds is None else tuple(kinds), layout)
-    if not folder.is_dir():
+    if not os.path.isdir(folder):  # is_dir raises for names that are too long
         raise InputError(f"{folder}: no such folder")
     requested = wanted[0].name if layout else ""
     found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +38,7 @@ class MapFiles:
         InputError
             Several files claim to be the map.
         """
-        return next((path for name in names for path in self.candidates(folder, name) if path.is_file()), None)
+        return next((path for name in names for path in self.candidates(folder, name) if os.path.isfile(path)), None)
 
     def searched(self, names: Sequence[str]) -> str:
         """Return the places that ``find`` looks at, in words for an error message."""
@@ -56,7 +57,7 @@ class MapFiles:
     def status(self, path: Path) -> Path | None:
         """Return the status map beside a map; None where there is none."""
         file = path.parent / "status.png"
-        return file if self._in_run_folder(path) and file.is_file() else None
+        return file if self._in_run_folder(path) and os.path.isfile(file) else None
 
     def _in_run_folder(self, path: Path) -> bool:
         """True where the map is named as in a run folder, so that the files beside it belong to it."""
@@ -74,7 +75,8 @@ class DisparityFiles(MapFiles):
         """Yield also result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, else ``disp0METHOD_s.pfm``."""
         yield from super().candidates(folder, scene)
         inside = folder / scene
-        kit = sorted(path for path in inside.glob("disp0*.pfm") if not path.stem.startswith("disp0GT"))
+        files = inside.glob("disp0*.pfm") if os.path.isdir(inside) else ()
+        kit = sorted(path for path in files if not path.stem.startswith("disp0GT"))
         dense = [path for path in kit if not path.stem.endswith("_s")] or kit
         named = [path for path in dense if path.stem == f"disp0{folder.resolve().name}"] or dense
         if len(named) > 1:

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import io
 import math
+import os
+import shutil
+import sys
+import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.curves import PERCENTAGES, Sparsification
 from depthcli.evaluation.results import MEAN
@@ -188,6 +195,7 @@ def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, li
 
     ``fixed`` margins take half the time of those that are fitted to names of any length.
     """
+    _find_cache()
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -207,6 +215,53 @@ def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, li
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     out.append(text.getvalue())
+
+
+_CACHE_VARIABLE, _CACHE_PREFIX = "MPLCONFIGDIR", ".matplotlib-"
+_cache_parent: ContextVar[Path | None] = ContextVar("cache_parent", default=None)
+
+
+@contextmanager
+def cache_below(folder: Path | None) -> Iterator[None]:
+    """Let plots that the block draws cache fonts below ``folder`` where there is neither home nor temporary folder."""
+    token = _cache_parent.set(folder)
+    try:
+        yield
+    finally:
+        _cache_parent.reset(token)
+        place = os.environ.get(_CACHE_VARIABLE, "")
+        if folder is not None and place.startswith(str(folder.absolute() / _CACHE_PREFIX)):
+            shutil.rmtree(os.environ.pop(_CACHE_VARIABLE), ignore_errors=True)
+
+
+def _find_cache() -> None:
+    """Give matplotlib, which is not even imported without a folder that can be written, one where it may find none.
+
+    Raises
+    ------
+    ConfigError
+        There is no such place.
+    """
+    parent = _cache_parent.get()
+    try:
+        if "matplotlib" not in sys.modules and parent is not None and not _has_temporary_folder():
+            parent.mkdir(parents=True, exist_ok=True)
+            os.environ[_CACHE_VARIABLE] = tempfile.mkdtemp(prefix=_CACHE_PREFIX, dir=parent.absolute())
+        import matplotlib
+
+        matplotlib.get_cachedir()
+    except OSError as error:
+        raise ConfigError(
+            f"plots: matplotlib finds no folder for its cache; set {_CACHE_VARIABLE} to one that can be written"
+        ) from error
+
+
+def _has_temporary_folder() -> bool:
+    try:
+        tempfile.gettempdir()
+    except OSError:
+        return False
+    return True
 
 
 def _line(axes: Axes, i: int, name: str, points: Sequence[tuple[float, float]], marker: str | None = None) -> None:

@@ -6,9 +6,14 @@ import csv
 import html
 import io
 import math
+import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
+from urllib.parse import quote
+
+from depthcli.core.text import csv_cell, one_line
 
 BEST, SECOND = 1, 2
 
@@ -79,22 +84,22 @@ class Table:
 
     def text(self) -> str:
         """Return aligned columns for a terminal, those of numbers set to the right."""
-        lines = [self.header, *self.rows]
+        lines = [tuple(map(one_line, line)) for line in (self.header, *self.rows)]
         widths = [max(len(line[j]) for line in lines) for j in range(len(self.header))]
         right = self._numeric()
-        out = [self.title] if self.title else []
+        out = [one_line(self.title)] if self.title else []
         for line in lines:
             cells = [c.rjust(w) if r else c.ljust(w) for c, w, r in zip(line, widths, right, strict=True)]
             out.append("  ".join(cells).rstrip())
-        return "\n".join([*out, *filter(None, [self.note])]) + "\n"
+        return "\n".join([*out, *filter(None, [one_line(self.note)])]) + "\n"
 
     def markdown(self) -> str:
         """Return a Markdown section: of ranked columns the best bold, the second best underlined."""
         marks = ["---:" if right else "---" for right in self._numeric()]
-        rows = self._formatted("**{}**", "<u>{}</u>", lambda cell: cell.replace("|", "\\|"))
-        out = [f"## {self.title}", ""] if self.title else []
+        rows = self._formatted("**{}**", "<u>{}</u>", markdown_text)
+        out = [f"## {markdown_text(self.title)}", ""] if self.title else []
         out += ["| " + " | ".join(row) + " |" for row in (rows[0], marks, *rows[1:])]
-        return "\n".join([*out, *(["", self.note] if self.note else [])]) + "\n"
+        return "\n".join([*out, *(["", markdown_text(self.note)] if self.note else [])]) + "\n"
 
     def latex(self) -> str:
         r"""Return a ``table`` with booktabs' rules: the best ``\textbf``, the second best ``\underline``."""
@@ -122,8 +127,8 @@ class Table:
         """Return comma-separated values: numbers with all digits, NaN empty, the title in a column ``table``."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["table", *self.header])
-        writer.writerows([self.title, *map(_plain, row)] for row in self.rows)
+        writer.writerow(["table", *map(csv_cell, self.header)])
+        writer.writerows([csv_cell(self.title), *map(_plain, row)] for row in self.rows)
         return text.getvalue()
 
     def html(self) -> str:
@@ -161,16 +166,34 @@ FORMATS: dict[str, Callable[[Table], str]] = {
 _LATEX = {
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     **{char: "\\" + char for char in "&%$#_{}"}, "<": r"\textless{}", ">": r"\textgreater{}",
+    "[": "{[}", "]": "{]}",  # behind the end of a row they would be its distance to the next
 }  # fmt: skip
+
+_MARKDOWN = re.compile(r"[\\`|<\[\]]|&(?=#?\w+;)")
 
 
 def _latex(text: str) -> str:
-    return "".join(_LATEX.get(char, char) for char in text)
+    return "".join(_LATEX.get(char, char) for char in one_line(text))
 
 
-def _plain(cell: str) -> str:
+def markdown_text(text: str) -> str:
+    """Return a text that Markdown shows as it is, on one line: no HTML, link, code or column in it."""
+    return _MARKDOWN.sub(r"\\\g<0>", one_line(text))
+
+
+def markdown_code(name: str) -> str:
+    """Return a name as code, or as text where it would end the code itself."""
+    return markdown_text(name) if "`" in name else f"`{one_line(name)}`"
+
+
+def markdown_link(path: str) -> str:
+    """Return a relative path as the target of a link, whatever bytes it holds."""
+    return quote(os.fsencode(path))
+
+
+def _plain(cell: str) -> object:
     if not isinstance(cell, Number):
-        return cell
+        return csv_cell(cell)
     return "" if math.isnan(cell.value) else repr(cell.value)
 
 

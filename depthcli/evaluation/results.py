@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from depthcli.data.formats.files import short_path
 from depthcli.evaluation.curves import Sparsification
 from depthcli.evaluation.scores import Key, Measure, Score, find_score
 
@@ -115,12 +116,18 @@ class Result:
     @property
     def picture(self) -> str:
         """Path of its error picture in the output folder."""
-        return f"errors/{self.run}/{self.scene}.png"
+        return short_path(f"errors/{self.run}/{self.scene}.png")
 
     @property
     def plots(self) -> dict[tuple[str, str], str]:
         """(region, kind of curve) -> path of the plot in the output folder."""
-        return {(c.region, c.of): f"curves/{self.run}/{self.scene}_{c.region}_{c.of}.svg" for c in self.curves}
+        start = f"curves/{self.run}/{self.scene}"
+        return {(c.region, c.of): short_path(f"{start}_{c.region}_{c.of}.svg") for c in self.curves}
+
+    @property
+    def table_of_points(self) -> str:
+        """Path of the table of its points in the output folder, where the protocol has such a table."""
+        return short_path(f"points/{self.run}/{self.scene}.csv")
 
     def records(self) -> list[Record]:
         """Return the scores, the areas of the curves (metric ``AREA:CONFIDENCE:KIND``), and the reason of a failure."""

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from depthcli.core.text import one_line
 from depthcli.evaluation.comparison import EvaluationReport, Section
-from depthcli.evaluation.render import Number, Table
+from depthcli.evaluation.render import Number, Table, markdown_code, markdown_link, markdown_text
 from depthcli.evaluation.results import COMMON_MEAN, MEAN, Curve
 from depthcli.evaluation.scores import Key, Score
 from depthcli.evaluation.statistics import mean_of_known
@@ -28,26 +29,24 @@ def report_text(report: EvaluationReport) -> str:
     """Return all tables and warnings of an evaluation for a terminal."""
     blocks = [table.text() for table in report_tables(report)]
     if report.warnings:
-        blocks.append("".join(f"warning: {line}\n" for line in report.warnings))
+        blocks.append("".join(f"warning: {one_line(line)}\n" for line in report.warnings))
     return "\n".join(blocks)
 
 
 def report_markdown(report: EvaluationReport) -> str:
     """Return ``report.md``: all tables and warnings, with links to error pictures and plots."""
 
-    def link(path: str) -> str:
-        return path.replace(" ", "%20").replace("(", "%28").replace(")", "%29")
-
-    runs = ", ".join(f"`{run}`" for run in report.runs)
-    out = ["# Evaluation", "", f"Ground truth: `{report.truth}`. Runs: {runs}.", ""]
-    out += [f"**Warning:** {line}\n" for line in report.warnings]
+    runs = ", ".join(map(markdown_code, report.runs))
+    out = ["# Evaluation", "", f"Ground truth: {markdown_code(str(report.truth))}. Runs: {runs}.", ""]
+    out += [f"**Warning:** {markdown_text(line)}\n" for line in report.warnings]
     out += [table.markdown() for table in report_tables(report)]
     out += ["## Error pictures", ""]
     out += [f"{p.name}: {p.presentation.legend}.\n" for p in report.protocols.values() if p.presentation.legend]
     for r in report.results:
         if not r.error:
-            out += [f"{r.run}, {r.scene}:", "", f"![{r.scene}]({link(r.picture)})", ""]
-            out += [f"![{of}, {region}]({link(path)})\n" for (region, of), path in r.plots.items()]
+            scene = markdown_text(r.scene)
+            out += [f"{markdown_text(r.run)}, {scene}:", "", f"![{scene}]({markdown_link(r.picture)})", ""]
+            out += [f"![{of}, {region}]({markdown_link(path)})\n" for (region, of), path in r.plots.items()]
     return "\n".join(out)
 
 

@@ -149,6 +149,53 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("length", [200, 236, 245, 251, 255])
+def test_long_names_of_scenes_stop_nothing(tmp_path: Path, truth: Path, length: int):
+    """Neither where the map is looked for nor where pictures and plots are written."""
+    long = "n" * length
+    shutil.move(truth / "b", truth / long)
+    run = run_of(tmp_path / "run", {"a": exact(truth), long: exact(truth)})
+    write_pfm(run / long / "confidence_x.pfm", exact(truth))
+    write_pfm(run / "a" / "confidence_x.pfm", exact(truth))
+    report = evaluate([run, tmp_path / "run" / "a"], truth, tmp_path / "out", layout="scenes")
+    first = [r for r in report.results if r.run == report.runs[0]]
+    assert [(r.scene, r.error, bad(r)) for r in first] == [("a", "", 0), (long, "", 0)]
+    for result in first:
+        for path in (result.picture, *result.plots.values()):
+            assert (tmp_path / "out" / path).is_file()
+            assert path in (tmp_path / "out" / "report.md").read_text()
+
+
+def test_names_that_no_file_can_have_are_not_there(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
+    run = run_of(tmp_path / "run", {"a": exact(truth)})
+    long = tmp_path / ("n" * 300)
+    for command in (
+        ["evaluate", str(run), str(long), "--truth", str(truth)],
+        ["evaluate", str(run), "--truth", str(long)],
+        ["export", str(long), "--for", "eth3d", "--method", "m", "-o", str(tmp_path / "x.zip")],
+        ["export", str(run), "--for", "eth3d", "--method", "m", "-o", str(long)],
+    ):
+        assert main(command) == 2
+        err = capsys.readouterr().err
+        assert err.startswith("depthcli: ") or command[0] == "export"
+        assert "bug" not in err
+
+
+def test_names_in_reports_are_texts(tmp_path: Path, truth: Path):
+    name = "=1+1\n## <b>x [l](u) \x1b[31m"
+    run = run_of(tmp_path / name, {name: exact(truth)})
+    shutil.move(truth / "a", truth / name)
+    report = evaluate([run], truth, tmp_path / "out")
+    text = (tmp_path / "out" / "report.md").read_text()
+    lines = [line for line in text.splitlines() if "<b>x" in line]
+    assert lines
+    assert not any("\x1b" in line or line.startswith("## <") for line in text.splitlines())
+    assert all("\\<b>" in line for line in lines if "`" not in line)
+    assert "\x1b" not in report_text(report)
+    for row in rows(tmp_path / "out"):
+        assert row["scene"][0] in "'*b" and row["run"].startswith("'=1+1\\n##")
+
+
 def test_broken_truth_spoils_only_its_scene(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     (truth / "a" / "disp_left.png").write_bytes(b"nothing")

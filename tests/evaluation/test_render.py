@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 
 import pytest
 
+from depthcli.batch.json_csv import to_csv
 from depthcli.evaluation.render import Number, Table
 
 NAN = math.nan
@@ -102,3 +104,38 @@ def test_csv_has_all_digits_and_no_marks():
         ["A_b, 50 %", "x|y_1", "1.234", "0.5"],
         ["A_b, 50 %", "two", "2.0", ""],
     ]
+
+
+HOSTILE = (
+    "<script>alert(1)</script>", "[x](javascript:alert(1))", "![x](http://e.org/x.png)", "`code`", "a\nb | c",
+    "\r\n## d", "\x1b[31mred\x1b[0m", "\x9b2J", "&lt;b&gt;", "[5pt] & \\\\ \\input{x}", "$^~#%_{}", "\u2028x", "\udcff",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_no_name_is_more_than_a_text(name: str):
+    """A name changes neither the number of lines nor of columns, and is no HTML, link, code, command or escape."""
+    plain, odd = (Table(each, ("run", each), ((each, Number(1.0)), ("b", Number(2.0))), each) for each in ("x", name))
+    for write in (Table.text, Table.markdown, Table.latex):
+        text = write(odd)
+        assert text.count("\n") == write(plain).count("\n")
+        assert text.replace("\n", "").isprintable()
+    assert not re.search(r"(?<!\\)[<`\[\]]|&(?=#?\w+;)(?<!\\&)", odd.markdown())
+    rows = [line for line in odd.markdown().splitlines() if line.startswith("| ")]
+    assert {len(re.findall(r"(?<!\\)\|", row)) for row in rows} == {3}
+    latex = odd.latex().splitlines()
+    assert {len(re.findall(r"(?<!\\)&", row)) for row in latex if row.endswith("\\\\")} == {1}
+    assert not any(line.startswith("[") for line in latex)
+    assert re.findall(r"\\[a-z]+", odd.latex().replace(r"\begin", "").replace(r"\end", "")).count(r"\input") == 0
+    cells = [cell for row in csv.reader(io.StringIO(odd.csv())) for cell in row]
+    assert all(cell.isprintable() for cell in cells)
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+1+1", "-1+1", "@SUM(A1)", " =1+1", "\t=1+1", '=HYPERLINK("x")'])
+def test_no_cell_is_a_formula(name: str):
+    table = Table(name, ("run", name), ((name, Number(-1.5)), ("-", "-3")))
+    ours = to_csv([{"scene": name, "value": -1.5, "text": "-3", "none": "-"}])
+    for text in (table.csv(), ours):
+        cells = [cell for row in csv.reader(io.StringIO(text)) for cell in row]
+        assert not any(cell.strip().startswith(tuple("=+@")) for cell in cells)
+        assert {cell for cell in cells if cell.startswith("-")} == {"-1.5", "-3", "-"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import logging
 import os
 import stat
@@ -12,7 +13,8 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import BinaryIO
 
-from depthcli.core.errors import InputError, OutputError, printable
+from depthcli.core.errors import InputError, OutputError
+from depthcli.core.text import one_line
 
 MAX_BYTES = 1 << 31
 """Size of the largest file that is read as a whole."""
@@ -20,6 +22,8 @@ MAX_BYTES = 1 << 31
 PARTIAL_SUFFIX = ".partial~"
 """Ending of temporary names; a file left with it belongs to a killed run and may be deleted."""
 
+_MAX_NAME_BYTES = 255  # of one part of a path, by nearly all file systems
+_END_BYTES = 40  # of a longer name that stay
 _MAX_SHOWN = 400  # characters of a path in a message; the longest path has 4096
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -34,7 +38,7 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 
 def shown(path: Path | str) -> str:
     """``path`` on one line for a message, whatever bytes it holds; very long ones lose their middle."""
-    text = printable(str(path)).replace("\n", "\\n")
+    text = one_line(str(path))
     return text if len(text) <= _MAX_SHOWN else f"{text[: _MAX_SHOWN // 2]}...{text[-_MAX_SHOWN // 2 :]}"
 
 
@@ -139,6 +143,22 @@ def ends_of_file(path: Path | str, length: int = 1024) -> tuple[int, bytes, byte
             return size, start, file.read(length)
     except InputError:
         return None
+
+
+def short_path(path: str) -> str:
+    """Return a relative path without parts longer than file systems take: in those a digest is in place of the middle.
+
+    The last bytes of a part, its ending among them, stay.
+    """
+    return "/".join(map(_short_name, path.split("/")))
+
+
+def _short_name(name: str) -> str:
+    data = os.fsencode(name)
+    if len(data) <= _MAX_NAME_BYTES:
+        return name
+    end, digest = data[-_END_BYTES:].decode("utf-8", "ignore"), hashlib.sha256(data).hexdigest()[:16]
+    return f"{data[: _MAX_NAME_BYTES - _END_BYTES - len(digest) - 2].decode('utf-8', 'ignore')}~{digest}~{end}"
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -78,7 +79,7 @@ class ExpectedErrorFiles(MapFiles):
     def confidences(self, path: Path) -> dict[str, Path]:
         """Return the volume beside ``expected_error`` that is called ``confidence``, if there is one."""
         file = path.with_name(path.name.replace("expected_error", "confidence", 1))
-        return {"confidence": file} if file != path and file.is_file() else {}
+        return {"confidence": file} if file != path and os.path.isfile(file) else {}
 
 
 class RegistrationPresentation(Presentation):
