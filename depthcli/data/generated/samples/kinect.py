@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.data.generated.samples import Sample, SampleScene, scenes_from, write_meta
 from depthcli.data.generated.samples.cross_modal import FROM
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 _KINDS = ("camouflage", "planes", "foreground", "curved")
 _SEQUENCES = ("static", "moving")
+_MIN_WIDTH = 96  # pixels; twice the largest disparity of make_kinect_scene
 
 
 class KinectSampleKind(Sample):
@@ -32,6 +34,11 @@ class KinectSampleKind(Sample):
         Option("fattening", int, "How far foreground is widened.", "PIXELS", default=4, min_value=0, max_value=64),
         FROM,
     )
+
+    def check(self, values: Mapping[str, Any]) -> None:
+        """What is not made from other scenes must be wide enough for its disparities."""
+        if values["from_"] is None and values["width"] < _MIN_WIDTH:
+            raise ConfigError(f"--width: at least {_MIN_WIDTH} for Kinect scenes (got {values['width']})")
 
     def scenes(self, values: Mapping[str, Any]) -> list[SampleScene]:
         """Return a frame of every kind and two sequences, or one frame a scene of ``--from``."""
