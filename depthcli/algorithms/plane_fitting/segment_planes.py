@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
+# Choices of this program; nothing in the repository varies them.
 _SAMPLED_PIXELS = 2000  # RANSAC planes of larger segments are judged by about so many pixels
 _MIN_CROSS = 0.5  # three pixels that span less than this many square pixels determine no plane
 _REFITS = 5  # largest number of least squares after RANSAC

@@ -1,7 +1,7 @@
 """Distance of every pixel from the depth edges whose near side it lies on: where measurements are unreliable.
 
 A structured-light sensor matches windows of its pattern, so that near surfaces grow over their outline by about
-half a window. Whatever fits a model to the measured depth has to leave those pixels out.
+half a window. A fit to the measured depth has to leave those pixels out.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from depthcli.kernels.jit import parallel_jit, prange
 
 NO_EDGE = 255
-"""Distance of pixels that no depth edge is near."""
+"""Distance of pixels without a depth edge within 254 pixels: the largest uint8."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Layers of segments: a surface for each segment of a layer, and one disparity from all layers."""
+"""Layers of segments: the surface of each segment of a layer, and the disparity that follows from all layers."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ from depthcli.methods.kinect.shadows import max_disparity_in_gaps
 from depthcli.methods.kinect.surfaces import add_detail, join_segments
 
 CORE_DISTANCE = 6
-"""Pixels into the near side from which on an unreliable pixel is probably right: thin objects have no others."""
-_MIN_CORE_PIXELS = 5  # that a surface is fitted to
+"""Distance from a depth edge above which an unreliable pixel is probably correct, pixels; thin objects have no others.
+
+Value of the shipped presets; nothing in the repository varies it."""
+_MIN_CORE_PIXELS = 5  # of a segment, for a surface to be fitted to them; value of the shipped presets, not varied
 
 _KEPT, _FILLED, _CORRECTED, _FALLBACK, _EMPTY, _SMOOTHED = (
     int(s)
@@ -41,7 +43,7 @@ class Measurement:
     ----------
     disparity : (H, W) float32, pixels, NaN = unknown
     reliable : (H, W) float32, the same without unreliable pixels
-    core : (H, W) bool, unreliable pixels that lie well within the near side of a depth edge
+    core : (H, W) bool, unreliable pixels more than ``CORE_DISTANCE`` inside the near side of a depth edge
     limit : (H, W) float32, largest disparity that fits the gap, inf where the gap is no shadow
     noise : standard deviation of the disparity, pixels
     """
@@ -179,7 +181,7 @@ class RefinedDisparity:
 def combine(
     layers: list[Layer], measurement: Measurement, reach: float, tolerance: float, smooth: bool
 ) -> RefinedDisparity:
-    """Take the median of the layers where a measurement is unknown, or unreliable and in contradiction to it.
+    """Compute the disparity: the median of the layers where a measurement is unknown or unreliable and far from it.
 
     Parameters
     ----------

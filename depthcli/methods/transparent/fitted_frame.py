@@ -14,6 +14,7 @@ from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
 
+# Values that the presets were published with; nothing in the repository varies them.
 _FIT_TOLERANCE = 3.0  # standard deviations within which a sample agrees with its neighbors
 _SENSOR_TOLERANCE = 2.5  # standard deviations within which a sample agrees with the sensor
 
@@ -47,7 +48,15 @@ class FittedFrame:
 
 
 def fit_frame(frame: SparseFrame, fit: RobustFit, rule: UnreliableRegions, clock: Clock) -> FittedFrame:
-    """Clean the samples by a fit that leaves each of them out, fit the others everywhere, compare with the sensor."""
+    """Return the frame with outliers removed from its samples, planes through the others, and unreliable regions.
+
+    A sample is an outlier where it agrees neither with the sensor nor with a plane through the samples around it.
+
+    Parameters
+    ----------
+    fit, rule : how planes are fitted, and which regions are unreliable
+    clock : stopped after ``samples``, ``fit`` and ``unreliable``
+    """
     sensor = inverse_depth(frame.depth)
     samples = Samples.of(inverse_depth(frame.sparse))
     noise = sample_noise(samples, sensor)

@@ -15,8 +15,9 @@ from depthcli.methods.stereo.volume import CostVolume
 
 GREY = (0.299, 0.587, 0.114)
 """Weights of red, green and blue in the luma of ITU-R BT.601."""
+# Values that the presets were published with; nothing in the repository varies them.
 _MEAN_WINDOW = 15  # side of the window whose mean is subtracted, pixels
-_MIN_CORRESPONDENCES = 500
+_MIN_CORRESPONDENCES = 500  # pixels of known disparity that weights are fitted to; with fewer, those of grey
 _STRIDE = 7  # every so many-th correspondence is used: neighbors are alike
 
 
