@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 def command_names() -> list[str]:
-    """Names of all commands, as typed, sorted."""
+    """Return the names of all commands, as typed, sorted."""
     return sorted(m.name.replace("_", "-") for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_"))
 
 
 def load_command(name: str) -> Command:
-    """The command of that name; KeyError where there is none."""
+    """Return the command of that name; KeyError where there is none."""
     if name not in command_names():
         raise KeyError(name)
     command: Command = importlib.import_module(f"{__name__}.{name.replace('-', '_')}").COMMAND
@@ -29,7 +29,7 @@ def load_command(name: str) -> Command:
 
 
 def help_of(name: str) -> str:
-    """The first paragraph of its module's docstring, read without importing it: ``--help`` asks all commands."""
+    """Return the first paragraph of its module's docstring, without importing it: ``--help`` shows all commands."""
     spec = importlib.util.find_spec(f"{__name__}.{name.replace('-', '_')}")
     source = "" if spec is None or spec.origin is None else Path(spec.origin).read_text("utf-8")
     doc = source.split('"""')[1] if source.startswith('"""') else ""

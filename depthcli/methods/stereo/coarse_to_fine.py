@@ -1,4 +1,4 @@
-"""A pair matched coarse to fine: what it shows at half its size says which disparities are searched.
+"""A large pair matched in tiles, coarse to fine: its map at half the size limits the disparities to search.
 
 After Rothermel, Wenzel, Fritsch and Haala, "SURE: photogrammetric surface reconstruction from imagery", 2012: the pair
 is matched at the smallest size first. What was found there says which disparities a tile of the next size searches and
@@ -42,8 +42,8 @@ _ROW_ISLAND_SIZE = 10  # pixels of these rows that must belong together
 _FAR_AWAY = np.float32(1e6)  # pixels, beyond every range: stands for no thin structure
 
 
-# What matches the smaller sizes for methods without cost stages: fast, and it keeps only what both views agree on.
-_FINDER = CostStages(
+# The stages at the smaller sizes for methods without cost stages: fast, and only what both views agree on is kept.
+_COARSE_STAGES = CostStages(
     cost=Census(window=(7, 7)),
     optimization=Scanline(p1=25, p2=120, edge_threshold=15, edge_divisor=6),
     refinement=(LeftRightCheck(), SpeckleFilter(size=50), BackgroundFill()),
@@ -74,7 +74,9 @@ def match_in_tiles(matcher: Matcher, pair: StereoPair, max_disparity: int, memor
     available = Memory.of_process(memory, held)
     stages = rest.cost_stages()
     halo = None if stages is None else stages.halo()
-    prior = None if halo is not None else coarse_prior(stages or _FINDER, prepared, max_disparity, available, clock)
+    prior = (
+        None if halo is not None else coarse_prior(stages or _COARSE_STAGES, prepared, max_disparity, available, clock)
+    )
     candidates = Candidates.everywhere(pair.shape, max_disparity) if prior is None else prior.candidates
     if stages is None:
         result = match_by_patches(rest, prepared, candidates, available, clock)
@@ -87,7 +89,7 @@ def match_in_tiles(matcher: Matcher, pair: StereoPair, max_disparity: int, memor
 def coarse_prior(
     stages: CostStages, pair: StereoPair, max_disparity: int, available: Memory, clock: Clock
 ) -> Prior | None:
-    """Match ``pair`` at half its size, itself coarse to fine, and return what that says of the full size.
+    """Match ``pair`` at half its size, itself coarse to fine, and return the disparities that are likely at full size.
 
     Returns None where the range is narrow enough, or the image small enough, to be searched whole.
 
@@ -103,7 +105,7 @@ def coarse_prior(
     while len(sizes) > 1:
         half, half_range = sizes.pop()
         left = available
-        for larger, _ in sizes:  # they wait
+        for larger, _ in sizes:  # in memory meanwhile
             left = left.beside(larger)
         candidates = Candidates.everywhere(half.shape, half_range) if prior is None else prior.candidates
         result, found = match_by_costs(stages, half, candidates, prior, None, left, Clock())
@@ -125,7 +127,7 @@ def _prior_of(
     max_disparity: int,
     levels: int,
 ) -> Prior:
-    """What the map at half the size says of an image of (H, W) ``shape``.
+    """Return likely disparities of an image of (H, W) ``shape``, from its map at half the size.
 
     Thin structures may have been removed as speckles at half the size, filled over, or too thin to be matched: islands
     and the rows matched by themselves stay candidates. Where the views did not agree, every disparity around may be

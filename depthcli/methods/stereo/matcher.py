@@ -34,8 +34,8 @@ class Matcher(ABC):
         return None
 
     def prepared(self, pair: StereoPair, max_disparity: int, clock: Clock) -> tuple[StereoPair, Matcher]:
-        """Return what has to be done once for the whole pair, as a pair, and the matcher that does the rest.
+        """Apply the steps that need the whole images; return the new pair, and the matcher without these steps.
 
-        Called before parts of a pair are matched, or a device matches it; ``__call__`` does it all.
+        For pairs that are matched in tiles or on a device; ``__call__`` includes these steps.
         """
         return pair, self

@@ -35,7 +35,7 @@ _PIXEL_BYTES = 40  # of a row of a tile: features of the images, states of the p
 
 @dataclass(frozen=True)
 class Prior:
-    """What the pair at half its size says.
+    """Likely disparities of a pair, from its map at half the size.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ def _recycled(tile: Tile) -> int:
 def _tile_volume(
     stages: CostStages, pair: StereoPair, tile: Tile, prior: Prior | None, clock: Clock
 ) -> tuple[CostVolume, NDArray[np.int64]]:
-    """Costs of all spans, one behind the other, with a cell between that no path goes through; and what lies where."""
+    # Costs of all spans, one behind the other, with a cell between that no path goes through; and the table of spans.
     spans = np.zeros((len(tile.spans), 3), np.int64)
     joined: CostVolume | None = None
     start = 0

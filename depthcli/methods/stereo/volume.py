@@ -42,7 +42,7 @@ class CostVolume:
 
     @property
     def disparities(self) -> int:
-        """D, the number of disparities searched: 0 .. D - 1."""
+        """Return D, the number of disparities searched: 0 .. D - 1."""
         return int(self.costs.shape[2])
 
 
@@ -85,7 +85,7 @@ class RefinementContext:
 
 @dataclass
 class StereoResult(Result):
-    """What a stereo pipeline gives back.
+    """The result of a stereo pipeline.
 
     Attributes
     ----------
@@ -96,14 +96,14 @@ class StereoResult(Result):
 
 
 class FixedPoint:
-    """The format of aggregated costs."""
+    """The format of aggregated costs: stored units per unit of a uint8 cost, and the largest stored cost."""
 
     FRACTION: ClassVar[int] = 16
     LARGEST: ClassVar[int] = 255 * 16
 
 
 def as_fixed_point(volume: CostVolume) -> CostVolume:
-    """The volume as uint16 fixed point, at most ``FixedPoint.LARGEST``; a float32 volume is scaled to fit."""
+    """Return the volume as uint16 fixed point, at most ``FixedPoint.LARGEST``; a float32 volume is scaled to fit."""
     costs = volume.costs
     if costs.dtype == np.uint16:
         return volume

@@ -1,4 +1,4 @@
-"""Aggregation: averaging costs over a support window. One file a method."""
+"""Aggregation: a cost volume in, its means over support windows out. One file a method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cost measures: the dissimilarity of two pixels. One file a measure."""
+"""Cost measures: an image pair in, the dissimilarity of all pairs of pixels out. One file a measure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Refinement of a disparity map after its selection. One file a step."""
+"""Refinement: a disparity map in, a better one out. One file a step."""
 
 from __future__ import annotations
 
