@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import pickle
 import platform
 import shutil
 import threading
@@ -18,7 +19,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from depthcli import __version__
 from depthcli.batch import records, resources, run_folder
 from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import Row
@@ -98,22 +98,37 @@ class _Cluster:
 
     def __init__(self, client: Any, run: Run) -> None:
         self.client, self.run = client, run
+        self.sources, self.function = _source_digest_function()()[1], _chunk_function()
         self.running: dict[Any, list[Task]] = {}
         self.each: float | None = None  # seconds of one scene
         self.workers, self.counted = 1, 0.0
 
     def check(self, output: Path, reporter: Reporter) -> None:
-        """Raise ConfigError unless all present workers have this depthcli and see this run folder."""
-        here, scheduler = _about(str(output.absolute())), self.run.options.scheduler
+        """Raise ConfigError unless all present workers have this depthcli and see this run folder.
+
+        Those that join later are checked with every chunk.
+        """
+        scheduler = self.run.options.scheduler
         try:
-            found = self.client.run(_about, str(output.absolute()))
+            found = self.client.run(_source_digest_function())
+            for address, (version, sources) in sorted(found.items()):
+                if sources != self.sources:
+                    raise ConfigError(f"{scheduler}: {_other_code(f'{address} (version {version})')}")
+            identities = self.client.run(_identity, self.run)
+            folders = self.client.run(_folder_digest, str(output.absolute()))
+        except ConfigError:
+            raise
         except Exception as error:
-            raise ConfigError(f"{scheduler}: its workers have no such depthcli ({error})") from error
-        for address, (version, folder) in sorted(found.items()):
-            if (version, folder) != here:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise ConfigError(f"{scheduler}: its workers have no such depthcli ({reason})") from error
+        for address, identity in sorted(identities.items()):
+            if identity != _identity(self.run):
+                raise ConfigError(f"{scheduler}: {_other_code(address)}")
+        for address, folder in sorted(folders.items()):
+            if folder != _folder_digest(str(output.absolute())):
                 raise ConfigError(
-                    f"{scheduler}: worker {address} has depthcli {version}, the run folder is "
-                    f"{'there' if folder == here[1] else 'not the one here'}; want {here[0]} and a shared file system"
+                    f"{scheduler}: worker {address} does not see the run folder {output.absolute()}; "
+                    "want a file system that all share"
                 )
         reporter.info(f"{len(found)} workers at {scheduler}" + ("" if found else "; waiting for some"))
 
@@ -134,14 +149,17 @@ class _Cluster:
 
     def submit(self, chunk: list[Task]) -> None:
         """Send a chunk to the scheduler."""
-        self.running[self.client.submit(_compute_chunk, chunk, self.run, os.getcwd(), pure=False)] = chunk
+        data = pickle.dumps((chunk, self.run, os.getcwd()))
+        self.running[self.client.submit(self.function, self.sources, data, pure=False)] = chunk
 
     def finished(self, reporter: Reporter) -> Iterator[_Chunk]:
         """Yield every chunk that came back; the scenes of one whose workers died are sent again one by one."""
         for future in [future for future in self.running if future.done()]:
             tasks = self.running.pop(future)
             if future.status == "finished":
-                yield self._returned(tasks, _Chunk(*future.result()))
+                if isinstance(result := future.result(), str):
+                    raise ConfigError(f"{self.run.options.scheduler}: {_other_code(result)}")
+                yield self._returned(tasks, _Chunk(*result))
                 continue
             if future.status != "error":  # cancelled, or lost with the scheduler
                 self.running[future] = tasks
@@ -174,28 +192,93 @@ def _connected(address: str) -> Any:
     try:
         import dask
         import distributed
+        from distributed.comm.addressing import resolve_address
     except ImportError as error:
         raise ConfigError(f"--scheduler wants dask.distributed: pip install 'depthcli[cluster]' ({error})") from error
     for name in [*logging.root.manager.loggerDict, "asyncio"]:  # problems are reported below, in one line
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     dask.config.set({"distributed.comm.timeouts.connect": "10s"})
+    client = distributed.Client.__new__(distributed.Client)
     try:
-        return distributed.Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+        resolve_address(address)  # an address without port or host would be tried for long
+        distributed.Client.__init__(client, address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+        return client
     except (OSError, ValueError, TimeoutError) as error:
+        client.status = "closed"  # its destructor would wait for what never began
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ConfigError(f"--scheduler {address}: no scheduler answers there ({reason})") from error
 
 
-def _about(output: str) -> tuple[str, str]:
-    """Return the version of depthcli and the digest of the run folder's config, as this process sees them."""
-    return __version__, records.digest(run_folder.saved_config(Path(output)).encode())
+def _other_code(worker: str) -> str:
+    return (
+        f"worker {worker} has another depthcli, or other versions of Python and its libraries, than this machine; "
+        "end it or install the same there; the same command goes on where it stopped"
+    )
 
 
-def _compute_chunk(chunk: list[Task], run: Run, folder: str) -> tuple[list[Row], int, float]:
-    """Return, on a worker, the rows of the chunk's scenes, the number of compiled kernels, and the time for these."""
+def _source_digest_function() -> Callable[[], tuple[str, str]]:
+    """Return a function that returns version and digest of the sources of depthcli where it is called.
+
+    It is a local one so that dask sends its code: a worker with another depthcli would know another by its name.
+    """
+
+    def source_digest() -> tuple[str, str]:
+        import hashlib
+        from pathlib import Path
+
+        import depthcli
+
+        known: dict[str, tuple[str, str]] = vars(depthcli)
+        if "_source_digest" not in known:  # once a process: code that was loaded stays when its file changes
+            folder, sha = Path(depthcli.__file__).parent, hashlib.sha256()
+            for path in sorted(folder.rglob("*")):
+                if path.suffix in (".py", ".cl", ".yaml") or path.parent.name == "networks":
+                    sha.update(f"{path.relative_to(folder).as_posix()} {path.stat().st_size} ".encode())
+                    sha.update(path.read_bytes())
+            known["_source_digest"] = depthcli.__version__, sha.hexdigest()
+        return known["_source_digest"]
+
+    return source_digest
+
+
+def _chunk_function() -> Callable[[str, bytes], tuple[list[Row], int, float] | str]:
+    """Return the function that computes a chunk on a worker, or returns which process it is where its code differs."""
+    source_digest = _source_digest_function()
+
+    def compute_chunk(sources: str, data: bytes) -> tuple[list[Row], int, float] | str:
+        import os
+        import pickle
+        import platform
+
+        if source_digest()[1] != sources:
+            return f"{platform.node()}, process {os.getpid()},"
+        from depthcli.batch import cluster
+
+        return cluster._compute_chunk(*pickle.loads(data))
+
+    return compute_chunk
+
+
+def _identity(run: Run) -> str:
+    """Return the identity of the run with the versions that this process has."""
+    return records.digest(run_folder.run_text(run.work.name, run.config).encode())
+
+
+def _folder_digest(output: str) -> str:
+    """Return the digest of the run folder's config as this process sees it."""
+    return records.digest(run_folder.saved_config(Path(output)).encode())
+
+
+def _compute_chunk(chunk: list[Task], run: Run, folder: str) -> tuple[list[Row], int, float] | str:
+    """Return, on a worker, the rows of the chunk's scenes, the number of compiled kernels, and the time for these.
+
+    Return which process it is where versions of its libraries differ.
+    """
     from distributed import get_worker
 
+    if chunk[0].run != _identity(run):
+        return f"{platform.node()}, process {os.getpid()},"
     own = f"{platform.node()}-{os.getpid()}"
     rows: list[Row] = []
     with _compute_lock, compile_watch(lambda: None) as watch:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +17,7 @@ from typing import Any, ClassVar
 import pytest
 
 from depthcli.batch import records, run_folder
-from depthcli.batch.cluster import _Cluster
+from depthcli.batch.cluster import _chunk_function, _Cluster, _source_digest_function
 from depthcli.batch.console import Reporter
 from depthcli.batch.task import Run, RunOptions, Task
 from depthcli.cli import main
@@ -37,10 +39,10 @@ class Cluster:
         self.address: str = json.loads(self.file.read_text())["address"]
         self.workers = [self._start("dask_worker", "--no-nanny", "--nthreads", "1") for _ in range(2)]
 
-    def _start(self, program: str, *options: str) -> subprocess.Popen[bytes]:
+    def _start(self, program: str, *options: str, environment: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", f"distributed.cli.{program}", "--no-dashboard", "--scheduler-file", self.file]
         with (self.folder / "log").open("a") as log:
-            return subprocess.Popen([*command, *options], stdout=log, stderr=log, cwd=self.folder)
+            return subprocess.Popen([*command, *options], stdout=log, stderr=log, cwd=self.folder, env=environment)
 
     def close(self) -> None:
         for process in (*self.workers, self.scheduler):
@@ -121,11 +123,74 @@ def test_a_killed_worker_and_a_lost_scheduler(cluster: Cluster, tmp_path: Path, 
     assert contents(output) == contents(whole)
 
 
+def edited_copy(folder: Path) -> dict[str, str]:
+    """An environment whose depthcli has the same version and one other line."""
+    package = Path(run_folder.__file__).parents[1]
+    shutil.copytree(package, folder / "depthcli", ignore=shutil.ignore_patterns("__pycache__"))
+    with (folder / "depthcli/core/result.py").open("a") as file:
+        file.write("\n# edited\n")
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
+
+
+@pytest.mark.system
+def test_a_worker_of_other_code_that_joins_late_is_refused(cluster: Cluster, tmp_path: Path):
+    scenes, whole, output = tmp_path / "scenes", tmp_path / "whole", tmp_path / "run"
+    size = ("-n", str(SCENES), "--width", "96", "--height", "72", "--max-disparity", "12")
+    assert main(["sample", "-o", str(scenes), *size, "-q"]) == 0
+    assert main(["stereo", PRESET, "-i", str(scenes), "-o", str(whole), "-q"]) == 0
+    command = ("stereo", PRESET, "-i", scenes, "-o", output, "--scheduler", cluster.address)
+    for worker in cluster.workers:  # nobody is there when the run begins
+        worker.kill()
+        worker.wait()
+    run = start(*command)
+    end = time.monotonic() + 60
+    while not list(output.glob(".partial-*")) and time.monotonic() < end:
+        time.sleep(0.05)
+    time.sleep(1)
+    late = cluster._start("dask_worker", "--no-nanny", "--nthreads", "1", environment=edited_copy(tmp_path / "copy"))
+    cluster.workers.append(late)
+    _, said = run.communicate(timeout=120)
+    assert run.returncode == 2, said
+    assert "has another depthcli" in said
+    assert "Traceback" not in said, said
+    assert not list(output.glob("*/record.json"))
+    run = start(*command)  # and it is refused where it is there at the start
+    _, said = run.communicate(timeout=120)
+    assert run.returncode == 2, said
+    assert "has another depthcli" in said
+
+
+@pytest.mark.slow
+def test_other_code_is_found_by_a_worker_whatever_its_version(tmp_path: Path):
+    cloudpickle = pytest.importorskip("cloudpickle", reason="no dask.distributed (the extra 'cluster')")
+    (tmp_path / "function").write_bytes(cloudpickle.dumps(_chunk_function()))
+    sources = _source_digest_function()()[1]
+    data = cloudpickle.dumps(([], None, "."))
+    code = f"""
+import cloudpickle, pickle
+function = cloudpickle.load(open({str(tmp_path / "function")!r}, "rb"))
+try:
+    print(function({sources!r}, {data!r}))
+except IndexError:
+    print("computes")
+"""
+    here = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(run_folder.__file__).parents[2]), *sys.path])}
+    for environment, expected in ((here, "computes"), (edited_copy(tmp_path / "copy"), "process")):
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert expected in done.stdout, done.stderr
+
+
 def test_no_scheduler_there_is_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], made_scenes: Path):
     pytest.importorskip("distributed", reason="no dask.distributed (the extra 'cluster')")
     command = ["stereo", PRESET, "-i", str(made_scenes), "-o", str(tmp_path / "run"), "-q"]
     assert main([*command, "--scheduler", "nonsense://x"]) == 2
     assert "no scheduler answers there" in capsys.readouterr().err
+    for address in ("nope", "tcp://nope", "tcp://no.such.host.invalid:8786"):
+        start = time.monotonic()
+        assert main([*command, "--scheduler", address]) == 2
+        assert time.monotonic() - start < 15  # a name server may take its time
+        assert capsys.readouterr().err.count("\n") == 1
     assert main([*command, "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"]) == 2
     assert "exclude each other" in capsys.readouterr().err
 
@@ -155,7 +220,8 @@ def test_a_scene_that_kills_its_workers_fails_alone(tmp_path: Path):
     class Client:
         sent: ClassVar[list[int]] = []
 
-        def submit(self, function: Any, chunk: list[Task], *rest: Any, **more: Any) -> Lost:
+        def submit(self, function: Any, sources: str, data: bytes, **more: Any) -> Lost:
+            chunk = pickle.loads(data)[0]
             self.sent.append(len(chunk))
             return Lost(chunk, {"b"})
 
