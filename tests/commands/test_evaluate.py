@@ -149,6 +149,7 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [200, 236, 245, 251, 255])
 def test_long_names_of_scenes_stop_nothing(tmp_path: Path, truth: Path, length: int):
     """Neither where the map is looked for nor where pictures and plots are written."""

@@ -118,6 +118,7 @@ def test_the_plot_shows_the_means_of_the_report(scenes: Path, runs: list[Path]):
     assert not re.search("nan", str(report.by_threshold()))
 
 
+@pytest.mark.slow
 def test_plots_where_neither_home_nor_temporary_folder_can_be_written(tmp_path: Path):
     """As in a read-only container: matplotlib caches below the output, or one line says what to do."""
     code = """
