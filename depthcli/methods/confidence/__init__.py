@@ -1,5 +1,6 @@
-"""Confidence: how sure a cost curve is of its minimum. One file a measure, larger values are surer.
+"""Confidence of the minimum of a cost curve. One file a measure, larger values are surer.
 
+Costs -> :class:`CostCurves`, whose statistics one pass over all curves gives -> measures, computed from the statistics.
 Formulas: Hu and Mordohai, "A quantitative evaluation of confidence measures for stereo vision", TPAMI 2012.
 """
 
@@ -80,8 +81,5 @@ def confidence_maps(costs: NDArray[Any], names: Iterable[str]) -> dict[str, Map]
         raise ValueError(f"want costs (H, W, D), got {costs.shape}")
     valid = np.minimum(np.arange(1, costs.shape[1] + 1, dtype=np.int32), costs.shape[2])
     curves = CostCurves(costs, np.broadcast_to(valid, costs.shape[:2]))
-    return {name: _measure(measure_name(name))(curves) for name in dict.fromkeys(names)}
-
-
-def _measure(name: str) -> ConfidenceMeasure:
-    return cast(ConfidenceMeasure, _FAMILY.load(name)())
+    chosen = {name: cast(ConfidenceMeasure, _FAMILY.load(measure_name(name))()) for name in dict.fromkeys(names)}
+    return {name: measure(curves) for name, measure in chosen.items()}

@@ -1,7 +1,3 @@
-"""Curvature at the minimum."""
-
-from __future__ import annotations
-
 from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
 
 

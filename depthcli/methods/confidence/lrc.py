@@ -1,7 +1,3 @@
-"""Left-right consistency."""
-
-from __future__ import annotations
-
 from depthcli.kernels.winners import left_right_difference
 from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
 

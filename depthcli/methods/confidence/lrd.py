@@ -1,7 +1,3 @@
-"""Left-right difference."""
-
-from __future__ import annotations
-
 import numpy as np
 
 from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
@@ -11,10 +7,11 @@ class LeftRightDifference(ConfidenceMeasure):
     """Left-right difference: (c2 - c1) / (c1 - cheapest cost of the right pixel)."""
 
     def __call__(self, curves: CostCurves) -> Map:
-        known = curves.statistics
+        statistics = curves.statistics
         left, right = curves.views
         rows, partner = np.arange(left.shape[0])[:, None], np.arange(left.shape[1]) - left.astype(np.int64)
         best = right[rows, partner].astype(np.int64)
         cheapest = curves.costs[rows, partner + best, best].astype(np.float32)
-        difference: Map = (known.second_lowest - known.lowest) / (known.lowest - cheapest + known.eps)
+        lowest = statistics.lowest
+        difference: Map = (statistics.second_lowest - lowest) / (lowest - cheapest + statistics.eps)
         return difference

@@ -1,7 +1,3 @@
-"""Maximum likelihood."""
-
-from __future__ import annotations
-
 from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
 
 

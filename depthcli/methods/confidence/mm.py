@@ -1,7 +1,3 @@
-"""Maximum margin."""
-
-from __future__ import annotations
-
 from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
 
 

@@ -1,7 +1,3 @@
-"""Negative entropy of softmax(-4 c), costs in standard deviations."""
-
-from __future__ import annotations
-
 from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
 
 

@@ -1,7 +1,3 @@
-"""Minus the number of local minima of the smoothed curve."""
-
-from __future__ import annotations
-
 from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
 
 

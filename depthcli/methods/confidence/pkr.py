@@ -1,7 +1,3 @@
-"""Peak ratio."""
-
-from __future__ import annotations
-
 import numpy as np
 
 from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
@@ -11,5 +7,5 @@ class PeakRatio(ConfidenceMeasure):
     """Peak ratio: second smallest local minimum / c1."""
 
     def __call__(self, curves: CostCurves) -> Map:
-        known = curves.statistics
-        return (known.second_minimum + known.eps) * (np.float32(1) / (known.lowest + known.eps))
+        statistics = curves.statistics
+        return (statistics.second_minimum + statistics.eps) * (np.float32(1) / (statistics.lowest + statistics.eps))

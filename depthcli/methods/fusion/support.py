@@ -1,4 +1,4 @@
-"""Sums over the pixels around a pixel that may vote for it, by color or in a window."""
+"""Supports: the pixels around a pixel that may vote for it, weighted by color or all alike, and sums over them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
-LANES = 16
-"""Disparities (or maps) that a support sums at a time."""
-NOTHING = np.float32(1e-20)  # instead of 0: what is left of far votes must not become denormal, which is slow
+BLOCK_DEPTH = 16
+"""Disparities, or maps, that a support sums at a time; the loops of its kernels are written for this number."""
+NO_VOTE = np.float32(1e-20)  # instead of 0: what is left of far votes must not become denormal, which is slow
 
 
 class Support:
@@ -31,14 +31,14 @@ class Support:
         """Replace (H, W, 16) float32 ``block`` by its sums over every pixel's support."""
 
     def _normalize(self, shape: tuple[int, int]) -> None:
-        ones = np.ones((*shape, LANES), np.float32)
+        ones = np.ones((*shape, BLOCK_DEPTH), np.float32)
         self.share = np.ones(shape, np.float32)
         self.sum(ones)
         self.share = np.float32(1.0) / ones[:, :, 0]
 
 
 class ColorSupport(Support):
-    """Weights fall with the distance and with the color change along the way (row first, then column).
+    """Weights that fall with the distance and with the color change along the way (row first, then column).
 
     Recursive filters in both directions: from one pixel to the next a vote is multiplied by
     exp(-1 / reach - color step / softness); time does not depend on the reach.
@@ -65,7 +65,7 @@ class ColorSupport(Support):
 
 
 class WindowSupport(Support):
-    """All pixels of a square window, clipped at the image border, with equal weights.
+    """Equal weights of all pixels of a square window, clipped at the image border.
 
     Parameters
     ----------
@@ -126,9 +126,7 @@ def _recurse_columns(block: Any, decay: Any) -> None:
         cells = np.zeros(height * 128, np.float32)
         for y in range(height):
             source = block[y, left : left + columns].reshape(columns * 16)
-            target = cells[y * 128 : y * 128 + columns * 16]
-            for k in range(source.size):
-                target[k] = source[k]
+            cells[y * 128 : y * 128 + columns * 16] = source
         for y in range(1, height):
             for x in range(columns):
                 a = decay[y, left + x]
@@ -141,9 +139,7 @@ def _recurse_columns(block: Any, decay: Any) -> None:
                     cells[k] += a * cells[k + 128]
         for y in range(height):
             target = block[y, left : left + columns].reshape(columns * 16)
-            source = cells[y * 128 : y * 128 + columns * 16]
-            for k in range(target.size):
-                target[k] = source[k]
+            target[:] = cells[y * 128 : y * 128 + columns * 16]
 
 
 @jit
@@ -165,9 +161,7 @@ def _slide(cells: Any, radius: int, sums: Any) -> None:
                 running[k] -= cells[i - radius - 1, k]
         for k in range(16):
             sums[i, k] = running[k]
-    for i in range(count):
-        for k in range(16):
-            cells[i, k] = sums[i, k]
+    cells[:] = sums[:count]
 
 
 @parallel_jit
@@ -184,10 +178,6 @@ def _slide_columns(block: Any, radius: int) -> None:
     for x in prange(width):
         cells = np.empty((height, 16), np.float32)
         sums = np.empty((height + 1, 16), np.float32)
-        for y in range(height):
-            for k in range(16):
-                cells[y, k] = block[y, x, k]
+        cells[:] = block[:, x]
         _slide(cells, radius, sums)
-        for y in range(height):
-            for k in range(16):
-                block[y, x, k] = cells[y, k]
+        block[:, x] = cells

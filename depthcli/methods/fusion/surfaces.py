@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.graph_cut import binary_cut
 from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.fusion.support import LANES, NOTHING, ColorSupport
+from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE, ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
 
 _ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
@@ -189,12 +189,12 @@ def contradictions(
 def _smoothed(maps: NDArray[np.float32], support: ColorSupport, fill: Any, *inputs: Any) -> NDArray[np.float32]:
     count, height, width = maps.shape
     out = np.empty(maps.shape, np.float32)
-    block = memory.empty((height, width, LANES), np.float32)
-    for first in range(0, count, LANES):
-        block[:] = NOTHING
+    block = memory.empty((height, width, BLOCK_DEPTH), np.float32)
+    for first in range(0, count, BLOCK_DEPTH):
+        block[:] = NO_VOTE
         fill(maps, first, *inputs, block)
         support.sum(block)
-        for k in range(first, min(count, first + LANES)):
+        for k in range(first, min(count, first + BLOCK_DEPTH)):
             out[k] = block[:, :, k - first] * support.share
     return out
 

@@ -18,7 +18,7 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.fusion.support import LANES, NOTHING, ColorSupport, Support, WindowSupport
+from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE, ColorSupport, Support, WindowSupport
 from depthcli.methods.stereo.volume import CostVolume
 
 
@@ -80,8 +80,8 @@ class Ballot:
     def _blocks(self, fading: bool) -> Iterator[tuple[int, NDArray[np.float32]]]:
         voters, height, width = self.disparities.shape
         weights = np.round(self.weights * 256) / np.float32(256 * voters)
-        block = memory.empty((height, width, LANES), np.float32)
-        for first in range(0, self.depth, LANES):
+        block = memory.empty((height, width, BLOCK_DEPTH), np.float32)
+        for first in range(0, self.depth, BLOCK_DEPTH):
             _cast(self.disparities, weights, first, self.tolerance, fading, block)
             self.support.sum(block)
             yield first, block
@@ -119,7 +119,7 @@ def _cast(disparities: Any, weights: Any, first: int, tolerance: int, fading: bo
     voters, height, width = disparities.shape
     step = np.float32(1.0) / np.float32(tolerance + 1) if fading else np.float32(0.0)
     for y in prange(height):
-        block[y, :, :] = NOTHING
+        block[y, :, :] = NO_VOTE
         for m in range(voters):
             for x in range(width):
                 center = disparities[m, y, x] - first
@@ -149,11 +149,6 @@ def _add(block: Any, share: Any, base: Any, gain: Any, strength: Any, first: int
             known = base[y, x, first : min(depth, first + 16)]
             votes = block[y, x]
             s = share[y, x]
-            if gain > 0:
-                for k in range(cells.size):
-                    absent = one - min(max(votes[k] * s, np.float32(0.0)), one)
-                    cells[k] = np.uint16(np.int32(np.float32(known[k]) * gain + strength * absent + half))
-            else:
-                for k in range(cells.size):
-                    absent = one - min(max(votes[k] * s, np.float32(0.0)), one)
-                    cells[k] = np.uint16(np.int32(strength * absent + half))
+            for k in range(cells.size):
+                absent = one - min(max(votes[k] * s, np.float32(0.0)), one)
+                cells[k] = np.uint16(np.int32(np.float32(known[k]) * gain + strength * absent + half))

@@ -28,7 +28,14 @@ OWN = (
     "contradicted", "contradicted_far", "hidden", "raw", "right_difference", "from_left", "overtaken",
     "rough", "rough_near", "slope_x", "slope_y", "above_5", "above_12", "filled",
 )  # fmt: skip
-"""Planes of every proposal, in their order."""
+"""Planes of every proposal, in their order; ``near`` and ``far`` are averaged over that support.
+
+``cost``: fused costs along it; ``dissent``: share of the others that disagree; ``decorrelation``: 1 - correlation of
+the left image and the warped right one; ``color``: their difference; ``contradicted``, ``hidden``: by the right view;
+``raw``: cost above the pixel's smallest one; ``right_difference``: to the right view's disparity; ``from_left``: column
+of the match; ``overtaken``: by how much a nearer pixel covers the match; ``rough``: misfits of the four neighbors;
+``above``: disparity above its mean of 11 or 25 pixels; ``filled``: 0 measured, 1 filled, 2 filled and occluded.
+"""
 RELATIVE = ("cost_far", "cost_near", "decorrelation", "color_near")
 """Of these the smallest value of all proposals is subtracted once more."""
 SHARED = ("least_raw", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
@@ -45,7 +52,7 @@ RELATIVE_PLANES = np.array([OWN.index(name) for name in RELATIVE])
 
 
 def input_names(kinds: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the inputs, in their order, for proposals of these kinds."""
+    """Return the names of the inputs, in their order, for proposals of these kinds."""
     apart = [f"from_{k}_{kind}" for k, kind in enumerate(kinds)]
     relative = [f"{name}_relative" for name in RELATIVE]
     return (*OWN, *relative, *apart, *SHARED)
@@ -68,7 +75,7 @@ class Inputs:
 
     @classmethod
     def of(cls, proposals: Proposals) -> Inputs:
-        """Measure everything; pixels are numbered row by row."""
+        """Compute the inputs of all pixels, which are numbered row by row."""
         maps, pair, volume = proposals.values, proposals.pair, proposals.volume
         count, height, width = maps.shape
         image = pair.color8[0]
@@ -97,7 +104,7 @@ class Inputs:
         warped = np.empty((height, width), np.float32)
         moments = local_moments(grey[0], _WINDOW)
         for k, values in enumerate(maps):
-            _look(
+            _compare_views(
                 values, volume.costs, unit, proposals.right, image, pair.color8[1], grey[1], common["least_raw"],
                 plane["raw"][k], plane["right_difference"][k], plane["from_left"][k], plane["overtaken"][k],
                 plane["color"][k], warped,
@@ -119,7 +126,7 @@ class Inputs:
         )
 
     def rows(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
-        """(len(pixels), N, inputs) float32 of some pixels."""
+        """Return the inputs of some pixels, (len(pixels), N, inputs) float32."""
         count = len(self.values)
         size = len(OWN) + len(RELATIVE) + count + len(SHARED)
         out = np.empty((pixels.size, count, size), np.float32)
@@ -179,7 +186,7 @@ def _correlation(grey: Any, moments: Any, warped: Any) -> Any:
 
 
 @parallel_jit
-def _look(
+def _compare_views(
     values: Any, costs: Any, unit: Any, right: Any, image: Any, other: Any, other_grey: Any, min_raw: Any, raw: Any,
     difference: Any, from_left: Any, overtaken: Any, color: Any, warped: Any,
 ) -> None:  # fmt: skip

@@ -16,10 +16,10 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import LANES, load, minimum, splat, store
 from depthcli.methods.fusion.choice import Chooser, Chosen, Proposals
 from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE_PLANES, SHARED, Inputs, gather, input_names
-from depthcli.methods.fusion.support import LANES as MAX_MAPS
-from depthcli.methods.fusion.support import NOTHING
+from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE
 
 _INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
+_MAX_MAPS = BLOCK_DEPTH  # all shares of a pixel are averaged in one block
 _TILE = 4  # units of a layer that are summed at a time: their sums stay in registers
 
 
@@ -49,7 +49,7 @@ class Network(Chooser):
                 f"here they are {', '.join(maps)}: train one (scripts/train_choice.py) or choose by 'energy'"
             )
         units = [weights.shape[1] for weights, _ in trained.layers[:2]]
-        if trained.inputs != input_names(maps) or any(n % _TILE for n in units) or len(maps) > MAX_MAPS:
+        if trained.inputs != input_names(maps) or any(n % _TILE for n in units) or len(maps) > _MAX_MAPS:
             raise InputError(f"network {self.weights!r} was trained for another version: its inputs are not these")
         copy = self.model_copy()
         copy._trained = trained
@@ -60,7 +60,7 @@ class Network(Chooser):
             raise ValueError(f"network {self.weights!r}: hand its arrays in with with_network first")
         count, height, width = proposals.values.shape
         log_odds = log_odds_of(self._trained, Inputs.of(proposals)).reshape(count, height, width)
-        shares = memory.empty((height, width, MAX_MAPS), np.float32)
+        shares = memory.empty((height, width, _MAX_MAPS), np.float32)
         _softmax(log_odds, shares)
         proposals.near.sum(shares)
         values = np.empty((height, width), np.float32)
@@ -69,14 +69,14 @@ class Network(Chooser):
         return Chosen(values, probability)
 
     def bytes_a_pixel(self, count: int) -> int:
-        return 4 * (count * (len(OWN) + 4) + len(SHARED) + 2 * MAX_MAPS) + 100
+        return 4 * (count * (len(OWN) + 4) + len(SHARED) + 2 * _MAX_MAPS) + 100
 
 
 def log_odds_of(trained: TrainedNetwork, inputs: Inputs) -> NDArray[np.float32]:
     """Return the log odds of every proposal to be right, (N, P) float32."""
     out = np.empty(inputs.values.shape, np.float32)
     (w1, b1), (w2, b2), (w3, b3) = trained.layers
-    _answer(
+    _log_odds(
         inputs.values, inputs.own, inputs.shared, RELATIVE_PLANES, trained.mean, trained.scale,
         _tiled(w1), b1, _tiled(w2), b2, w3.ravel(), b3, out,
     )  # fmt: skip
@@ -96,7 +96,7 @@ def _positive(a: Any) -> Any:
 
 @jit
 def _layer(source: Any, inputs: int, weights: Any, offsets: Any, target: Any) -> None:
-    """Rectified units of LANES pixels: flat ``source`` and ``target`` hold LANES values an input, a unit."""
+    # Rectified units of LANES pixels: flat ``source`` and ``target`` hold LANES values an input, a unit.
     for tile in range(weights.shape[0]):
         w = weights[tile]
         a, b = splat(offsets[tile * _TILE]), splat(offsets[tile * _TILE + 1])
@@ -114,7 +114,7 @@ def _layer(source: Any, inputs: int, weights: Any, offsets: Any, target: Any) ->
 
 
 @parallel_jit
-def _answer(
+def _log_odds(
     values: Any, own: Any, shared: Any, relative: Any, mean: Any, scale: Any,
     w1: Any, b1: Any, w2: Any, b2: Any, w3: Any, b3: Any, out: Any,
 ) -> None:  # fmt: skip
@@ -148,25 +148,25 @@ def _answer(
 
 
 @parallel_jit
-def _softmax(answers: Any, shares: Any) -> None:
-    count, height, width = answers.shape
+def _softmax(log_odds: Any, shares: Any) -> None:
+    count, height, width = log_odds.shape
     for y in prange(height):
         for x in range(width):
-            largest = answers[0, y, x]
+            largest = log_odds[0, y, x]
             for n in range(1, count):
-                largest = max(largest, answers[n, y, x])
+                largest = max(largest, log_odds[n, y, x])
             cells = shares[y, x]
-            cells[:] = NOTHING
+            cells[:] = NO_VOTE
             total = np.float32(0)
             for n in range(count):
-                cells[n] = exp_minus(largest - answers[n, y, x])
+                cells[n] = exp_minus(largest - log_odds[n, y, x])
                 total += cells[n]
             for n in range(count):
-                cells[n] = cells[n] / total + NOTHING
+                cells[n] = cells[n] / total + NO_VOTE
 
 
 @parallel_jit
-def _take(maps: Any, answers: Any, shares: Any, values: Any, probability: Any) -> None:
+def _take(maps: Any, log_odds: Any, shares: Any, values: Any, probability: Any) -> None:
     count, height, width = maps.shape
     one = np.float32(1)
     for y in prange(height):
@@ -176,6 +176,6 @@ def _take(maps: Any, answers: Any, shares: Any, values: Any, probability: Any) -
                 if shares[y, x, n] > shares[y, x, best]:
                     best = n
             values[y, x] = maps[best, y, x]
-            odds = answers[best, y, x]
+            odds = log_odds[best, y, x]
             e = exp_minus(abs(odds))
             probability[y, x] = one / (one + e) if odds > 0 else e / (one + e)
