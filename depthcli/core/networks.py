@@ -42,6 +42,6 @@ class TrainedNetwork:
         n, f = len(self.maps), len(self.inputs)
         u, v = (shapes[k][-1] if len(shapes) > k and shapes[k] else 0 for k in (2, 4))
         if shapes != [(f,), (f,), (f, u), (n, u), (u, v), (v,), (v, 1), (1,)]:
-            raise InputError(f"arrays of shapes {shapes} for {n} maps and {f} inputs")
+            raise InputError(f"arrays of shapes {str(shapes)[:200]} for {n} maps and {f} inputs")
         if not all(np.isfinite(array).all() for array in arrays):
             raise InputError("weights that are not finite")

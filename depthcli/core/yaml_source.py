@@ -21,6 +21,7 @@ Location = tuple[str | int, ...]
 _MAX_BYTES = 1 << 20
 _MAX_NODES = 50_000
 _MAX_DEPTH = 60
+_MAX_DIGITS = 300  # of a number, in any base; the largest that floating point holds has 309
 _PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str", "int", "float", "bool", "null")}
 
 
@@ -189,6 +190,9 @@ class Builder:
             if isinstance(node, yaml.SequenceNode):
                 return [self.value(child, (*location, i)) for i, child in enumerate(node.value)]
             try:
+                # Long ones take time that grows with the square of their length, or cannot be shown afterwards.
+                if node.tag.endswith((":int", ":float")) and len(node.value) > _MAX_DIGITS:
+                    raise ValueError
                 return self.scalars.construct_object(node)
             except (ValueError, OverflowError, KeyError, yaml.YAMLError):
                 kind = node.tag.rpartition(":")[2]

@@ -7,7 +7,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from depthcli.core.errors import ConfigError, InputError
@@ -93,20 +93,30 @@ def read_table(path: Path) -> list[NamedPair]:
             columns = tuple(word.strip().lower() for word in rows.pop(0))
             if unknown := [word for word in columns if word not in _COLUMNS]:
                 raise InputError(f"no such column: {', '.join(unknown)}; known: {', '.join(_COLUMNS)}")
+            if twice := [word for word, count in Counter(columns).items() if count > 1]:
+                raise InputError(f"two columns are called {twice[0]!r}")
         if not rows:
             raise InputError("names no pair")
         pairs = [_pair_of(number, row, columns, path.parent) for number, row in enumerate(rows, 1)]
-        stems = [pair.name for pair in pairs]
-        if len(set(stems)) < len(stems):
-            if "name" in columns and all(pair.more.get("name") for pair in pairs):
-                twice = next(stem for stem in stems if stems.count(stem) > 1)
-                raise InputError(f"two lines are called {twice!r}")
-            digits = len(str(len(pairs)))
-            pairs = [
-                NamedPair(pair.more.get("name") or f"{number:0{digits}}_{pair.name}", pair.left, pair.right, pair.more)
-                for number, pair in enumerate(pairs, 1)
-            ]
-    return pairs
+        return _named_apart(pairs) if len({pair.name for pair in pairs}) < len(pairs) else pairs
+
+
+def _named_apart(pairs: list[NamedPair]) -> list[NamedPair]:
+    """Pairs some of which have one name: those without a name of their own get their line's number."""
+    taken = Counter(pair.more["name"] for pair in pairs if "name" in pair.more)
+    if twice := [name for name, count in taken.items() if count > 1]:
+        raise InputError(f"two lines are called {twice[0][:100]!r}")
+    digits = len(str(len(pairs)))
+    apart = []
+    for number, pair in enumerate(pairs, 1):
+        name = pair.name
+        if "name" not in pair.more:
+            name = f"{number:0{digits}}_{name}"
+            while name in taken:
+                name += "_"
+            taken[name] = 1
+        apart.append(replace(pair, name=name))
+    return apart
 
 
 def _pair_of(number: int, row: list[str], columns: tuple[str, ...], folder: Path) -> NamedPair:

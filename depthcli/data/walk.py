@@ -6,6 +6,7 @@ import fnmatch
 import os
 import re
 from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from depthcli.core.errors import InputError
@@ -145,10 +146,13 @@ def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path 
     Raises
     ------
     InputError
-        A pattern matches none of them; ``place`` is where they are.
+        A pattern matches none of them, or two have one name; ``place`` is where they are.
     """
     ordered = sorted(scenes, key=lambda scene: scene.name)
     chosen = [scene for scene in ordered if matches_any(scene.name, patterns)]
+    for scene, after in pairwise(ordered):
+        if scene.name == after.name:
+            raise InputError(f"{place}: two scenes are called {scene.name!r} (in {scene.folder} and {after.folder})")
     for pattern in patterns:
         if not any(matches_any(scene.name, [pattern]) for scene in ordered):
             there = ", ".join(scene.name for scene in ordered[:6])

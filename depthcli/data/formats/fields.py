@@ -11,7 +11,6 @@ Learn2Reg, VoxelMorph   ``.npz`` or 4-D NIfTI (X, Y, Z, 3): displacement, voxels
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from depthcli.algorithms.resampling import nearest
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.data.formats.files import naming, open_regular
-from depthcli.data.formats.nifti import read_header
+from depthcli.data.formats.nifti import check_whole, read_header
 from depthcli.data.formats.transforms import read_transform
 from depthcli.data.formats.volumes import place, read_image, read_volume, simple_itk, suffix_of
 
@@ -75,8 +74,10 @@ def read_field(path: Path, fixed: Grid) -> Field:
         if kind in (".nii", ".nii.gz"):
             header = read_header(path)
             if len(header["dim"]) == 4 and header["dim"][3] == 3:
-                image = read_image(path)
-                return _bare(simple_itk().GetArrayFromImage(image).transpose(1, 2, 3, 0), fixed)
+                bad = check_whole(path)
+                values = simple_itk().GetArrayFromImage(read_image(path))
+                values.reshape(-1)[bad] = np.nan  # which SimpleITK made 0
+                return _bare(values.transpose(1, 2, 3, 0), fixed)
             volume = read_volume(path, vector=True)
             if header["intent_name"] == "NREG_TRANS":
                 return Field(volume.values, volume.grid, "positions" if round(header["intent_p1"]) == 0 else "niftyreg")
@@ -90,7 +91,7 @@ def _npz(path: Path) -> NDArray[Any]:
         try:
             with np.load(file, allow_pickle=False) as stored:
                 arrays = [stored[name] for name in stored.files]
-        except (ValueError, OSError, zipfile.BadZipFile, EOFError):
+        except Exception:  # zipfile, zlib and numpy raise many kinds for damage, MemoryError among them
             raise InputError("not a readable .npz file") from None
     fields = [array for array in arrays if array.ndim == 4 and 3 in (array.shape[0], array.shape[3])]
     if len(fields) != 1:
@@ -104,7 +105,8 @@ def _bare(values: NDArray[Any], fixed: Grid) -> Field:
     if values.shape[:3] != fixed.shape:
         have, want = " x ".join(map(str, values.shape[2::-1])), " x ".join(map(str, fixed.size))
         raise InputError(f"a field of {have} voxels, but the fixed volume has {want}")
-    return Field(np.ascontiguousarray(values, np.float32), fixed, "voxels")
+    with np.errstate(over="ignore", invalid="ignore"):
+        return Field(np.ascontiguousarray(values, np.float32), fixed, "voxels")
 
 
 def in_millimeters(field: Field, reading: str) -> NDArray[np.float64]:
@@ -181,11 +183,14 @@ def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, afte
     """Refuse a field that warps the moving volume clearly better under another reading than the named one."""
     count = int(np.prod(field.grid.shape))
     chosen = np.arange(0, count, max(1, count // _N_SAMPLES))
+    chosen = chosen[np.isfinite(field.values.reshape(-1, 3)[chosen]).all(axis=1)]
     z, y, x = np.unravel_index(chosen, field.grid.shape)
     places = np.stack([z, y, x], axis=1).astype(np.float64)
     points = field.grid.to_point(places)
     at = fixed.grid.to_index(points)
     inside = np.all((at >= 0) & (at <= np.array(fixed.grid.shape) - 1), axis=1)
+    if not inside.any():
+        return
     target = nearest(fixed.values, at[inside])
     scores = {}
     for reading in READINGS:

@@ -44,9 +44,15 @@ def shown(path: Path | str) -> str:
 
 @contextlib.contextmanager
 def naming(path: Path | str) -> Iterator[None]:
-    """Put the file's name before the message of an :class:`InputError` that the block raises."""
+    """Put the file's name before the message of an :class:`InputError` that the block raises.
+
+    A number that is too large for what it stands for, and what is nested too deeply, become one, too.
+    """
     try:
-        yield
+        try:
+            yield
+        except (OverflowError, RecursionError) as error:
+            raise InputError(f"damaged ({str(error)[:100]})") from error
     except InputError as error:
         raise InputError(f"{shown(path)}: {error}") from error
 

@@ -133,6 +133,9 @@ def decode_image(data: bytes, max_bytes: int | None = None) -> Image:
         raise InputError(f"a map of numbers ({kind}), want an image")
     size = image_size(data)
     check_size(size, len(data), max_bytes)
+    if kind == "tiff" and (size.bits not in (8, 16) or holds_floats(data)):
+        of = "floating point" if holds_floats(data) else "integers"
+        raise InputError(f"samples of {size.bits} bit ({of}), want 8 or 16 bit")
     if kind == "pnm":
         return _decode_pnm(data)
     if kind == "jpeg":

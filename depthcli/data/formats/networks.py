@@ -49,19 +49,20 @@ def read_network(path: Path) -> TrainedNetwork:
             content = json.loads(data)
             if content["format"] != _FORMAT:
                 raise InputError(f"format {str(content['format'])[:40]!r}, want {_FORMAT!r}")
-            return TrainedNetwork(
-                tuple(map(str, content["maps"])),
-                tuple(map(str, content["inputs"])),
-                np.array(content["mean"], np.float32),
-                np.array(content["scale"], np.float32),
-                tuple(
-                    (np.array(layer["weights"], np.float32), np.array(layer["offsets"], np.float32))
-                    for layer in content["layers"]
-                ),
-                tuple(map(str, content["trained_on"])),
-            )
-        except (LookupError, TypeError, ValueError, RecursionError) as error:
-            raise InputError(f"not a network that depthcli wrote ({error})") from None
+            with np.errstate(over="ignore"):  # what is infinite is refused
+                return TrainedNetwork(
+                    tuple(map(str, content["maps"])),
+                    tuple(map(str, content["inputs"])),
+                    np.array(content["mean"], np.float32),
+                    np.array(content["scale"], np.float32),
+                    tuple(
+                        (np.array(layer["weights"], np.float32), np.array(layer["offsets"], np.float32))
+                        for layer in content["layers"]
+                    ),
+                    tuple(map(str, content["trained_on"])),
+                )
+        except (LookupError, TypeError, ValueError, OverflowError, RecursionError, AttributeError) as error:
+            raise InputError(f"not a network that depthcli wrote ({str(error)[:200]})") from None
 
 
 def write_network(path: Path, network: TrainedNetwork) -> None:

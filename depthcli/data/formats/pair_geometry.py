@@ -14,6 +14,7 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.files import naming, read_bytes, write_text
 
 _MILLIMETERS = 1000.0
+_MAX_SIDE = 1 << 20  # pixels; no image is as wide
 _MAX_BYTES = 1 << 24  # a calibration has a few kilobytes
 
 
@@ -76,9 +77,7 @@ def _middlebury(fields: dict[str, str]) -> PairGeometry:
     baseline = _number(fields, "baseline") / _MILLIMETERS
     size = None
     if "width" in fields and "height" in fields:
-        size = (int(_number(fields, "width")), int(_number(fields, "height")))
-        if min(size) < 1:
-            raise InputError(f"width, height: want a size (got {size[0]} x {size[1]})")
+        size = _size(_number(fields, "width"), _number(fields, "height"), "width, height")
     return PairGeometry(Intrinsics.of_matrix(left), baseline, offset, size)
 
 
@@ -90,9 +89,14 @@ def _kitti(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeometry:
     baseline = float(left[0, 3] / left[0, 0] - right[0, 3] / right[0, 0])
     size = None
     if rectified := fields.get(f"S_rect_0{cameras[0]}"):
-        width, height = _numbers(rectified, f"S_rect_0{cameras[0]}", 2)
-        size = (int(width), int(height))
+        size = _size(*_numbers(rectified, f"S_rect_0{cameras[0]}", 2), f"S_rect_0{cameras[0]}")
     return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]), size)
+
+
+def _size(width: float, height: float, key: str) -> tuple[int, int]:
+    if not 1 <= min(width, height) <= max(width, height) <= _MAX_SIDE:
+        raise InputError(f"{key}: want a size (got {width:g} x {height:g})")
+    return int(width), int(height)
 
 
 def _matrix(fields: dict[str, str], key: str, shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -22,6 +22,7 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Meters of the units that a translation may be stored in."""
 
 _MAX_BYTES = 1 << 22  # a calibration has a few kilobytes
+_MAX_SIDE = 1 << 20  # pixels; no image is as wide
 _MAX_BASELINE = 20.0  # meters; a longer one is in another unit
 _SENSOR_BASELINES = (1e-4, 10.0)  # meters, of a color and an infrared camera; another one is in another unit
 # What the parts are called in files of OpenCV.
@@ -164,11 +165,17 @@ def _opencv(texts: Sequence[str], meters: float, fisheye: bool) -> Rig:
 
 
 def _opencv_size(storage: Any) -> tuple[int, int] | None:
-    pair = [int(storage.getNode(name).real()) for name in ("image_width", "image_height")]
+    pair = [storage.getNode(name).real() for name in ("image_width", "image_height")]
     node = storage.getNode("imageSize")
     if min(pair) <= 0 and node.isSeq() and node.size() == 2:
-        pair = [int(node.at(k).real()) for k in (0, 1)]
-    return (pair[0], pair[1]) if min(pair) > 0 else None
+        pair = [node.at(k).real() for k in (0, 1)]
+    return _sides(np.array(pair), "imageSize") if min(pair) > 0 else None
+
+
+def _sides(size: NDArray[np.float64], name: str) -> tuple[int, int]:
+    if not (size >= 1).all() or not (size <= _MAX_SIDE).all():
+        raise InputError(f"{name}: want the size of an image (got {size[0]:g} x {size[1]:g})")
+    return int(size[0]), int(size[1])
 
 
 def _kitti(text: str, numbers_of_cameras: tuple[int, int]) -> Rig:
@@ -183,9 +190,9 @@ def _kitti(text: str, numbers_of_cameras: tuple[int, int]) -> Rig:
 
     calibrated, rotations, translations = [], [], []
     for number in numbers_of_cameras:
-        width, height = numbers(f"S_0{number}", (2,)).astype(int)
+        size = _sides(numbers(f"S_0{number}", (2,)), f"S_0{number}")
         distortion = tuple(numbers(f"D_0{number}", (5,)).tolist())
-        calibrated.append(Camera(numbers(f"K_0{number}", (3, 3)), distortion, (int(width), int(height))))
+        calibrated.append(Camera(numbers(f"K_0{number}", (3, 3)), distortion, size))
         rotations.append(numbers(f"R_0{number}", (3, 3)))
         translations.append(numbers(f"T_0{number}", (3,)))
     rotation = rotations[1] @ rotations[0].T
@@ -224,8 +231,8 @@ def _kalibr(file: dict[str, Any]) -> Rig:
         fx, fy, cx, cy = _listed(camera, "intrinsics", (4,), name)
         matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         distortion = np.zeros(4) if lens == "none" else _listed(camera, "distortion_coeffs", (4,), name)
-        size = _listed(camera, "resolution", (2,), name).astype(int)
-        calibrated.append(Camera(matrix, tuple(distortion.tolist()), (int(size[0]), int(size[1])), _KALIBR[lens]))
+        size = _sides(_listed(camera, "resolution", (2,), name), f"{name}: resolution")
+        calibrated.append(Camera(matrix, tuple(distortion.tolist()), size, _KALIBR[lens]))
     place = _listed(file["cam1"], "T_cn_cnm1", (4, 4), "cam1")
     return Rig(calibrated[0], calibrated[1], place[:3, :3], place[:3, 3])
 
@@ -236,10 +243,10 @@ def _ros(left: dict[str, Any], right: dict[str, Any]) -> Rig:
         model = str(camera.get("distortion_model", "plumb_bob"))
         if model not in _ROS:
             raise InputError(f"{name}: distortion_model {model}: want {', '.join(_ROS)}")
-        width, height = (int(_listed(camera, key, (1,), name)[0]) for key in ("image_width", "image_height"))
+        sides = np.concatenate([_listed(camera, key, (1,), name) for key in ("image_width", "image_height")])
         distortion = _data(camera, "distortion_coefficients", (-1,), name)
         matrix = _data(camera, "camera_matrix", (3, 3), name)
-        calibrated.append(Camera(matrix, tuple(distortion.tolist()), (width, height), _ROS[model]))
+        calibrated.append(Camera(matrix, tuple(distortion.tolist()), _sides(sides, name), _ROS[model]))
         rotations.append(_data(camera, "rectification_matrix", (3, 3), name))
     projection = _data(right, "projection_matrix", (3, 4), "right")
     if projection[0, 0] <= 0 or projection[0, 3] == 0:
@@ -257,7 +264,7 @@ def _data(camera: dict[str, Any], key: str, shape: tuple[int, ...], name: str) -
 def _listed(mapping: dict[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
     try:
         values = np.asarray(mapping.get(key), np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.zeros(0)
     return _shaped(values, f"{name}: {key}" if name else key, shape)
 

@@ -167,7 +167,8 @@ def _volume(image: Any, vector: bool) -> Volume:
     if not all(np.isfinite(s) and s > 0 for s in spacing):
         raise InputError(f"a spacing of {spacing}")
     grid = Grid(tuple(image.GetSize()), tuple(spacing), tuple(image.GetOrigin()), tuple(image.GetDirection()))
-    return Volume(np.array(values, np.float32, order="C"), grid)
+    with np.errstate(over="ignore"):  # beyond the range of 32 bit they are no numbers
+        return Volume(np.array(values, np.float32, order="C"), grid)
 
 
 @contextlib.contextmanager
@@ -198,7 +199,7 @@ def _dirlab_grid(path: Path) -> Grid:
         meta = json.loads(read_bytes(meta_file, 1 << 20))
         size = tuple(int(n) for n in meta["size"])
         spacing = tuple(float(s) for s in meta["spacing"])
-    except (DepthcliError, ValueError, KeyError, TypeError):
+    except (DepthcliError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         raise InputError(f'a raw file wants "size" and "spacing" (x, y, z) in {shown(meta_file)}') from None
     if len(size) != 3 or len(spacing) != 3 or min(size) < 1 or not all(np.isfinite(s) and s > 0 for s in spacing):
         raise InputError(f"{shown(meta_file)}: want three positive sizes and spacings")

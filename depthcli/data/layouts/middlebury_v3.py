@@ -9,7 +9,7 @@ from depthcli.data.formats.files import read_bytes
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
-from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.scenes.stereo import MAX_DISPARITY, StereoScene
 
 
 class MiddleburyV3(Layout):
@@ -29,6 +29,8 @@ class MiddleburyV3(Layout):
             return []
         calib = _calibration(folder)
         top = calib.get("ndisp")
+        if top is not None and top > MAX_DISPARITY:
+            raise InputError(f"{folder.path / 'calib.txt'}: ndisp: want at most {MAX_DISPARITY} (got {top:g})")
         # ETH3D writes the image width where Middlebury writes the search range.
         if top is not None and (top < 1 or top >= calib.get("width", float("inf"))):
             top = None

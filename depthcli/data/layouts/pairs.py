@@ -28,7 +28,7 @@ class Pairs(Layout):
     def scenes(self, folder: Folder) -> list[Scene]:
         if folder.one("left", IMAGE_SUFFIXES) or folder.one("right", IMAGE_SUFFIXES):  # of scenes
             return []
-        images = {Path(name).stem: name for name in sorted(folder.names) if name.lower().endswith(IMAGE_SUFFIXES)}
+        images = folder.starting("", IMAGE_SUFFIXES)
         for left, right, ends in (*((a, b, True) for a, b in _ENDS), *((a, b, False) for a, b in _STARTS)):
             sides: list[dict[str, Path]] = []
             for word in (left, right):
@@ -36,8 +36,8 @@ class Pairs(Layout):
                     (lambda stem, w=word: stem.removesuffix(w)) if ends else (lambda stem, w=word: stem.removeprefix(w))
                 )
                 sides.append({
-                    cut(stem): folder.path / name
-                    for stem, name in images.items()
+                    cut(stem): file
+                    for stem, file in images.items()
                     if cut(stem) not in ("", stem) and not cut(stem).startswith(_NO_IMAGES)
                 })  # fmt: skip
             if set(sides[0]) & set(sides[1]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from depthcli.core.frames import StereoPair
     from depthcli.data.formats.images import Image
     from depthcli.data.pairs import NamedPair
+
+MAX_DISPARITY = 1 << 20
+"""Largest disparity, of either sign, that a file may ask for, pixels; no image is as wide."""
 
 # Full-size widths of the Middlebury 2005 and 2006 sets lie between 1240 and 1396: the width tells the size.
 _SCALE_BY_WIDTH = ((900, 1.0), (550, 2.0), (0, 3.0))
@@ -139,10 +143,10 @@ class StereoScene(Scene):
         ends: dict[str, int | None] = {"max_disparity": None, "min_disparity": None}
         for key in ends:
             if text := pair.more.get(key):
-                try:
+                if re.fullmatch(r"[-+]?[0-9]{1,7}", text) and abs(int(text)) <= MAX_DISPARITY:
                     ends[key] = int(text)
-                except ValueError:
-                    problem = f"{there}: {key}: want a whole number (got {text[:40]!r})"
+                else:
+                    problem = f"{there}: {key}: want a whole number up to {MAX_DISPARITY} (got {text[:40]!r})"
         calibration = pair.more.get("calibration")
         return cls(
             name=pair.name,
