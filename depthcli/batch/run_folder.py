@@ -162,7 +162,8 @@ def read_report(folder: Path, facts: bool = True) -> dict[str, Row]:
     facts : False leaves out the columns that the scenes' records hold as well, which saves memory for long reports
     """
     rows = _rows_by_scene(_rows_of_file(folder / REPORT_FILES[0], None if facts else _MEASURED_COLUMNS))
-    parts = sorted((folder / PARTS_FOLDER).glob("*.json"), key=lambda path: (_modified(path), path.name))
+    files = (folder / PARTS_FOLDER).glob("*.json") if os.path.isdir(folder / PARTS_FOLDER) else ()
+    parts = sorted(files, key=lambda path: (_modified(path), path.name))
     if parts:
         run = digest(saved_config(folder).encode())
         for part in parts:

@@ -18,6 +18,7 @@ from depthcli.batch.records import (
     CLAIM_FILE,
     RECORD_FILE,
     SceneRecord,
+    digest,
     file_digest,
     foreign_files,
     read_record,
@@ -36,6 +37,8 @@ BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
 
 OTHER_RUN = "holds a scene of another run; choose another --output or --name, or --overwrite it"
+
+_MAX_TRACE_NAME = 200  # bytes of a scene's name in that of its traceback; a file's name has 255
 
 
 @dataclass
@@ -157,7 +160,10 @@ class Task:
     @property
     def trace(self) -> Path:
         """The file for the traceback of a bug."""
-        return self.output / f"traceback-{self.scene.name.replace('/', '_')}.txt"
+        name = self.scene.name.replace("/", "_")
+        if len(os.fsencode(name)) > _MAX_TRACE_NAME:
+            name = f"{name[:40]}-{digest(os.fsencode(name))[:16]}"
+        return self.output / f"traceback-{name}.txt"
 
     def failed(self, error: str) -> Row:
         """Return the row of the report for a scene that failed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -49,7 +50,7 @@ def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Repor
         raise ConfigError(f"give --input DIR, or {single}")
     if name is not None:
         raise ConfigError(f"--name is for a single scene, given by {single}")
-    if evaluates and place.is_file():
+    if evaluates and os.path.isfile(place):
         raise ConfigError(f"{place}: --evaluate needs a folder of scenes, with their ground truth")
     return scenes_at(place, kinds, values["layout"], patterns, reporter)
 
@@ -58,7 +59,7 @@ def scenes_at(
     place: Path, kinds: tuple[type[SceneT], ...], layout: str | None, patterns: Sequence[str], reporter: Reporter
 ) -> list[SceneT]:
     """Return the scenes of a folder, or those that a table of files lists."""
-    if place.is_file() and place.suffix.lower() in TABLE_SUFFIXES:
+    if os.path.isfile(place) and place.suffix.lower() in TABLE_SUFFIXES:
         return _chosen(kinds[0].of_table(place), patterns, place)
     # Folders that cannot be read are among them as scenes with a ``problem``, which are reported and not computed.
     return cast("list[SceneT]", discover_scenes(place, kinds, layout, patterns, reporter.info))
@@ -77,7 +78,7 @@ def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
         There is no such run, or no map of a scene that matches ``--scenes``.
     """
     run: Path = values["run"]
-    if run.is_file():
+    if os.path.isfile(run):
         return [
             DisparityScene(
                 name=run.stem, folder=run.parent, disparity=run, left=values["left"], calibration=values["calibration"]
@@ -96,9 +97,9 @@ def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
 
 
 def _names_of_maps(run: Path, reported: Sequence[str], patterns: Sequence[str]) -> list[str]:
-    if not run.is_dir():
+    if not os.path.isdir(run):
         raise InputError(f"{run}: no such run folder or map")
-    names = {name for name in reported if is_inside(name) and (run / name / _MAP).is_file()}
+    names = {name for name in reported if is_inside(name) and os.path.isfile(run / name / _MAP)}
     names |= {path.parent.relative_to(run).as_posix() for depth in ("*", "*/*") for path in run.glob(f"{depth}/{_MAP}")}
     chosen = sorted(name for name in names if not name.startswith(".") and matches_any(name, patterns))
     if not chosen:
@@ -108,20 +109,20 @@ def _names_of_maps(run: Path, reported: Sequence[str], patterns: Sequence[str]) 
 
 def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, values: Values) -> DisparityScene:
     """Return the map in ``folder``; ``pair`` is the scene it was made from, and ``source`` its left image, if known."""
-    left = source if source is not None and source.is_file() else None
+    left = source if source is not None and os.path.isfile(source) else None
     calibration, cameras = None, (2, 3)
     if isinstance(pair, StereoScene):
         left, calibration, cameras = pair.left, pair.calibration, pair.cameras
-    if (folder / "calib.txt").is_file() and (folder / "left.png").is_file():  # the pair was rectified for the map
+    if all(os.path.isfile(folder / name) for name in ("calib.txt", "left.png")):  # the pair was rectified for the map
         left, calibration, cameras = folder / "left.png", folder / "calib.txt", (2, 3)
-    elif pair is None and left is not None and (beside := left.parent / "calib.txt").is_file():
+    elif pair is None and left is not None and os.path.isfile(beside := left.parent / "calib.txt"):
         calibration = beside
     status = folder / "status.png"
     return DisparityScene(
         name=name,
         folder=folder,
         disparity=folder / _MAP,
-        status=status if status.is_file() else None,
+        status=status if os.path.isfile(status) else None,
         confidence={path.stem.partition("_")[2]: path for path in sorted(folder.glob("confidence_*.pfm"))},
         left=left,
         calibration=values["calibration"] or (calibration if values["focal"] is None else None),

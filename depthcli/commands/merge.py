@@ -5,6 +5,7 @@ The last process of a run does that itself; this is for runs whose processes wer
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +35,7 @@ class MergeCommand(Command):
         from depthcli.batch.sharing import FolderLock
 
         place: Path = values["run"]
-        if not place.is_dir():
+        if not os.path.isdir(place):
             raise InputError(f"{place}: no such folder")
         identity, command = opened_run(place)
         with FolderLock(place, True, reporter.info) as lock:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -102,7 +103,8 @@ def with_base(config: ConfigData, path: Path, find: Callable[[str], Path | None]
         config.problems.append(f"{place}: base: want the name of a preset or a file (got {short(name)})")
         return
     beside = (path.parent / name, path.parent / f"{name}.yaml")
-    target = next((file for file in beside if file.is_file() and file.resolve() != path.resolve()), None) or find(name)
+    others = (file for file in beside if os.path.isfile(file) and file.resolve() != path.resolve())
+    target = next(others, None) or find(name)
     if target is None:
         config.problems.append(f"{place}: base: {short(name)} is neither a preset nor a file beside this one")
         return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -77,7 +78,7 @@ def read_config(path: Path) -> ConfigData:
         The file cannot be read or is not a YAML mapping. Problems inside it are collected, not raised.
     """
     try:
-        if path.exists() and not path.is_file():  # a pipe would be waited for
+        if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for
             raise ConfigError(f"{path}: cannot be read (not a regular file)")
         with path.open("rb") as file:
             raw = file.read(_MAX_BYTES + 1)

@@ -41,7 +41,7 @@ class NamedPair:
 
 def is_many(path: Path) -> bool:
     """Return whether a path is a pattern or a folder: more than one file."""
-    return path.is_dir() or (bool(_WILD.search(str(path))) and not os.path.lexists(path))
+    return os.path.isdir(path) or (bool(_WILD.search(str(path))) and not os.path.lexists(path))
 
 
 def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[NamedPair]:
@@ -137,7 +137,7 @@ class _Match:
 
 
 def _matching(pattern: Path, suffixes: tuple[str, ...]) -> list[_Match]:
-    if pattern.is_dir():
+    if os.path.isdir(pattern):
         pattern = pattern / "*"
     parts = pattern.parts
     first = next((k for k, part in enumerate(parts) if _WILD.search(part)), len(parts) - 1)

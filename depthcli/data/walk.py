@@ -106,7 +106,7 @@ def _scenes_below(folder: Path, wanted: tuple[Layout, ...], requested: str, warn
 def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -> list[Path]:
     """Folders in a folder, but for those that hold results of runs."""
     try:
-        found = sorted(entry for entry in folder.iterdir() if not entry.name.startswith(".") and entry.is_dir())
+        found = sorted(entry for entry in folder.iterdir() if not entry.name.startswith(".") and os.path.isdir(entry))
     except OSError:
         return []
     runs = [child for child in found if _holds_results(child)]
@@ -118,7 +118,7 @@ def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -
 def _holds_results(folder: Path) -> bool:
     """Return True for a folder that a command filled, unless it generated scenes there."""
     try:
-        if not (folder / _RUN_FILE).is_file():
+        if not os.path.isfile(folder / _RUN_FILE):
             return False
         text = read_bytes(folder / _RUN_FILE, _MAX_RUN_BYTES).decode("utf-8", "replace")
     except (InputError, OSError):

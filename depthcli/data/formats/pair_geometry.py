@@ -89,7 +89,8 @@ def _kitti(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeometry:
     baseline = float(left[0, 3] / left[0, 0] - right[0, 3] / right[0, 0])
     size = None
     if rectified := fields.get(f"S_rect_0{cameras[0]}"):
-        size = _size(*_numbers(rectified, f"S_rect_0{cameras[0]}", 2), f"S_rect_0{cameras[0]}")
+        width, height = _numbers(rectified, f"S_rect_0{cameras[0]}", 2)
+        size = _size(width, height, f"S_rect_0{cameras[0]}")
     return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]), size)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import ClassVar
 
@@ -54,4 +55,4 @@ class Kitti2015(Layout):
 
 def _beside(folder: Folder, where: str, left: Path) -> Path | None:
     path = folder.path / where / left.name
-    return path if where in folder.names and path.is_file() else None
+    return path if where in folder.names and os.path.isfile(path) else None

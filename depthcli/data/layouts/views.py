@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from depthcli.core.errors import InputError
@@ -72,7 +73,7 @@ def pair_scenes(
 
 def view_images(place: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     """Return stem -> file of a folder; InputError where two files have one stem."""
-    if not place.is_dir():
+    if not os.path.isdir(place):
         return {}
     files: dict[str, Path] = {}
     for name in sorted(Folder(place, "", "").names):
