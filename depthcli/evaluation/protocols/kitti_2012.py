@@ -42,7 +42,10 @@ class Kitti2012(DisparityProtocol):
     presentation = replace(
         PRESENTATION,
         title="KITTI 2012: outliers > 3 px, %; background-interpolated maps",
-        note="out, avgerr: background-interpolated maps; est: estimated pixels only; means: every frame counts once",
+        note=(
+            "out, avgerr: background-interpolated maps; est: estimated pixels only, 0 without any; "
+            "means: every frame counts once"
+        ),
         visible_region="noc",
     )
     region_order: ClassVar[tuple[str, ...]] = ("noc", "occ")

@@ -26,7 +26,10 @@ class Kitti2015(Kitti2012):
     presentation = replace(
         PRESENTATION,
         title="KITTI 2015: D1, %; background-interpolated maps",
-        note="D1: > 3 px and >= 5 %; out, avgerr: as KITTI 2012; est: estimated pixels only; means: all frames pooled",
+        note=(
+            "D1: > 3 px and >= 5 %; out, avgerr: as KITTI 2012; est: estimated pixels only, 0 without any; "
+            "means: all frames pooled"
+        ),
         visible_region="noc",
         mean_heading="pooled",
     )
