@@ -26,7 +26,7 @@ from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.stages import CostStages
-from depthcli.methods.stereo.tiles import BIN, BLOCK, Candidates, Memory
+from depthcli.methods.stereo.tiles import BIN, BLOCK, PROCESS_BYTES, Candidates, Memory
 from depthcli.methods.stereo.tiling import Prior, match_by_costs, match_by_patches, refined_map
 from depthcli.methods.stereo.volume import StereoResult
 
@@ -71,7 +71,7 @@ def match_in_tiles(matcher: Matcher, pair: StereoPair, max_disparity: int, memor
     clock = Clock()
     prepared, rest = matcher.prepared(pair, max_disparity, clock)
     held = 0 if prepared is pair else pair.right.nbytes + pair.shape[0] * pair.shape[1]
-    available = Memory.of_process(memory, held)
+    available = Memory(memory, PROCESS_BYTES + held)
     stages = rest.cost_stages()
     halo = None if stages is None else stages.halo()
     prior = (

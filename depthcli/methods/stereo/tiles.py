@@ -198,15 +198,10 @@ class Candidates:
 
 
 class Memory(NamedTuple):
-    """What a process may take, and what of it others hold, bytes."""
+    """The bytes that a process may take, and those of them that are taken by other things than tiles."""
 
     allowed: int
     held: int
-
-    @classmethod
-    def of_process(cls, allowed: int, held: int = 0) -> Memory:
-        """Return that of a process whose caller holds ``held`` bytes beside the interpreter and the libraries."""
-        return cls(allowed, PROCESS_BYTES + held)
 
     def beside(self, pair: StereoPair) -> Memory:
         """Return what is left while ``pair`` is held, too."""
