@@ -108,8 +108,8 @@ def threads() -> int:
 
 def set_threads(count: int) -> None:
     """Let kernels use at most ``count`` threads (never more than numba was started with)."""
-    most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    numba.set_num_threads(max(1, min(count, most)))
+    n_started: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    numba.set_num_threads(max(1, min(count, n_started)))
 
 
 class CompileWatch(numba.core.event.Listener):
