@@ -1,4 +1,4 @@
-"""The measures that are fused, and how much each of them counts at every pixel."""
+"""The measures that are fused, and their weights at every pixel."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from depthcli.methods.fusion.votes import Ballot
 from depthcli.methods.stereo.cost import PartCost
 from depthcli.methods.stereo.volume import CostVolume
 
-_MIN_SCORE = np.float32(1e-4)  # so small that it changes no weight, but pixels without any support get equal ones
+_MIN_SCORE = np.float32(1e-4)  # changes no weight visibly, and gives pixels without any vote equal weights
 
 
 class Measure(BaseModel):
-    """One measure that takes part: computed here, or a volume made elsewhere."""
+    """One of the measures to fuse: a cost measure, or a cost volume read from a file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

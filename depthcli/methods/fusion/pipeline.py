@@ -40,7 +40,7 @@ _MAX_VOTED_COST = 4080  # 16 x 255, the fixed point of aggregated costs, which s
 
 
 class Fusion(AdjustingMatcher):
-    """Stereo by several measures, each of them trusted where the pixels around agree with it."""
+    """Stereo by several cost measures, each weighted at every pixel by how many pixels around agree with it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

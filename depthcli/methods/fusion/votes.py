@@ -23,7 +23,7 @@ from depthcli.methods.stereo.volume import CostVolume
 
 
 class Consensus(BaseModel):
-    """Who votes for whom, and what votes are worth."""
+    """How the pixels around a pixel vote for its disparity, and what a vote is worth."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -51,7 +51,7 @@ class Consensus(BaseModel):
     )
 
     def support_in(self, pair: StereoPair) -> Support:
-        """Return who may vote for whom in a pair."""
+        """Return the pixels of a pair that may vote for each pixel, with their weights."""
         if self.support == "window":
             return WindowSupport(pair.shape, self.window)
         return ColorSupport(pair.color8[0], max(1, self.window // 2), self.softness)
@@ -68,7 +68,7 @@ class Ballot:
     depth : number of disparities
     tolerance : how far beside the voter's own disparity a vote still counts in full. Where votes are all there
         is, nothing else breaks the ties of neighboring disparities: there they count less and less
-    support : who may vote for whom
+    support : the pixels that may vote for each pixel
     """
 
     disparities: NDArray[np.int32]

@@ -22,7 +22,7 @@ MEASURES = {
     "aml0": "the same with squared cost differences",
     "rank0": "share of displacements that are cheaper than zero",
     "cur0": "Laplacian of the costs at zero",
-    "cost0": "cost at zero, which wants no search",
+    "cost0": "cost at zero, which needs no search",
     "msm": "minus the smallest cost: like the next three a measure of stereo, the same for any displacement",
     "mlm": "likelihood of the cheapest displacement, k = 0.5",
     "aml": "the same with squared cost differences",
