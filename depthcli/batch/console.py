@@ -7,6 +7,7 @@ import errno
 import os
 import sys
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
@@ -21,6 +22,12 @@ if TYPE_CHECKING:
 
 _HEARTBEAT = 30.0  # seconds between lines of progress where there is no terminal
 _MAX_ROWS = 50  # of a table; of longer ones only the failed scenes and a summary are shown
+
+
+def silence_warnings() -> None:
+    """Leave warnings of libraries out of the terminal: lines of their code say nothing to a user (python -W does)."""
+    if not sys.warnoptions:
+        warnings.showwarning = lambda *arguments, **options: None
 
 
 class Reporter:
@@ -71,7 +78,7 @@ class Reporter:
         try:
             print(text, end="" if text.endswith("\n") else "\n", flush=True)
         except (OSError, ValueError) as error:  # ValueError: stdout was closed
-            self._close_stdout()
+            self.close_stdout()
             number = getattr(error, "errno", None)
             if isinstance(error, OSError) and number not in (errno.EPIPE, errno.EBADF):
                 raise IncompleteError(f"stdout: cannot be written ({error.strerror or error})") from error
@@ -119,7 +126,7 @@ class Reporter:
                 print(text, file=sys.stderr, flush=True)
 
     @staticmethod
-    def _close_stdout() -> None:
+    def close_stdout() -> None:
         """Send the interpreter's last flush to the null device, where it cannot fail."""
         with contextlib.suppress(OSError, ValueError, AttributeError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

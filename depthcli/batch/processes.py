@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import pebble
 
-from depthcli.batch.console import Reporter
+from depthcli.batch.console import Reporter, silence_warnings
 from depthcli.batch.json_csv import Row
 from depthcli.batch.task import Run, Task, run_task
 from depthcli.core.result import Clock
@@ -147,6 +147,7 @@ class _Worker:
 
 
 def _start_worker(run: Run, memory: int, begun: Any, compiling: Any) -> None:
+    silence_warnings()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C does
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     parent = multiprocessing.parent_process()

@@ -7,6 +7,7 @@ Nothing heavy is imported here, so that ``--help`` answers at once.
 from __future__ import annotations
 
 import contextlib
+import errno
 import inspect
 import os
 import signal
@@ -19,7 +20,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from depthcli.batch.command import SOME_FAILED, Command
-from depthcli.batch.console import Reporter
+from depthcli.batch.console import Reporter, silence_warnings
 from depthcli.commands import command_names, help_of, load_command
 from depthcli.core.errors import DepthcliError, IncompleteError
 from depthcli.core.option import Option
@@ -29,6 +30,9 @@ _COMMON = (
     Option("verbose", bool, "Print details on stderr.", default=False, short="-v"),
     Option("quiet", bool, "Print only errors, and no table.", default=False, short="-q"),
 )
+_STREAM_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
+"""What a disk or device behind a stream answers when it takes no more."""
+
 _SETTINGS: dict[str, Any] = {
     "add_completion": False,
     "rich_markup_mode": None,
@@ -66,7 +70,7 @@ def _version(value: bool) -> None:
     if value:
         from depthcli import __version__
 
-        print(f"depthcli {__version__}")
+        Reporter().data(f"depthcli {__version__}")
         raise typer.Exit
 
 
@@ -117,6 +121,7 @@ def _option(option: Option) -> Any:
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code; messages go to stderr, never a traceback except for a bug."""
     _repair_streams()
+    silence_warnings()
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGTERM, _terminate)
     try:
@@ -136,7 +141,13 @@ def main(arguments: list[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         _print_error("depthcli: interrupted; the same command goes on where it stopped")
         return 130
+    except SystemExit:  # typer ends so where the reader of its help text has closed it
+        return 0
     except Exception as error:
+        if isinstance(error, OSError) and error.filename is None and error.errno in _STREAM_ERRORS:  # typer's help text
+            Reporter.close_stdout()
+            _print_error(f"depthcli: stdout: cannot be written ({error.strerror})")
+            return SOME_FAILED
         if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage: typer has the message
             with contextlib.suppress(OSError):
                 error.show()

@@ -89,3 +89,22 @@ def test_sigterm_ends_like_ctrl_c(made_scenes: Path, tmp_path: Path):
     assert "terminated; the same command goes on" in err
     assert set(report(tmp_path / "r").values()) == {"done"}
     assert not list((tmp_path / "r").glob(".partial-*"))
+
+
+@pytest.mark.parametrize("options", ["--help", "--version", "stereo --help", "presets"])
+def test_texts_that_cannot_be_written(options: str):
+    for target, code in ((">/dev/full", 3), ("| true", 0), (">&-", 0)):
+        line = f"{sys.executable} -m depthcli {options} {target}"
+        done = subprocess.run(["bash", "-o", "pipefail", "-c", line], capture_output=True, text=True, check=False)
+        assert done.returncode == code, (line, done.stderr)
+        said = "depthcli: stdout: cannot be written (No space left on device)\n" if code else ""
+        assert done.stderr == said
+
+
+def test_warnings_of_libraries_are_not_shown():
+    code = (
+        "import warnings; from depthcli.cli import main; main(['presets', '-q']); warnings.warn('odd', RuntimeWarning)"
+    )
+    for option, shown in (((), False), (("-W", "default"), True)):
+        done = subprocess.run([sys.executable, *option, "-c", code], capture_output=True, text=True, check=False)
+        assert ("RuntimeWarning" in done.stderr) == shown
