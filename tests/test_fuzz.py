@@ -44,6 +44,7 @@ def test_faults_are_noticed(fuzz, capsys, monkeypatch, fault):
             raise fuzz.InputError("no")
 
     monkeypatch.setattr(fuzz, "READERS", (reader, reader))
+    monkeypatch.setattr(fuzz, "SUITED", {})
     assert fuzz.main(["--only", "readers", "--cases", "3"]) == 1
     assert "3 cases, 3 faults" in capsys.readouterr().out
     for file in left_open:

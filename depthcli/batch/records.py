@@ -67,14 +67,17 @@ def digest(data: bytes) -> str:
 def file_digest(path: Path) -> str:
     """Return the SHA-256 digest of a file, or the reason why it cannot be read, which never equals a digest."""
     limit = MAX_BYTES if path.suffix.lower() in IMAGE_SUFFIXES else _MAX_HASHED_BYTES
-    sha, left = hashlib.sha256(), limit
+    sha = hashlib.sha256()
     try:
         with open_regular(path) as file:
+            left = os.fstat(file.fileno()).st_size
+            if left > limit:
+                return f"unreadable: larger than {limit >> 30} GiB"
             while block := file.read(1 << 20):
                 sha.update(block)
                 left -= len(block)
-                if left < 0:
-                    return f"unreadable: larger than {limit >> 30} GiB"
+                if left < 0:  # a file of the kernel, which may have no end, or one that is being written
+                    return "unreadable: longer than its size says"
     except InputError as error:
         return f"unreadable: {error}"
     return sha.hexdigest()

@@ -537,3 +537,8 @@ def test_an_interrupted_replacement_is_known_as_ours(folder: Folder, monkeypatch
         assert sorted(path.name for path in (folder.output / "a").iterdir()) == [
             "first.txt", "notes.txt", "out.txt", "record.json",
         ]  # fmt: skip
+
+
+@pytest.mark.skipif(not Path("/proc/self/pagemap").exists(), reason="needs a file without an end")
+def test_a_file_without_an_end_is_not_read_for_hours():
+    assert records.file_digest(Path("/proc/self/pagemap")).startswith("unreadable")

@@ -139,3 +139,9 @@ def test_two_at_once_do_not_mix(tmp_path: Path):
     assert any(process.returncode == 0 for process in started)
     assert sample(tmp_path / "b", "-n", "4") == 0
     assert _bytes(tmp_path / "a") == _bytes(tmp_path / "b")
+
+
+def test_kinect_scenes_that_are_too_narrow_are_refused(tmp_path, capsys):
+    assert main(["sample", "--kinect", "--width", "64", "-o", str(tmp_path / "out")]) == 2
+    assert "--width: at least 96 for Kinect scenes (got 64)" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 import warnings
 
 import numpy as np
@@ -186,3 +187,13 @@ def test_what_is_written_for_an_input(tmp_path):
     kept = {"a.nii": ".nii", "a.nii.gz": ".nii.gz", "a.mha": ".mha", "a.nrrd": ".nrrd"}
     names = {**kept, "a.mhd": ".mha", "a.nhdr": ".nrrd", "a.img": ".mha", "a.png": ".mha"}
     assert {name: written_suffix(tmp_path / name) for name in names} == names
+
+
+def test_a_path_that_is_no_text_is_refused_before_simpleitk_ends_the_process(tmp_path):
+    path = tmp_path / os.fsdecode(b"caf\xe9.mha")
+    try:
+        write_array(path, Grid((6, 5, 4), (1.0, 1.0, 1.0)), volume())
+    except OSError:
+        pytest.skip("this file system has no such names")
+    with pytest.raises(InputError, match="UTF-8; rename it"):
+        read_volume(path)

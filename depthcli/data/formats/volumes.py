@@ -120,6 +120,10 @@ def _reader(path: Path) -> Any:
         read_header(path)
     else:
         check_volume(path)
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError("SimpleITK reads only files whose path is text in UTF-8; rename it") from None
     reader = simple_itk().ImageFileReader()
     reader.SetImageIO(_ITK_READERS[kind])
     reader.SetFileName(str(path))
