@@ -236,3 +236,17 @@ def test_no_transform_at_all(tmp_path):
     (tmp_path / "t.tfm").write_text("nothing\n")
     with pytest.raises(InputError, match="not a transform"):
         read_moving_transform(tmp_path / "t.tfm", None, "auto", Volume(np.zeros(GRID.shape, np.float32), GRID), None)
+
+
+@pytest.mark.parametrize("kind", ["itk.mha", "itk.nii", "voxels.nii"])
+def test_displacements_that_are_no_numbers_blame_their_file(tmp_path, kind):
+    values = displacement()
+    values[3, 4, 5, 1], values[6] = np.nan, np.inf
+    path = tmp_path / kind
+    if kind == "itk.mha":
+        write_array(path, GRID, values)
+    else:
+        nifti(path, values, dims=4 if kind == "voxels.nii" else 5)
+    fixed, moving = volumes()
+    with pytest.raises(InputError, match=rf"{kind}: {1 + 20 * 18} of 5760 displacements are no numbers"):
+        read_moving_transform(None, path, "auto", fixed, moving)

@@ -155,6 +155,11 @@ def read_moving_transform(
     elif displacement is not None:
         field = read_field(displacement, fixed.grid)
         reading = _chosen(field, convention)
+        if bad := int(np.count_nonzero(~np.isfinite(field.values).all(axis=3))):
+            count = int(np.prod(field.grid.shape))
+            raise InputError(
+                f"{displacement}: {bad} of {count} displacements are no numbers; make them 0 where unknown"
+            )
         if convention == "auto" and moving is not None:
             with naming(displacement):
                 _check_reading(field, reading, fixed, moving, after)
@@ -183,7 +188,6 @@ def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, afte
     """Refuse a field that warps the moving volume clearly better under another reading than the named one."""
     count = int(np.prod(field.grid.shape))
     chosen = np.arange(0, count, max(1, count // _N_SAMPLES))
-    chosen = chosen[np.isfinite(field.values.reshape(-1, 3)[chosen]).all(axis=1)]
     z, y, x = np.unravel_index(chosen, field.grid.shape)
     places = np.stack([z, y, x], axis=1).astype(np.float64)
     points = field.grid.to_point(places)
