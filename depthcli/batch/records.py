@@ -24,8 +24,6 @@ RECORD_FILE = "record.json"
 CLAIM_FILE = ".claim.json"
 """The record of a scene whose files are being written or removed: it is not done, but its files may be replaced."""
 
-# Keys that a record has even where its digest does not match.
-_RECORD_KEYS = frozenset({"scene", "run", "files"})
 # The digest at the end of a record stands between these two.
 _BEFORE_DIGEST, _AFTER_DIGEST = ',\n "check": ', "\n}\n"
 # A report of 100,000 scenes has about 60 MB; larger files are not ours.
@@ -141,15 +139,10 @@ def foreign_files(folder: Path, files: Mapping[str, str]) -> list[str]:
     A file with the same content counts as ours: nothing is lost. So do the results of a scene whose record was lost.
     """
     claimed = claims(folder)
-    names = [
-        name
-        for name, content in files.items()
-        if name not in claimed and os.path.lexists(folder / name) and file_digest(folder / name) != content
-    ]
-    for name in (RECORD_FILE, CLAIM_FILE):
-        document = read_json(folder / name)  # None where it is missing, or damaged
-        if document is not None and not (isinstance(document, dict) and document.keys() >= _RECORD_KEYS):
-            names.append(name)
+    there = {name: file_digest(folder / name) for name in files if os.path.lexists(folder / name)}
+    names = [name for name, content in there.items() if name not in claimed and content != files[name]]
+    if not claimed and not any(content == files[name] for name, content in there.items()):
+        names += [name for name in (RECORD_FILE, CLAIM_FILE) if os.path.lexists(folder / name)]  # not a damaged record
     return names
 
 

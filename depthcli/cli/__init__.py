@@ -141,8 +141,10 @@ def main(arguments: list[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         _print_error("depthcli: interrupted; the same command goes on where it stopped")
         return 130
-    except SystemExit:  # typer ends so where the reader of its help text has closed it
-        return 0
+    except SystemExit as error:
+        if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
+            raise
+        return 0  # typer ends so where the reader of its help text has closed it
     except Exception as error:
         if isinstance(error, OSError) and error.filename is None and error.errno in _STREAM_ERRORS:  # typer's help text
             Reporter.close_stdout()

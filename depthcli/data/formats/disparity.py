@@ -71,8 +71,9 @@ def _plausible(disparity: NDArray[np.float32], path: Path | str) -> NDArray[np.f
     with np.errstate(invalid="ignore"):
         n_beyond = np.count_nonzero(np.abs(disparity) > width)
     if 2 * n_beyond > np.count_nonzero(~np.isnan(disparity)):
+        median = np.nanmedian(disparity.astype(np.float64))  # float32 could overflow
         warn(
-            f"{shown(path)}: the median disparity is {float(np.nanmedian(disparity)):.4g} px, wider than the image of "
+            f"{shown(path)}: the median disparity is {median:.4g} px, wider than the image of "
             f"{width} px; is the scale (codes per pixel) right?"
         )
     return disparity
