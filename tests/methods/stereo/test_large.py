@@ -18,7 +18,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
-from depthcli.kernels.winners import TiledWinners, winners
+from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo import coarse_to_fine, tiling
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
@@ -38,6 +38,7 @@ from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
+from depthcli.methods.stereo.tiled_winners import TiledWinners
 from depthcli.methods.stereo.tiles import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Tile
 from depthcli.methods.stereo.volume import StereoResult
 from tests.methods.stereo._pairs import PARAMETERS, TINY, blocky_pair, random_volume, texture, threads
