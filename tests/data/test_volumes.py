@@ -197,3 +197,16 @@ def test_a_path_that_is_no_text_is_refused_before_simpleitk_ends_the_process(tmp
         pytest.skip("this file system has no such names")
     with pytest.raises(InputError, match="UTF-8; rename it"):
         read_volume(path)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="counts open files by /proc")
+def test_damaged_packed_values_leave_no_file_open(tmp_path):
+    packed = bytearray(gzip.compress(volume().tobytes(), 1))
+    packed[40] ^= 4
+    (tmp_path / "a.raw.gz").write_bytes(packed)
+    head = "NRRD0004\ntype: float\ndimension: 3\nsizes: 6 5 4\nspacings: 1 1 1\nendian: little\nencoding: gzip\n"
+    (tmp_path / "a.nhdr").write_text(f"{head}data file: a.raw.gz\n\n")
+    opened = len(os.listdir("/proc/self/fd"))
+    with pytest.raises(InputError, match="damaged values"):
+        read_volume(tmp_path / "a.nhdr")
+    assert len(os.listdir("/proc/self/fd")) == opened

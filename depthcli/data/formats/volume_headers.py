@@ -5,9 +5,11 @@ The libraries that decode such files trust the numbers of the header and open wh
 
 from __future__ import annotations
 
+import gzip
 import math
 import os
 import re
+import zlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -86,6 +88,19 @@ def check_volume(path: Path) -> None:
     if short:
         size = " x ".join(map(str, header.sizes))
         raise InputError(f"cut off: {max(stored, 0)} bytes of values ({header.encoding}), want {wanted} for {size}")
+    if header.encoding == "gzip" and path.suffix.lower() in NRRD_SUFFIXES:
+        for file in header.files:
+            _check_packed(file)
+
+
+def _check_packed(path: Path) -> None:
+    """Refuse damaged values: ITK's reader leaves their file open, and a long run would have no more to open."""
+    try:
+        with open_regular(path) as file, gzip.GzipFile(fileobj=file) as unpacked:
+            while unpacked.read(1 << 20):
+                pass
+    except (InputError, EOFError, zlib.error) as error:
+        raise InputError(f"{path.name}: damaged values, packed with gzip ({error})") from None
 
 
 def _is_text_header(path: Path) -> bool:
