@@ -42,8 +42,9 @@ def read_transform(path: Path) -> Any:
             if "(Transform " in text:
                 with library_errors():
                     return sitk.CompositeTransform(_elastix_chain(path, text, ()))
-        with open_regular(path):
-            pass
+        with open_regular(path) as stream:
+            if os.fstat(stream.fileno()).st_size > _MAX_BYTES:
+                raise InputError(f"larger than {_MAX_BYTES >> 20} MiB: no transform")
         _try_elsewhere(path)
         try:
             with library_errors():
@@ -56,10 +57,8 @@ def _try_elsewhere(path: Path) -> None:
     """Read a transform in a process of its own first: damage makes ITK and HDF5 end the process that reads it."""
     command = [sys.executable, "-W", "ignore", "-c", _TRIAL, str(path.absolute())]
     try:
-        if (
-            subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=_TRIAL_SECONDS).returncode
-            < 0
-        ):
+        done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=_TRIAL_SECONDS)
+        if done.returncode < 0:
             raise InputError("damaged: ITK crashes when it reads the transform")
     except subprocess.TimeoutExpired:
         raise InputError(f"ITK does not read the transform within {_TRIAL_SECONDS} s") from None
