@@ -12,7 +12,7 @@ from depthcli.batch.console import aligned
 from depthcli.batch.json_csv import Row
 from depthcli.batch.run_folder import holds_another, run_text
 from depthcli.batch.runner import Inspector, scenes_of_shard
-from depthcli.batch.task import Run, RunOptions, Work
+from depthcli.batch.task import Run, RunOptions, SceneCommand
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import InputError
 from depthcli.core.memory import show_bytes
@@ -21,7 +21,7 @@ DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
 
 def plan(
-    work: Work[ConfigT, SceneT],
+    work: SceneCommand[ConfigT, SceneT],
     config: ConfigT,
     scenes: Sequence[SceneT],
     output: Path,

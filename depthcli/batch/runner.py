@@ -21,7 +21,7 @@ from depthcli.batch.command import ConfigT, SceneT
 from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import Row
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
-from depthcli.batch.task import OTHER_RUN, Run, RunOptions, Task, Work, discard, run_task
+from depthcli.batch.task import OTHER_RUN, Run, RunOptions, SceneCommand, Task, discard, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
 from depthcli.data.formats.files import ends_of_file
 from depthcli.data.scenes import Scene
@@ -32,7 +32,7 @@ _MAX_REMEMBERED = 16
 
 
 def run_scenes(
-    work: Work[ConfigT, SceneT],
+    work: SceneCommand[ConfigT, SceneT],
     config: ConfigT,
     scenes: Sequence[SceneT],
     output: Path,
@@ -78,7 +78,7 @@ def run_scenes(
 
 
 def scenes_of_shard(
-    work: Work[ConfigT, SceneT], config: ConfigT, scenes: Sequence[SceneT], options: RunOptions
+    work: SceneCommand[ConfigT, SceneT], config: ConfigT, scenes: Sequence[SceneT], options: RunOptions
 ) -> list[SceneT]:
     """Return the scenes that this process computes: those of its shard, or all."""
     if options.shard is None:

@@ -95,7 +95,7 @@ _Config = TypeVar("_Config", contravariant=True)
 _Scene = TypeVar("_Scene", contravariant=True)
 
 
-class Work(Protocol[_Config, _Scene]):
+class SceneCommand(Protocol[_Config, _Scene]):
     """What a command does with a scene; picklable, for worker processes."""
 
     @property
@@ -118,7 +118,7 @@ class Work(Protocol[_Config, _Scene]):
 class Run:
     """A command with its config, whose types only the command itself needs to know; picklable."""
 
-    work: Work[Any, Any]
+    work: SceneCommand[Any, Any]
     config: Any
     options: RunOptions
 

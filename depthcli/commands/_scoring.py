@@ -107,13 +107,13 @@ class Scoring:
             start,
             source=path.name if path == place else path.relative_to(place).as_posix(),
             scores=tuple(protocol.scores(estimate, truth)),
-            dense=tuple(protocol.dense(estimate, truth)),
+            dense=tuple(protocol.threshold_curve(estimate, truth)),
             curves=tuple(protocol.curves(estimate, truth, confidences)),
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
             size=protocol.size(truth),
             disparities=top if isinstance(top := row.get("max_disparity"), int) and top > 0 else 0,
             warning="; ".join(filter(None, [start.warning, *warnings])),
-            pooled=protocol.keep(estimate, truth),
+            pooled=protocol.pooling_data(estimate, truth),
         )
         if self.output is not None:
             if points := protocol.points(estimate, truth):

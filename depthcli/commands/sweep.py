@@ -177,7 +177,7 @@ def _print_result(
         found = effects(axes, {chosen[run]: figures[run] for run in report.runs}, headline.larger_is_better)
         for run in order:
             settings = {axis.key: value for axis, value in zip(axes, chosen[run], strict=True)}
-            seconds = mean_of_known(r.seconds for r in section.of(run))
+            seconds = mean_of_known(r.seconds for r in section.results_of(run))
             rows.append({"protocol": section.protocol.name, "run": run, **settings, headline.heading: figures[run],
                          "seconds": seconds, "missing": section.n_missing(run)})  # fmt: skip
         documents.append({"protocol": section.protocol.name, "headline": headline.heading, "unit": headline.unit,
@@ -200,7 +200,9 @@ def _text(section: Section, order: Sequence[str], figures: Mapping[str, float], 
     from depthcli.evaluation.statistics import mean_of_known
 
     headline = section.protocol.headline
-    rows = [(run, Number(figures[run]), Number(mean_of_known(r.seconds for r in section.of(run)))) for run in order]
+    rows = [
+        (run, Number(figures[run]), Number(mean_of_known(r.seconds for r in section.results_of(run)))) for run in order
+    ]
     what = headline.heading_with_unit
     more = f"; the first {_MAX_SHOWN} of {len(order)}" if len(order) > _MAX_SHOWN else ""
     runs = Table(

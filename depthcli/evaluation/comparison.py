@@ -56,24 +56,24 @@ class Section:
         """True where some run has no map of some scene."""
         return len(self.common) < len(self.scenes)
 
-    def of(self, run: str, common: bool = False) -> list[Result]:
+    def results_of(self, run: str, common: bool = False) -> list[Result]:
         """Return one run's results of all scenes, or of the common ones."""
         return [r for r in self.results if r.run == run and (not common or r.scene in self.common)]
 
     def n_missing(self, run: str) -> int:
         """Return the number of scenes of which a run has no map."""
-        return sum(bool(result.error) for result in self.of(run))
+        return sum(bool(result.error) for result in self.results_of(run))
 
     @cached_property
     def mean_records(self) -> list[Record]:
         """The means of every run, measure and region, over all scenes (``MEAN``) and common ones (``COMMON_MEAN``)."""
         made = []
         for run in self.runs:
-            common = {score.key: score for score in self.protocol.mean(self.of(run, common=True))}
+            common = {score.key: score for score in self.protocol.mean(self.results_of(run, common=True))}
             n_missing = self.n_missing(run)
             missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
             where = {"run": run, "data_set": self.data_set, "protocol": self.protocol.name}
-            for score in self.protocol.mean(self.of(run)):
+            for score in self.protocol.mean(self.results_of(run)):
                 of_common = common.get(score.key, replace(score, value=math.nan, density=math.nan))
                 note = f"over the {len(self.common)} scenes that all runs have"
                 made.append(Record(scene=MEAN, score=score, note=f"over {len(self.scenes)} scenes{missing}", **where))
@@ -99,20 +99,20 @@ class Section:
             return self.score(run, scene, keys[0])
         pairs = [
             (score, self.protocol.weight(result.scene))
-            for result in self.of(run, scene == COMMON_MEAN)
+            for result in self.results_of(run, scene == COMMON_MEAN)
             for key in keys
             if (score := result.by_key.get(key)) is not None
         ]
         return self.protocol.pool(*zip(*pairs, strict=True)) if pairs else None
 
-    def dense(self, run: str) -> list[Score]:
+    def threshold_curve(self, run: str) -> list[Score]:
         """Return the means over all scenes of one metric at many thresholds."""
-        return self.protocol.pooled((r.dense, r.scene) for r in self.of(run))
+        return self.protocol.pooled((r.dense, r.scene) for r in self.results_of(run))
 
-    def signed(self, run: str) -> list[float]:
+    def lower_is_better(self, run: str) -> list[float]:
         """Return one run's headline in the main region by scene, signed so that lower is better; NaN without a map."""
         headline = self.protocol.headline
-        scores = [None if r.error else r.by_key.get((headline, self.regions[0])) for r in self.of(run)]
+        scores = [None if r.error else r.by_key.get((headline, self.regions[0])) for r in self.results_of(run)]
         sign = -1 if headline.larger_is_better else 1
         return [math.nan if score is None else sign * score.value for score in scores]
 
@@ -121,7 +121,7 @@ class Section:
         grid = [
             [
                 (-1 if key[0].larger_is_better else 1) * r.by_key[key].value
-                for r in self.of(run, common=True)
+                for r in self.results_of(run, common=True)
                 for key in keys
                 if key in r.by_key
             ]
@@ -192,7 +192,7 @@ class EvaluationReport:
         """Compare every further run with the first, by protocol: the headline in the main region of common scenes."""
         made = []
         for section in self.by_protocol:
-            values = [section.signed(run) for run in self.runs]
+            values = [section.lower_is_better(run) for run in self.runs]
             made += [(section, run, compare(values[0], v)) for run, v in zip(self.runs[1:], values[1:], strict=True)]
         return made
 
@@ -225,7 +225,7 @@ class EvaluationReport:
         made = []
         for section in self.sections:
             for run in self.runs:
-                if scores := section.dense(run):
+                if scores := section.threshold_curve(run):
                     m = scores[0].measure
                     made.append({
                         "run": run, "data_set": section.data_set, "protocol": section.protocol.name,

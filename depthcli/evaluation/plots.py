@@ -53,7 +53,7 @@ def plots(section: Section) -> dict[str, str]:
 
 def _boxes(section: Section, what: str) -> str:
     key = (section.protocol.headline, section.regions[0])
-    rows = [[r.by_key[key].value for r in section.of(run) if key in r.by_key] for run in section.runs]
+    rows = [[r.by_key[key].value for r in section.results_of(run) if key in r.by_key] for run in section.runs]
     kept = [(run, [v for v in row if not math.isnan(v)]) for run, row in zip(section.runs, rows, strict=True)]
     kept = [(run, row) for run, row in kept if row]
     with _figure(height=1.2 + 0.32 * len(kept)) as (axes, out):
@@ -70,7 +70,7 @@ def _boxes(section: Section, what: str) -> str:
 
 def _by_threshold(section: Section) -> str | None:
     """Lines of what the protocol has at many thresholds; dots: those of the tables."""
-    lines = {run: scores for run in section.runs if (scores := section.dense(run))}
+    lines = {run: scores for run in section.runs if (scores := section.threshold_curve(run))}
     if not lines:
         return None
     some = next(iter(lines.values()))[0]
@@ -100,7 +100,7 @@ def _times(section: Section, what: str) -> str:
 
     with _figure() as (axes, out):
         for i, run in enumerate(section.runs):
-            score, seconds = section.figure(run), mean_of_known(r.seconds for r in section.of(run))
+            score, seconds = section.figure(run), mean_of_known(r.seconds for r in section.results_of(run))
             if score is not None and not math.isnan(score.value + seconds):
                 axes.plot([seconds], [score.value], linestyle="", marker=_marker(i), ms=8, color=_color(i),
                           label=_plain(run))  # fmt: skip

@@ -79,7 +79,7 @@ class Result:
     source : the map's path inside its run folder, or empty
     scores : where the map is missing, the worst of every measure (``Protocol.missing``); empty where there is no
         usable truth
-    dense : the headline's metric at many thresholds, for plots (``Protocol.dense``)
+    dense : the headline's metric at many thresholds, for plots (``Protocol.threshold_curve``)
     curves : sparsification curves of the confidence maps that lie beside the map
     seconds : run time by the run's report, or NaN
     size : number of pixels (or voxels) of the scene, with known truth or without; 0 where there is no map

@@ -62,7 +62,7 @@ def section_tables(section: Section) -> list[Table]:
     if len(section.scenes) > 1 and (len(section.runs) > 1 or not section.protocol.presentation.scene_rows):
         made.append(headline_by_scene(section))
     for run in section.runs:
-        kept = [result.pooled for result in section.of(run) if result.pooled is not None]
+        kept = [result.pooled for result in section.results_of(run) if result.pooled is not None]
         made += section.protocol.presentation.tables(run, kept) if kept else []
     return made
 
@@ -84,7 +84,7 @@ def summary(section: Section) -> Table:
         cells += [Number(ranks[run], 1) if scene == COMMON_MEAN or not section.incomplete else ""]
         score = section.score(run, scene, keys[0])
         cells += [Number(math.nan if score is None else score.density, 1)]
-        cells += [Number(mean_of_known(r.seconds for r in section.of(run, scene == COMMON_MEAN)))] * with_times
+        cells += [Number(mean_of_known(r.seconds for r in section.results_of(run, scene == COMMON_MEAN)))] * with_times
         rows.append((run, _n_scenes(section, run, scene), *cells))
     header = ["run", "scenes", *section.regions, *["mean of all figures"] * with_figure, "avg rank"]
     header += [f"density {section.regions[0]} %", *["seconds"] * with_times]
@@ -104,7 +104,7 @@ def details(section: Section) -> list[Table]:
             if scene_rows and scene == MEAN:
                 rows += [
                     (run, short(r.scene) + "*" * bool(r.error), *(_cell(section, r.by_key.get(key)) for key in keys))
-                    for r in section.of(run)
+                    for r in section.results_of(run)
                 ]
             if not scene_rows or len(section.scenes) > 1:
                 cells = (_cell(section, section.score(run, scene, key), mark) for key in keys)
@@ -211,7 +211,7 @@ def wide_by_scene(section: Section, key: Key) -> Table:
     measure, region = key
     columns: list[Column] = []
     for scene in section.scenes:
-        results = [next(r for r in section.of(run) if r.scene == scene) for run in section.runs]
+        results = [next(r for r in section.results_of(run) if r.scene == scene) for run in section.runs]
         if any(key in r.by_key for r in results):
             cells = [_cell(section, r.by_key.get(key), "*" * bool(r.error)) for r in results]
             columns.append((short(scene), cells, measure.larger_is_better, scene))
@@ -244,7 +244,7 @@ def _means(section: Section, key: Key, scene: str, heading: str) -> Column:
 
 def _wide(section: Section, title: str, columns: list[Column]) -> Table:
     """Columns as a table, with the mean seconds of a scene, a megapixel, and 10^9 pixels x disparities beside."""
-    runs = [section.of(run) for run in section.runs]
+    runs = [section.results_of(run) for run in section.runs]
     times = {
         "seconds": [mean_of_known(r.seconds for r in results) for results in runs],
         "s/MP": [mean_of_known(1e6 * r.seconds / r.size for r in results if r.size) for results in runs],

@@ -26,13 +26,13 @@ NO_VALUE = (90, 90, 90)
 """RGB of a pixel of a map that has no value; no color of the map's scale."""
 
 
-def words(right: str, wrong: str) -> tuple[str, ...]:
+def pixel_kind_names(right: str, wrong: str) -> tuple[str, ...]:
     """Return the kinds of pixel in words."""
     return ("truth unknown", right, wrong, f"{right}, occluded", f"{wrong}, occluded", "no value")
 
 
 @cache
-def scale() -> NDArray[np.uint8]:
+def map_colors() -> NDArray[np.uint8]:
     """Return (256, 3) RGB of the map's scale: viridis, perceptually uniform, readable without color vision."""
     grey = np.arange(256, dtype=np.uint8)[:, None]
     table: NDArray[Any] = cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
@@ -49,12 +49,12 @@ def error_scales() -> NDArray[np.uint8]:
 
 def map_picture(values: NDArray[np.floating[Any]], low: float, high: float) -> NDArray[np.uint8]:
     """Return (H, W) numbers as (H, W, 3) RGB of the scale over [low, high]."""
-    picture = scale()[_index(values, low, high, 256)]
+    picture = map_colors()[_index(values, low, high, 256)]
     picture[np.isnan(values)] = NO_VALUE
     return picture
 
 
-def kinds(
+def pixel_kinds(
     known: NDArray[np.bool_], hidden: NDArray[np.bool_], wrong: NDArray[np.bool_], missing: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
     """Return the kind of every pixel, (H, W) uint8."""
@@ -68,7 +68,7 @@ def error_picture(kind: NDArray[np.uint8], error: NDArray[np.floating[Any]], top
     return error_scales()[kind, _index(error, 0.0, top, 64)]
 
 
-def over(
+def overlaid(
     picture: NDArray[np.uint8], nothing: NDArray[np.bool_], beneath: NDArray[np.uint8] | None, opacity: float
 ) -> NDArray[np.uint8]:
     """Return the (H, W, 3) RGB picture of a map blended with the image ``beneath``, which is alone at ``nothing``."""

@@ -94,7 +94,7 @@ class Page:
         page = {
             "runs": report.runs,
             "assets": [f"{ASSETS}/{saved.file.name}" if factor > 1 else None for saved in self._saved],
-            "scale": colors.scale().tolist(),
+            "scale": colors.map_colors().tolist(),
             "errors": colors.error_scales().tolist(),
             "none": colors.NO_VALUE,
         }
@@ -150,7 +150,7 @@ def _section_data(section: Section) -> dict[str, Any]:
     best = sorted(known, key=lambda run: -figures[run] if headline.larger_is_better else figures[run])
     order = best + [run for run in runs if run not in known]
     longest = max((figures[run] for run in known), default=0.0) or 1.0
-    signed = {run: section.signed(run) for run in runs}
+    signed = {run: section.lower_is_better(run) for run in runs}
     keys = dict.fromkeys([*((headline, region) for region in section.regions), *section.keys])
     n_keys = max(1, _MAX_CELLS // max(1, len(section.scenes) * len(runs)), len(section.regions))
     narrow = tables.section_tables(section)
@@ -208,7 +208,7 @@ def _swatches(verdicts: tuple[str, str]) -> list[tuple[str, str, str]]:
     """(words, color of a small error, color of a large one) of every kind of pixel."""
     scales = colors.error_scales()
     ends = [[f"rgb({','.join(map(str, scales[kind, k].tolist()))})" for k in (0, -1)] for kind in range(len(scales))]
-    return [(words, first, last) for words, (first, last) in zip(colors.words(*verdicts), ends, strict=True)]
+    return [(words, first, last) for words, (first, last) in zip(colors.pixel_kind_names(*verdicts), ends, strict=True)]
 
 
 def _template() -> Any:

@@ -81,7 +81,7 @@ class SceneView:
         self._cuts = cuts(known.shape)
         self.data = {"name": self.name, "protocol": self.protocol.name, "quantity": shown.quantity, "unit": shown.unit,
                      "low": low, "high": high, "hidden": bool(self.hidden.any()), "status": {}, "views": [],
-                     "words": colors.words(*shown.verdicts), "opacity": shown.opacity,
+                     "words": colors.pixel_kind_names(*shown.verdicts), "opacity": shown.opacity,
                      "start": self._first_cut()}  # fmt: skip
         for cut in self._cuts:
             plane = known[cut.index]
@@ -142,7 +142,7 @@ class SceneView:
             }
         cut = self._cuts[self.data["start"]].index
         step = _step(known[cut].shape)
-        kind = colors.kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
+        kind = colors.pixel_kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
         worst = error[wrong & ~np.isnan(error)]
         high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
         self._errors[run] = _ErrorThumb(error[cut][::step, ::step], kind[::step, ::step], high)
@@ -168,7 +168,7 @@ class SceneView:
         """A small picture over the image of the first cut, which is alone at ``nothing``."""
         image = self._image_of(self._cuts[self.data["start"]])
         beneath = None if image is None else image[:: (step := _step(image.shape[:2])), ::step]
-        return _png(colors.over(small, nothing, beneath, self.protocol.presentation.opacity))
+        return _png(colors.overlaid(small, nothing, beneath, self.protocol.presentation.opacity))
 
     def _image_of(self, cut: Cut) -> NDArray[np.uint8] | None:
         """(H, W, 3) RGB image beneath a cut of the maps, at their size; None where its shape does not fit."""

@@ -76,7 +76,7 @@ def test_dense_thresholds_agree_with_the_table(name: str, threshold: float | Non
     estimate = np.where(rng.random(stored.shape) < 0.1, np.nan, stored + rng.normal(0, 2, stored.shape))
     estimate = estimate.astype(np.float32)
     before = judge.all_thresholds
-    dense = {s.measure.threshold: s for s in judge.dense(estimate, truth)}
+    dense = {s.measure.threshold: s for s in judge.threshold_curve(estimate, truth)}
     assert judge.all_thresholds == before
     assert len(dense) >= 24
     assert list(dense) == sorted(dense)
@@ -99,7 +99,7 @@ def test_dense_ratios_of_depth_agree_with_the_table():
     depth = rng.uniform(1, 3, (20, 30)).astype(np.float32)
     truth = DepthTruth(depth, {"all": np.ones(depth.shape, bool)}, None, 1000.0)
     judge, estimate = DepthProtocol(), (depth * rng.normal(1, 0.1, depth.shape)).astype(np.float32)
-    dense = {s.measure: s for s in judge.dense(estimate, truth)}
+    dense = {s.measure: s for s in judge.threshold_curve(estimate, truth)}
     same = [s for s in judge.scores(estimate, truth) if s.measure in dense]
     assert len(same) == 3  # 1.05, 1.10, 1.25
     assert all(dense[s.measure] == s for s in same)

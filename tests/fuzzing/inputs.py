@@ -83,9 +83,7 @@ def others() -> dict[str, bytes]:
     """Return file name -> bytes of one intact file of every kind that is read and is no image."""
     fixed, field = blob(1).tobytes(), blob(2, True).tobytes()
     meta = f"ObjectType = Image\nNDims = 3\nBinaryData = True\nElementSpacing = 1 1.5 2\nDimSize = {_SIZE}\n"
-    nrrd = (
-        f"NRRD0004\ntype: float\ndimension: 3\nsizes: {_SIZE}\nspacings: 1 1.5 2\nendian: little\nencoding: raw\n"
-    )
+    nrrd = f"NRRD0004\ntype: float\ndimension: 3\nsizes: {_SIZE}\nspacings: 1 1.5 2\nendian: little\nencoding: raw\n"
     json_rig = {"rectified": True, "fb": 40.0, "min_disparity": 0, "max_disparity": 8, "disp_scale": 1}
     return {
         "local.mha": f"{meta}ElementType = MET_FLOAT\nElementDataFile = LOCAL\n".encode() + fixed,

@@ -141,7 +141,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     def scores(self, estimate: Estimate, truth: Truth) -> list[Score]:
         """Compute every measure in every region."""
 
-    def dense(self, estimate: Estimate, truth: Truth) -> list[Score]:
+    def threshold_curve(self, estimate: Estimate, truth: Truth) -> list[Score]:
         """Compute one metric at many thresholds in the main region, as ``scores`` does; empty where there is none."""
         return []
 
@@ -188,7 +188,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     def missing(self, truth: Truth, dense: bool = False) -> list[Score]:
         """Return the scores (or ``dense``) of a scene without a map: the worst value, NaN where there is no bound."""
-        scores = (self.dense if dense else self.scores)(self.nothing(truth), truth)
+        scores = (self.threshold_curve if dense else self.scores)(self.nothing(truth), truth)
         sizes = {name: int(np.count_nonzero(region)) for name, region in self.regions(truth).items()}
         made = []
         for score in scores:
@@ -214,7 +214,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     # Several scenes
 
-    def keep(self, estimate: Estimate, truth: Truth) -> Any:
+    def pooling_data(self, estimate: Estimate, truth: Truth) -> Any:
         """Return what ``mean`` needs beside the scores, such as points to be pooled; kept in memory, not written."""
         return None
 

@@ -66,17 +66,17 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     """Thresholds of the tables, pixels; that of the settings is added."""
     default_threshold: ClassVar[float]
     """Threshold of the headline, pixels."""
-    rule: ClassVar[Measure] = Measure("bad", "%", convention=MISSING_IS_BAD, worst=100.0)
+    thresholded_measure: ClassVar[Measure] = Measure("bad", "%", convention=MISSING_IS_BAD, worst=100.0)
     """The headline without its threshold."""
 
     @property
     def headline(self) -> Measure:
-        """``rule`` at the benchmark's threshold, or at the user's."""
+        """``thresholded_measure`` at the benchmark's threshold, or at the user's."""
         return self.at(self.settings.threshold or self.default_threshold)
 
     def at(self, threshold: float) -> Measure:
         """Return the headline's measure at another threshold."""
-        return replace(self.rule, threshold=threshold)
+        return replace(self.thresholded_measure, threshold=threshold)
 
     plot_thresholds: tuple[float, ...] | None = None
     """Thresholds to take instead of ``thresholds``, set on the copy that computes a plot."""
@@ -161,7 +161,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         error = self.error(estimate, truth)
         return [Tally(name, error[region]) for name, region in self.regions(truth).items()]
 
-    def dense(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
+    def threshold_curve(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute the headline's metric at its thresholds and at others up to 6 px, or twice the user's."""
         many, main = copy(self), next(iter(self.regions(truth)))
         top = max(_MAX_DENSE_PX, 2 * (self.settings.threshold or 0.0))

@@ -141,7 +141,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         wrong: NDArray[np.bool_] = _ratio(estimate, truth.depth) >= _WRONG_RATIO
         return wrong
 
-    def dense(self, estimate: Depth, truth: DepthTruth) -> list[Score]:
+    def threshold_curve(self, estimate: Depth, truth: DepthTruth) -> list[Score]:
         """Compute delta at ratios up to 1.5."""
         name, region = next(iter(truth.regions.items()))
         tally = Tally(name, self.error(estimate, truth)[region])

@@ -28,7 +28,7 @@ class Eth3d(DisparityProtocol):
     )
     thresholds = (0.5, 1.0, 2.0, 4.0)
     default_threshold = 1.0
-    rule = Measure("bad", "%", convention=MISSING_NOT_COUNTED, worst=100.0)
+    thresholded_measure = Measure("bad", "%", convention=MISSING_NOT_COUNTED, worst=100.0)
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the estimate without the values, of either sign, that are beyond the image's width."""

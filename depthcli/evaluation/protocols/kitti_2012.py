@@ -52,7 +52,7 @@ class Kitti2012(DisparityProtocol):
     curve_regions = ("noc", "occ")
     thresholds = (2.0, 3.0, 4.0, 5.0)
     default_threshold = 3.0
-    rule = Measure("out", "%", convention=INTERPOLATED, worst=100.0)
+    thresholded_measure = Measure("out", "%", convention=INTERPOLATED, worst=100.0)
 
     def masks(self, stored: StereoTruth) -> Masks:
         """Return ``noc``, the visible pixels, where there is such a file, and ``occ``, all pixels."""

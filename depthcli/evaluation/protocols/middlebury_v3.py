@@ -49,7 +49,7 @@ class MiddleburyV3(DisparityProtocol):
     thresholds = (0.5, 1.0, 2.0, 4.0)
     default_threshold = 2.0
     takes = ("scale", "threshold", "resolution")
-    rule = Measure("totbad", "%", convention=MISSING_IS_BAD, worst=100.0)
+    thresholded_measure = Measure("totbad", "%", convention=MISSING_IS_BAD, worst=100.0)
 
     def weight(self, scene: str) -> float:
         """Return 0.5 for a hard scene and 1 for all others, as in the site's average."""

@@ -221,7 +221,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
             for of, error in kinds.items()
         ]
 
-    def keep(self, estimate: Errors, truth: PreparedTruth) -> tuple[str, Errors, Errors]:
+    def pooling_data(self, estimate: Errors, truth: PreparedTruth) -> tuple[str, Errors, Errors]:
         """Return region, expected and true errors of all points."""
         return truth.region, estimate, truth.error
 
