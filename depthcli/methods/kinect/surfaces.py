@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces, surface_at
-from depthcli.algorithms.regions import adjacency, region_graph
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 SHADOW_PENALTY = 1000.0
 """Cost of a surface that a shadow rules out: above any path of colors, so that it is taken only without another."""
 _BOUNDARY_COST = 10  # of a common boundary of one pixel, grey levels; value of the shipped presets, not varied
+_COLUMNS = 64  # a task of the vertical pass: whole cache lines
 
 
 def join_segments(
@@ -46,19 +46,91 @@ def join_segments(
     owners = np.where(modelled, np.arange(count, dtype=np.int32), np.int32(-1))
     if modelled.all() or not modelled.any():
         return owners
-    graph = region_graph(labels, color)
-    places = np.indices(labels.shape, np.float64).reshape(2, -1)
-    centers = np.stack([np.bincount(labels.ravel(), axis, count) for axis in places], axis=1)
-    limited = np.isfinite(limit)
-    n_limited = np.bincount(labels[limited], minlength=count)
-    mean_limit = np.bincount(labels[limited], limit[limited], count) / np.maximum(n_limited, 1)
-    mean_limit[3 * n_limited <= graph.sizes] = np.inf  # too few pixels of the segment lie in a shadow
+    mean, segment_center, limits = _statistics(labels, color, limit, count)
+    starts, neighbors, boundary = _neighbors(labels, count)
     _join(
-        owners, graph.means, centers / graph.sizes[:, None], mean_limit,
-        *adjacency(count, graph.edges, graph.boundary),
+        owners, mean, segment_center, limits, starts, neighbors, boundary,
         surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit,
     )  # fmt: skip
     return owners
+
+
+@jit
+def _statistics(labels, color, limit, count):  # type: ignore[no-untyped-def]
+    # Mean color, center (y, x), and mean limit of every segment; inf where at most a third has a limit.
+    height, width = labels.shape
+    sums = np.zeros((count, 8), np.int64)  # size, three colors, y, x, pixels with a limit
+    limit_sums = np.zeros(count, np.float64)
+    for y in range(height):
+        for x in range(width):
+            s = labels[y, x]
+            sums[s, 0] += 1
+            for c in range(3):
+                sums[s, 1 + c] += color[y, x, c]
+            sums[s, 4] += y
+            sums[s, 5] += x
+            if limit[y, x] < np.inf:
+                sums[s, 6] += 1
+                limit_sums[s] += limit[y, x]
+    mean = np.empty((count, 3), np.float64)
+    segment_center = np.empty((count, 2), np.float64)
+    limits = np.full(count, np.inf)
+    for s in range(count):
+        size = float(sums[s, 0])
+        for c in range(3):
+            mean[s, c] = sums[s, 1 + c] / size
+        for c in range(2):
+            segment_center[s, c] = sums[s, 4 + c] / size
+        if 3 * sums[s, 6] > sums[s, 0]:
+            limits[s] = limit_sums[s] / sums[s, 6]
+    return mean, segment_center, limits
+
+
+@jit
+def _neighbors(labels, count):  # type: ignore[no-untyped-def]
+    # The neighbors of s are ``neighbors[starts[s]:starts[s + 1]]``, with the length of the common boundary in pixels.
+    height, width = labels.shape
+    starts = np.zeros(count + 1, np.int64)
+    for y in range(height):
+        for x in range(width):
+            s = labels[y, x]
+            for step in range(2):
+                y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
+                if y2 < height and x2 < width and labels[y2, x2] != s:
+                    starts[s + 1] += 1
+                    starts[labels[y2, x2] + 1] += 1
+    for s in range(count):
+        starts[s + 1] += starts[s]
+    raw = np.empty(starts[count], np.int32)
+    free = starts[:count].copy()
+    for y in range(height):
+        for x in range(width):
+            s = labels[y, x]
+            for step in range(2):
+                y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
+                if y2 < height and x2 < width and labels[y2, x2] != s:
+                    t = labels[y2, x2]
+                    raw[free[s]] = t
+                    free[s] += 1
+                    raw[free[t]] = s
+                    free[t] += 1
+    # Each bucket, written over itself without repetitions.
+    place = np.full(count, -1, np.int64)
+    boundary = np.zeros(raw.size, np.int32)
+    end = 0
+    for s in range(count):
+        first, last = starts[s], starts[s + 1]
+        starts[s] = end
+        for k in range(first, last):
+            t = raw[k]
+            if place[t] < starts[s]:
+                place[t] = end
+                raw[end] = t
+                boundary[end] = 0
+                end += 1
+            boundary[place[t]] += 1
+    starts[count] = end
+    return starts, raw[:end], boundary[:end]
 
 
 @jit
@@ -79,8 +151,10 @@ def _join(owners, mean, segment_center, limits, starts, neighbors, boundary, coe
             step = _BOUNDARY_COST / np.sqrt(float(boundary[k]))
             for c in range(3):
                 step += abs(mean[s, c] - mean[t, c])
-            y, x = segment_center[t]
-            if surface_at(coefficients, center, bounds, unit, owner, y, x) > limits[t]:
+            if (
+                surface_at(coefficients, center, bounds, unit, owner, segment_center[t, 0], segment_center[t, 1])
+                > limits[t]
+            ):
                 step += SHADOW_PENALTY
             heapq.heappush(waiting, (cost + step, np.int64(t), owner))
 
@@ -104,28 +178,59 @@ def add_detail(
     scale : (n,) float32 of the residuals; those above three count as three
     reach : pixels
     """
+    weights = np.empty(surface.shape, np.float32)
+    residuals = np.empty(surface.shape, np.float32)
     decay = np.float32(np.exp(-1 / reach))
-    limit = np.float32(3) * scale[labels]
-    residuals = np.clip(known - surface, -limit, limit)
-    weights = (~np.isnan(residuals)).astype(np.float32)
-    residuals[weights == 0] = 0
-    _spread_along_rows(labels, decay, residuals, weights)
-    residuals, weights = np.ascontiguousarray(residuals.T), np.ascontiguousarray(weights.T)
-    _spread_along_rows(np.ascontiguousarray(labels.T), decay, residuals, weights)
-    surface += (residuals / (weights + np.float32(0.5))).T
+    _residuals(surface, known, labels, scale, decay, residuals, weights)
+    _spread_down(labels, decay, residuals, weights)
+    _add(surface, residuals, weights)
 
 
 @parallel_jit
-def _spread_along_rows(labels, decay, residuals, weights):  # type: ignore[no-untyped-def]
-    # Recursive sums over the pixels of one segment, to the right and back.
-    height, width = labels.shape
-    back = np.float32(1) - decay * decay  # the way back adds to the sums of the way there
+def _residuals(surface, known, labels, scale, decay, residuals, weights):  # type: ignore[no-untyped-def]
+    height, width = surface.shape
+    back = np.float32(1) - decay * decay  # the second pass adds to the sums of the first
     for y in prange(height):
-        for x in range(1, width):
-            if labels[y, x - 1] == labels[y, x]:
+        for x in range(width):
+            s = labels[y, x]
+            residual = known[y, x] - surface[y, x]
+            residuals[y, x] = np.float32(0)
+            weights[y, x] = np.float32(0)
+            if not np.isnan(residual):
+                limit = np.float32(3) * scale[s]
+                residuals[y, x] = min(max(residual, -limit), limit)
+                weights[y, x] = np.float32(1)
+            if x > 0 and labels[y, x - 1] == s:
                 residuals[y, x] += decay * residuals[y, x - 1]
                 weights[y, x] += decay * weights[y, x - 1]
         for x in range(width - 2, -1, -1):
             if labels[y, x + 1] == labels[y, x]:
                 residuals[y, x] = back * residuals[y, x] + decay * residuals[y, x + 1]
                 weights[y, x] = back * weights[y, x] + decay * weights[y, x + 1]
+
+
+@parallel_jit
+def _spread_down(labels, decay, residuals, weights):  # type: ignore[no-untyped-def]
+    height, width = labels.shape
+    back = np.float32(1) - decay * decay
+    for task in prange((width + _COLUMNS - 1) // _COLUMNS):
+        first = task * _COLUMNS
+        end = min(first + _COLUMNS, width)
+        for y in range(1, height):
+            for x in range(first, end):
+                if labels[y, x] == labels[y - 1, x]:
+                    residuals[y, x] += decay * residuals[y - 1, x]
+                    weights[y, x] += decay * weights[y - 1, x]
+        for y in range(height - 2, -1, -1):
+            for x in range(first, end):
+                if labels[y, x] == labels[y + 1, x]:
+                    residuals[y, x] = back * residuals[y, x] + decay * residuals[y + 1, x]
+                    weights[y, x] = back * weights[y, x] + decay * weights[y + 1, x]
+
+
+@parallel_jit
+def _add(surface, residuals, weights):  # type: ignore[no-untyped-def]
+    height, width = surface.shape
+    for y in prange(height):
+        for x in range(width):
+            surface[y, x] += residuals[y, x] / (weights[y, x] + np.float32(0.5))
