@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
+from depthcli.core.yaml_source import short
 from depthcli.data.formats.files import naming, read_bytes, shown
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -99,7 +100,7 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
             if fields.get("rectified") is True:
                 fb = fields.get("fb")
                 if isinstance(fb, bool) or not isinstance(fb, int | float) or not 0 < fb < 1e9:
-                    raise InputError(f"fb: want focal length x baseline, pixel meters (got {fb!r})")
+                    raise InputError(f"fb: want focal length x baseline, pixel meters (got {short(fb)})")
                 return float(fb)
             cameras = [_json_camera(fields, "color", color_size), _json_camera(fields, "infrared", infrared_size)]
             rotation, translation = (_listed(fields, key, shape) for key, shape in (("R", (3, 3)), ("t", (3,))))

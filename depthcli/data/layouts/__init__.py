@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from depthcli.core.errors import InputError
+from depthcli.core.yaml_source import short
 from depthcli.data.formats.files import read_bytes
 from depthcli.data.scenes import Scene
 
@@ -82,14 +83,14 @@ class Folder:
         if value is None:
             return None
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < limit:
-            raise InputError(f"{self.path / 'meta.json'}: {key}: want a positive number (got {value!r})")
+            raise InputError(f"{self.path / 'meta.json'}: {key}: want a positive number (got {short(value)})")
         return float(value)
 
     def whole(self, meta: dict[str, Any], key: str) -> int | None:
         """Return a positive whole number of ``meta.json``, or None where it has none."""
         value = self.positive(meta, key)
         if value is not None and value != int(value):
-            raise InputError(f"{self.path / 'meta.json'}: {key}: want a whole number (got {value!r})")
+            raise InputError(f"{self.path / 'meta.json'}: {key}: want a whole number (got {short(value)})")
         return None if value is None else int(value)
 
     def integer(self, meta: dict[str, Any], key: str, limit: int = 1 << 20) -> int | None:
@@ -97,14 +98,14 @@ class Folder:
         value = meta.get(key)
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)
                                   or value != value // 1 or abs(value) > limit):  # fmt: skip
-            raise InputError(f"{self.path / 'meta.json'}: {key}: want a whole number (got {value!r})")
+            raise InputError(f"{self.path / 'meta.json'}: {key}: want a whole number (got {short(value)})")
         return None if value is None else int(value)
 
     def text(self, meta: dict[str, Any], key: str, default: str) -> str:
         """Return a word of ``meta.json``, or ``default``."""
         value = meta.get(key, default)
         if not isinstance(value, str):
-            raise InputError(f"{self.path / 'meta.json'}: {key}: want a word (got {value!r})")
+            raise InputError(f"{self.path / 'meta.json'}: {key}: want a word (got {short(value)})")
         return value
 
 
