@@ -70,7 +70,7 @@ class ReportWriter:
             if self.shard is None:
                 write_report(self.output, self.command, rows)
             else:
-                _write_part(self.output, self.command, self.run, self.shard, self.inputs, rows)
+                _write_part(self.output, self.command, self.run, self.shard, self.inputs, rows, final)
             self.problem = ""
         except OutputError as error:  # a scene that cannot be written reports that itself
             self.problem = str(error)
@@ -103,11 +103,12 @@ def open_part(output: Path, command: str, run: str, shard: Shard, inputs: str) -
             "shards the same --input and --scenes, or choose another --output, or --overwrite it"
         )
     if not (output / PARTS_FOLDER / f"{shard}.json").is_file():
-        _write_part(output, command, run, shard, inputs, [])
+        _write_part(output, command, run, shard, inputs, [], ended=False)
 
 
-def _write_part(output: Path, command: str, run: str, shard: Shard, inputs: str, rows: list[Row]) -> None:
-    write_rows(output / PARTS_FOLDER / f"{shard}.json", rows, {"command": command, "run": run, "inputs": inputs}, {})
+def _write_part(output: Path, command: str, run: str, shard: Shard, inputs: str, rows: list[Row], ended: bool) -> None:
+    before = {"command": command, "run": run, "inputs": inputs}
+    write_rows(output / PARTS_FOLDER / f"{shard}.json", rows, before, {"ended": ended})
 
 
 def _parts(output: Path) -> dict[Path, tuple[str, str]]:
@@ -130,8 +131,12 @@ def drop_parts(output: Path, other_than: tuple[str, str] | None = None) -> None:
 
 
 def drop_joined_parts(output: Path) -> None:
-    """Delete the reports of the shards when the last one is there; until then they say which inputs belong together."""
-    names = {part.stem for part in _parts(output)}
+    """Delete the reports of the shards when all have ended; until then they say which inputs belong together.
+
+    A shard that was killed has not ended.
+    """
+    ends = {part.stem: ends_of_file(part) for part in _parts(output)}
+    names = {name for name, end in ends.items() if end is not None and b'"ended": true' in end[2]}
     counts = {int(name.rpartition("-")[2]) for name in names if name.rpartition("-")[2].isdigit()}
     if any(all(f"{index}-of-{count}" in names for index in range(1, count + 1)) for count in counts):
         drop_parts(output)
