@@ -5,6 +5,8 @@ All that is wrong with the maps is reported together, and nothing is written the
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import math
 import os
 from collections.abc import Iterable, Sequence
@@ -88,6 +90,9 @@ class ExportCommand(Command):
         if unknown := [entry.scene for entry in entries if entry.size is None]:
             reporter.info(f"sizes not checked, as the images are not known: {_named(unknown)}")
         files = (bench.files(entry, read_disparity(entry.file), submission) for entry in entries)
+        for leftover in target.parent.glob(f".{glob.escape(target.name)}.*.partial~"):  # of an export that was killed
+            with contextlib.suppress(OSError):
+                leftover.unlink()
         names = _write_archive(target, files)
         counts = {split: sum(entry.split == split for entry in entries) for split in splits}
         parts = ", ".join(f"{n} {split}" for split, n in counts.items() if n)
