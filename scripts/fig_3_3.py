@@ -23,7 +23,7 @@ import _env  # noqa: F401  (first: continues in the checkout's environment)
 import numpy as np
 
 from depthcli.data.walk import discover_scenes
-from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
+from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number, Table
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.aggregation import Aggregator
@@ -58,7 +58,7 @@ def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
     """Return a row for each similarity, aggregation, window and scene, with the error in every mask."""
     rows: list[dict[str, object]] = []
     for scene in discover_scenes(data):
-        pair, truth = scene.load(), MiddleburyV2().truth(scene)
+        pair, truth = scene.load(), MiddleburyV2Protocol().truth(scene)
         if scene.max_disparity is None or not set(MASKS) <= set(truth.masks):
             raise SystemExit(f"scene {scene.name}: want max_disparity and the masks {', '.join(MASKS)}")
         for similarity, cost in similarities().items():
@@ -67,7 +67,7 @@ def measure(data: Path, windows: list[int]) -> list[dict[str, object]]:
                 start = time.perf_counter()
                 disparity = winners(aggregate(volume, pair).costs)[0].astype(np.float32)
                 seconds = time.perf_counter() - start
-                rates = MiddleburyV2().headlines(disparity, truth)
+                rates = MiddleburyV2Protocol().headlines(disparity, truth)
                 bad = {mask: round(rates[mask], 3) for mask in MASKS}
                 rows.append({"similarity": similarity, "aggregation": name, "window": window, "scene": scene.name,
                              **bad, "seconds": round(seconds, 4)})  # fmt: skip

@@ -19,7 +19,7 @@ import numpy as np
 
 from depthcli.data.formats.disparity import read_disparity
 from depthcli.data.walk import discover_scenes
-from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
+from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 
 
 def main() -> int:
@@ -40,7 +40,7 @@ def main() -> int:
             if done.returncode:
                 return done.returncode
         (scene,) = discover_scenes(scenes)
-        left, truth = scene.load().left, MiddleburyV2().truth(scene)
+        left, truth = scene.load().left, MiddleburyV2Protocol().truth(scene)
         estimate = read_disparity(run / scene.name / "disp_left.pfm")
     assert scene.max_disparity is not None
     strip = np.hstack(
@@ -48,14 +48,14 @@ def main() -> int:
             left,
             colored(truth.disparity, scene.max_disparity),
             colored(estimate, scene.max_disparity),
-            MiddleburyV2().picture(estimate, truth),
+            MiddleburyV2Protocol().picture(estimate, truth),
         ]
     )
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / f"{options.preset}-{scene.name}.jpg"
     half = cv2.resize(strip, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
     cv2.imwrite(str(path), half[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
-    bad = MiddleburyV2().headlines(estimate, truth)["nonocc"]
+    bad = MiddleburyV2Protocol().headlines(estimate, truth)["nonocc"]
     print(f"{path}: {path.stat().st_size / 1000:.0f} kB, {bad:.2f} % of the visible pixels are off by more than 1 px")
     return 0
 

@@ -22,7 +22,7 @@ from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.data.walk import discover_scenes
-from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2
+from depthcli.evaluation.protocols.middlebury_v2 import MiddleburyV2Protocol
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.scores import bad_rate
 from depthcli.evaluation.statistics import average_ranks
@@ -63,7 +63,7 @@ def measure(pipeline: StereoPipeline, data: Path) -> list[float]:
     for name in SCENES:
         scene = by_name[name]
         values = pipeline(scene.load(), scene.max_disparity).disparity.values
-        rates = MiddleburyV2().headlines(values, MiddleburyV2().truth(scene))
+        rates = MiddleburyV2Protocol().headlines(values, MiddleburyV2Protocol().truth(scene))
         figures += [rates[mask] for mask in MASKS]
     return figures
 

@@ -17,7 +17,7 @@ from depthcli.data.formats.images import write_png
 from depthcli.data.scenes import Scene
 from depthcli.evaluation.plots import curve_plot
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load
-from depthcli.evaluation.results import Result
+from depthcli.evaluation.results import MapResult
 
 if TYPE_CHECKING:
     from depthcli.batch.json_csv import Row
@@ -52,10 +52,10 @@ class Scoring:
         """Run -> scene -> row of the run's own report."""
         return {run: read_report(place) for run, place in self.runs.items()}
 
-    def results(self, scene: Scene, unique: bool) -> list[Result]:
+    def results(self, scene: Scene, unique: bool) -> list[MapResult]:
         """Return the results of one scene for every run; ``unique``: no other scene has its short name."""
         folder, _, short = scene.name.rpartition("/")
-        start = Result("", scene.name, folder or self.truth.resolve().name, "")
+        start = MapResult("", scene.name, folder or self.truth.resolve().name, "")
         names = [scene.name, f"{self.truth.resolve().name}/{scene.name}", *([short] if unique else [])]
         try:
             protocol = self._protocol_of(scene)
@@ -76,13 +76,17 @@ class Scoring:
         protocol = self.protocol or load(scene.protocol)(self.settings)
         return self.protocols.setdefault(protocol.name, protocol)
 
-    def _result(self, start: Result, protocol: AnyProtocol, scene: Scene, truth: object, names: list[str]) -> Result:
+    def _result(
+        self, start: MapResult, protocol: AnyProtocol, scene: Scene, truth: object, names: list[str]
+    ) -> MapResult:
         """The result of one run's map, with what its readers and the protocol warn of."""
         with collected_warnings() as lines:
             result = self._scored(start, protocol, scene, truth, names)
         return replace(result, warning="; ".join(filter(None, [result.warning, *lines])))
 
-    def _scored(self, start: Result, protocol: AnyProtocol, scene: Scene, truth: object, names: list[str]) -> Result:
+    def _scored(
+        self, start: MapResult, protocol: AnyProtocol, scene: Scene, truth: object, names: list[str]
+    ) -> MapResult:
         """Find, read, score and draw one run's map; where that fails, the worst scores with the reason."""
         place, rows = self.runs[start.run], self.reports[start.run]
         row: Row = next((rows[name] for name in names if name in rows), {})

@@ -7,6 +7,7 @@ is read and how it is scored is decided by the scene's protocol (``depthcli/eval
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,7 +30,7 @@ HTML = (
     Option("html_budget", str, "Size of its pictures beyond which they are scaled down, full ones beside the file.",
            "SIZE", default="50MB"),
 )  # fmt: skip
-_DEFAULT_PROTOCOL = "middlebury_v2"  # of a truth file that lies in no scene's folder, without --protocol
+_DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's folder, without --protocol
 
 
 class EvaluateCommand(Command):
@@ -62,11 +63,11 @@ class EvaluateCommand(Command):
     def run(self, values: Values, reporter: Reporter) -> int:
         """Evaluate and print the tables; return the exit code."""
         from depthcli.batch.json_csv import to_json
-        from depthcli.evaluation.protocols import Settings, parse_size
+        from depthcli.evaluation.protocols import Settings
         from depthcli.evaluation.render import FORMATS
         from depthcli.evaluation.tables import report_text, wide_tables
 
-        resolution, resize = (values["resolution"] or "").upper() or None, parse_size(values["resize"])
+        resolution, resize = (values["resolution"] or "").upper() or None, _size(values["resize"])
         settings = Settings(values["scale"], resolution, values["threshold"], resize)
         form = values["format"]
         if form is not None and form not in FORMATS:
@@ -172,6 +173,14 @@ def new_page(command: Command, values: Values, output: Path | None) -> Page | No
     from depthcli.report.page import Page
 
     return Page(output, command.line(values), parse_bytes(values["html_budget"], "--html-budget"))
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    """Return ``640x480`` as (640, 480), and None for None."""
+    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", (text or "1x1").strip().lower())
+    if not found:
+        raise ConfigError(f"--resize: want WIDTHxHEIGHT, such as 256x144 (got {text!r})")
+    return (int(found[1]), int(found[2])) if text else None
 
 
 def _find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:

@@ -103,10 +103,10 @@ def _png(values: NDArray[np.float32], name: str) -> bytes:
     return data
 
 
-class MiddleburyV3(Benchmark):
+class MiddleburyV3Benchmark(Benchmark):
     """PFM maps and times in the folders ``trainingX`` and ``testX``, X being the resolution."""
 
-    protocol = "middlebury_v3"
+    protocol = "middlebury-v3"
     timed = True
     scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {
         TRAINING: ("Adirondack", "ArtL", "Jadeplant", "Motorcycle", "MotorcycleE", "Piano", "PianoL", "Pipes",
@@ -156,7 +156,7 @@ class MiddleburyV3(Benchmark):
         }
 
 
-class Eth3d(Benchmark):
+class Eth3dBenchmark(Benchmark):
     """PFM maps and run times in the folder ``low_res_two_view``."""
 
     protocol = "eth3d"
@@ -187,10 +187,10 @@ class Eth3d(Benchmark):
         }
 
 
-class Kitti2015(Benchmark):
+class Kitti2015Benchmark(Benchmark):
     """16-bit PNG maps in the folder ``disp_0``."""
 
-    protocol = "kitti_2015"
+    protocol = "kitti-2015"
     scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {TEST: tuple(f"{n:06d}_10" for n in range(200))}
     folder = "disp_0/"
 
@@ -210,17 +210,17 @@ class Kitti2015(Benchmark):
         return {name: _png(values, name)}
 
 
-class Kitti2012(Kitti2015):
+class Kitti2012Benchmark(Kitti2015Benchmark):
     """16-bit PNG maps in the archive's root."""
 
-    protocol = "kitti_2012"
+    protocol = "kitti-2012"
     scenes: ClassVar[Mapping[str, tuple[str, ...]]] = {TEST: tuple(f"{n:06d}_10" for n in range(195))}
     folder = ""
 
 
 BENCHMARKS: Mapping[str, type[Benchmark]] = {
-    "middlebury-v3": MiddleburyV3, "kitti-2012": Kitti2012, "kitti-2015": Kitti2015, "eth3d": Eth3d,
-}  # fmt: skip
+    each.protocol: each for each in (MiddleburyV3Benchmark, Kitti2012Benchmark, Kitti2015Benchmark, Eth3dBenchmark)
+}
 
 
 def benchmark(name: str) -> Benchmark:

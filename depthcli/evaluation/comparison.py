@@ -13,7 +13,7 @@ import numpy as np
 
 from depthcli.core.errors import InputError
 from depthcli.evaluation.protocols import AnyProtocol
-from depthcli.evaluation.results import COMMON_MEAN, MEAN, Record, Result
+from depthcli.evaluation.results import COMMON_MEAN, MEAN, MapResult, Record
 from depthcli.evaluation.scores import Key, Score
 from depthcli.evaluation.statistics import Comparison, average_ranks, compare
 
@@ -29,7 +29,7 @@ class Section:
     data_set: str
     protocol: AnyProtocol
     runs: tuple[str, ...]
-    results: tuple[Result, ...]
+    results: tuple[MapResult, ...]
 
     @cached_property
     def scenes(self) -> list[str]:
@@ -48,7 +48,7 @@ class Section:
 
     @cached_property
     def keys(self) -> list[Key]:
-        """All pairs of measure and region that have a score."""
+        """All pairs of metric and region that have a score."""
         return list(dict.fromkeys(score.key for result in self.results for score in result.scores))
 
     @property
@@ -56,7 +56,7 @@ class Section:
         """True where some run has no map of some scene."""
         return len(self.common) < len(self.scenes)
 
-    def results_of(self, run: str, common: bool = False) -> list[Result]:
+    def results_of(self, run: str, common: bool = False) -> list[MapResult]:
         """Return one run's results of all scenes, or of the common ones."""
         return [r for r in self.results if r.run == run and (not common or r.scene in self.common)]
 
@@ -66,7 +66,7 @@ class Section:
 
     @cached_property
     def mean_records(self) -> list[Record]:
-        """The means of every run, measure and region, over all scenes (``MEAN``) and common ones (``COMMON_MEAN``)."""
+        """The means of every run, metric and region, over all scenes (``MEAN``) and common ones (``COMMON_MEAN``)."""
         made = []
         for run in self.runs:
             common = {score.key: score for score in self.protocol.mean(self.results_of(run, common=True))}
@@ -117,7 +117,7 @@ class Section:
         return [math.nan if score is None else sign * score.value for score in scores]
 
     def average_rank(self, keys: Sequence[Key]) -> dict[str, float]:
-        """Return run -> mean rank over the common scenes and (measure, region) pairs; equal values share a rank."""
+        """Return run -> mean rank over the common scenes and (metric, region) pairs; equal values share a rank."""
         grid = [
             [
                 (-1 if key[0].larger_is_better else 1) * r.by_key[key].value
@@ -152,12 +152,12 @@ class EvaluationReport:
     """
 
     runs: tuple[str, ...]
-    results: tuple[Result, ...]
+    results: tuple[MapResult, ...]
     protocols: dict[str, AnyProtocol]
     truth: Path
 
     @property
-    def failed(self) -> list[Result]:
+    def failed(self) -> list[MapResult]:
         """Results without a usable map or truth."""
         return [result for result in self.results if result.error]
 
@@ -181,8 +181,8 @@ class EvaluationReport:
         """Sections of all protocols, each with the scenes of all data sets."""
         return self._sections(lambda result: "all scenes")
 
-    def _sections(self, name: Callable[[Result], str]) -> list[Section]:
-        groups: dict[tuple[str, str], list[Result]] = {}
+    def _sections(self, name: Callable[[MapResult], str]) -> list[Section]:
+        groups: dict[tuple[str, str], list[MapResult]] = {}
         for result in self.results:
             if result.scores:
                 groups.setdefault((name(result), result.protocol), []).append(result)
@@ -202,7 +202,7 @@ class EvaluationReport:
         return made + [record for section in self.sections for record in section.mean_records]
 
     def means(self) -> list[dict[str, Any]]:
-        """Return the means of every measure by data set, run and region, as plain values."""
+        """Return the means of every metric by data set, run and region, as plain values."""
         made = []
         for section in self.sections:
             for mean, common in zip(section.mean_records[::2], section.mean_records[1::2], strict=True):
@@ -226,11 +226,11 @@ class EvaluationReport:
         for section in self.sections:
             for run in self.runs:
                 if scores := section.threshold_curve(run):
-                    m = scores[0].measure
+                    m = scores[0].metric
                     made.append({
                         "run": run, "data_set": section.data_set, "protocol": section.protocol.name,
-                        "metric": m.metric, "mask": scores[0].region, "unit": m.unit, "convention": m.convention,
-                        "thresholds": [s.measure.threshold for s in scores], "values": [s.value for s in scores],
+                        "metric": m.name, "mask": scores[0].region, "unit": m.unit, "convention": m.convention,
+                        "thresholds": [s.metric.threshold for s in scores], "values": [s.value for s in scores],
                     })  # fmt: skip
         return made
 

@@ -36,14 +36,14 @@ _SETTINGS = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 10
 def plots(section: Section) -> dict[str, str]:
     """Return caption -> text of an SVG file, of all plots that the section has numbers for."""
     made = {}
-    measure = section.protocol.headline.heading_with_unit
-    what = f"{measure}, {section.regions[0]}"
+    metric = section.protocol.headline.heading_with_unit
+    what = f"{metric}, {section.regions[0]}"
     if len(section.scenes) > 2:
         made[f"Spread over the scenes ({what}): box: middle half; line: median; dots: scenes"] = _boxes(section, what)
     if (curves := _by_threshold(section)) is not None:
         made["Against the threshold, over all scenes; dots: thresholds of the tables"] = curves
     if any(not math.isnan(r.seconds) for r in section.results):
-        of_all = f"{measure}, {' + '.join(section.protocol.figure_regions(section.regions))}"
+        of_all = f"{metric}, {' + '.join(section.protocol.figure_regions(section.regions))}"
         made[f"Time against {of_all}: means of a scene"] = _times(section, of_all)
     for (region, of), svg in _sparsifications(section):
         made[f"Sparsification, {region}: {'share of wrong pixels' if of == 'bad' else 'mean error'} of the most "
@@ -76,20 +76,20 @@ def _by_threshold(section: Section) -> str | None:
     some = next(iter(lines.values()))[0]
     with _figure() as (axes, out):
         for i, run in enumerate(section.runs):
-            points = [(s.measure.threshold, s.value) for s in lines.get(run, ()) if s.measure.threshold is not None]
+            points = [(s.metric.threshold, s.value) for s in lines.get(run, ()) if s.metric.threshold is not None]
             _line(axes, i, run, points, marker="")
             dots = [  # of the tables
                 (m.threshold, score.value)
                 for m, region in section.keys
                 if m.threshold is not None and region == some.region
-                and m == replace(some.measure, threshold=m.threshold) and points and m.threshold <= points[-1][0]
+                and m == replace(some.metric, threshold=m.threshold) and points and m.threshold <= points[-1][0]
                 and (score := section.score(run, MEAN, (m, region))) is not None
             ]  # fmt: skip
             axes.plot([x for x, _ in dots], [y for _, y in dots], linestyle="", marker=_marker(i), ms=4,
                       color=_color(i))  # fmt: skip
         axes.set_xlabel(_plain(section.protocol.presentation.threshold_axis))
-        axes.set_ylabel(_plain(f"{some.measure.metric}, {some.measure.unit}, {some.region}"))
-        if not some.measure.larger_is_better:
+        axes.set_ylabel(_plain(f"{some.metric.name}, {some.metric.unit}, {some.region}"))
+        if not some.metric.larger_is_better:
             axes.set_ylim(bottom=0)
         _legend(axes, len(section.runs))
     return out[0]

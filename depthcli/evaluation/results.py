@@ -9,7 +9,7 @@ from typing import Any
 
 from depthcli.data.formats.files import short_path
 from depthcli.evaluation.curves import Sparsification
-from depthcli.evaluation.scores import Key, Measure, Score, find_score
+from depthcli.evaluation.scores import Key, Metric, Score, find_score
 
 MEAN, COMMON_MEAN = "*mean", "*common mean"
 """Scenes of the records that hold means: over all scenes, and over those of which every run has a map."""
@@ -28,7 +28,7 @@ class Record:
     Attributes
     ----------
     run, data_set, scene, protocol : where the number belongs; ``scene`` may be ``MEAN`` or ``COMMON_MEAN``
-    score : measure, region, value and denominator; None: the note says why there is no number
+    score : metric, region, value and denominator; None: the note says why there is no number
     source : path of the map inside its run folder, or empty
     note : what has to be known beside the number, or empty
     """
@@ -70,14 +70,14 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Result:
+class MapResult:
     """One map of one run against the truth of one scene, or the reason why there is none.
 
     Attributes
     ----------
     run, scene, data_set, protocol : where the numbers belong
     source : the map's path inside its run folder, or empty
-    scores : where the map is missing, the worst of every measure (``Protocol.missing``); empty where there is no
+    scores : where the map is missing, the worst of every metric (``Protocol.missing``); empty where there is no
         usable truth
     dense : the headline's metric at many thresholds, for plots (``Protocol.threshold_curve``)
     curves : sparsification curves of the confidence maps that lie beside the map
@@ -110,7 +110,7 @@ class Result:
 
     @cached_property
     def by_key(self) -> dict[Key, Score]:
-        """(measure, region) -> score."""
+        """(metric, region) -> score."""
         return {score.key: score for score in self.scores}
 
     @property
@@ -136,8 +136,8 @@ class Result:
         made = [Record(*where, score, self.source, note) for score in self.scores]
         for c in self.curves:
             for area, value in c.line.areas().items():
-                measure = Measure(f"{area}:{c.confidence}:{c.of}", "")
-                made.append(Record(*where, Score(measure, c.region, value, c.line.pixels, math.nan), self.source))
+                metric = Metric(f"{area}:{c.confidence}:{c.of}", "")
+                made.append(Record(*where, Score(metric, c.region, value, c.line.pixels, math.nan), self.source))
         return [*made, Record(*where, None, self.source, self.error)] if self.error else made
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Scores: single numbers, each with all that it takes to read it rightly.
 
 Benchmarks differ in what counts as an error, and above all in how they treat missing values. A :class:`Score`
-therefore carries its region, denominator and density, and its :class:`Measure` the threshold and the convention.
+therefore carries its region, denominator and density, and its :class:`Metric` the threshold and the convention.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ ESTIMATED_ONLY = "estimated pixels only"
 
 
 @dataclass(frozen=True)
-class Measure:
-    """What a score measures; scores of equal measures are averaged and compared.
+class Metric:
+    """What a score is a value of; scores of equal metrics are averaged and compared.
 
     Attributes
     ----------
-    metric : ``bad``, ``D1``, ``avgerr`` ...
+    name : ``bad``, ``D1``, ``avgerr`` ...
     unit : ``%``, ``px``, ``mm`` ... or empty
     threshold : in the protocol's unit, or None where the metric has none
     convention : how missing values are counted
@@ -36,7 +36,7 @@ class Measure:
     label : heading of a table's column; made from metric and threshold where it is empty
     """
 
-    metric: str
+    name: str
     unit: str
     threshold: float | None = None
     convention: str = ""
@@ -47,7 +47,7 @@ class Measure:
     @property
     def heading(self) -> str:
         """The label, or metric and threshold."""
-        return self.label or (self.metric if self.threshold is None else f"{self.metric} {self.threshold:g}")
+        return self.label or (self.name if self.threshold is None else f"{self.name} {self.threshold:g}")
 
     @property
     def heading_with_unit(self) -> str:
@@ -55,25 +55,25 @@ class Measure:
         return f"{self.heading}, {self.unit}" if self.unit else self.heading
 
 
-Key = tuple[Measure, str]
-"""A measure and the region that it is taken in."""
+Key = tuple[Metric, str]
+"""A metric and the region that it is taken in."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """The value of one measure in one region.
+    """The value of one metric in one region.
 
     Attributes
     ----------
-    measure, region : what was measured, and the name of the region
+    metric, region : what the value is of, and the name of the region
     value : NaN where the region has no pixel to take it over
     pixels : denominator: number of pixels (points, voxels) that the value is taken over
     density : percentage of the region's pixels with known truth where the map has a value; NaN for an empty region
-    wrong : number of wrong pixels, or None where the measure counts none
+    wrong : number of wrong pixels, or None where the metric counts none
     region_pixels : number of the region's pixels with known truth, by which densities of several scenes are pooled
     """
 
-    measure: Measure
+    metric: Metric
     region: str
     value: float
     pixels: int
@@ -83,14 +83,14 @@ class Score:
 
     @property
     def key(self) -> Key:
-        """Measure and region."""
-        return self.measure, self.region
+        """Metric and region."""
+        return self.metric, self.region
 
     def row(self) -> dict[str, Any]:
         """Return all fields as plain values, the region as ``mask``."""
-        m = self.measure
+        m = self.metric
         return {
-            "metric": m.metric, "mask": self.region, "threshold": m.threshold, "value": self.value, "unit": m.unit,
+            "metric": m.name, "mask": self.region, "threshold": m.threshold, "value": self.value, "unit": m.unit,
             "wrong": self.wrong, "pixels": self.pixels, "density": self.density, "convention": m.convention,
         }  # fmt: skip
 
@@ -119,23 +119,23 @@ class Tally:
         """Percentage of the pixels that have an estimate."""
         return percent(int(np.count_nonzero(~np.isnan(self.error))), self.error.size)
 
-    def rate(self, measure: Measure, wrong: NDArray[np.bool_]) -> Score:
+    def rate(self, metric: Metric, wrong: NDArray[np.bool_]) -> Score:
         """Return the percentage of True in ``wrong``, an array of all or some of the region's pixels."""
         n_wrong = int(np.count_nonzero(wrong))
-        return Score(measure, self.region, percent(n_wrong, wrong.size), wrong.size, self.density, n_wrong,
+        return Score(metric, self.region, percent(n_wrong, wrong.size), wrong.size, self.density, n_wrong,
                      self.error.size)  # fmt: skip
 
-    def number(self, measure: Measure, value: float, pixels: int) -> Score:
-        """Return the score of a measure that counts no wrong pixels."""
-        return Score(measure, self.region, value, pixels, self.density, region_pixels=self.error.size)
+    def number(self, metric: Metric, value: float, pixels: int) -> Score:
+        """Return the score of a metric that counts no wrong pixels."""
+        return Score(metric, self.region, value, pixels, self.density, region_pixels=self.error.size)
 
     def means(self) -> list[Score]:
         """Return ``avgerr`` and ``rms`` in pixels of disparity, over the estimated pixels."""
         error = self.valid.astype(np.float64)
         mean, square = (float(v.mean()) if v.size else math.nan for v in (error, error * error))
         return [
-            self.number(Measure("avgerr", "px", convention=ESTIMATED_ONLY), mean, error.size),
-            self.number(Measure("rms", "px", convention=ESTIMATED_ONLY), math.sqrt(square), error.size),
+            self.number(Metric("avgerr", "px", convention=ESTIMATED_ONLY), mean, error.size),
+            self.number(Metric("rms", "px", convention=ESTIMATED_ONLY), math.sqrt(square), error.size),
         ]
 
 
@@ -186,9 +186,9 @@ def find_score(
     fitting = [
         s
         for s in scores
-        if (s.measure.metric, s.region) == (metric, region)
-        and threshold in (None, s.measure.threshold)
-        and convention in (None, s.measure.convention)
+        if (s.metric.name, s.region) == (metric, region)
+        and threshold in (None, s.metric.threshold)
+        and convention in (None, s.metric.convention)
     ]
     if len(fitting) != 1:
         what = f"{metric}, region {region}, threshold {threshold}, convention {convention}"

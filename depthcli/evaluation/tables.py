@@ -1,7 +1,7 @@
 """Tables of an evaluation: its records arranged in rows and columns, as narrow tables to be read and as wide ones.
 
-Narrow tables have a row for every run or scene and a column for every measure or region. Wide tables have a row for
-every run, a column for every scene or measure, and ranked numbers: they are for papers and for the page.
+Narrow tables have a row for every run or scene and a column for every metric or region. Wide tables have a row for
+every run, a column for every scene or metric, and ranked numbers: they are for papers and for the page.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from depthcli.evaluation.results import COMMON_MEAN, MEAN, Curve
 from depthcli.evaluation.scores import Key, Score
 from depthcli.evaluation.statistics import mean_of_known
 
-_MISSING = "*: scenes without a map count as wholly wrong; where a measure has no worst value there is no mean over all"
+_MISSING = "*: scenes without a map count as wholly wrong; where a metric has no worst value there is no mean over all"
 _MAX_SCENE_COLUMNS = 4  # of a narrow table; more scenes are its rows
 
 
@@ -94,7 +94,7 @@ def summary(section: Section) -> Table:
 
 
 def details(section: Section) -> list[Table]:
-    """Return a table of every measure for each region, with a row for every run and scene, or for the means alone."""
+    """Return a table of every metric for each region, with a row for every run and scene, or for the means alone."""
     scene_rows = section.protocol.presentation.scene_rows
     made: list[Table] = []
     for region in section.regions:
@@ -109,8 +109,8 @@ def details(section: Section) -> list[Table]:
             if not scene_rows or len(section.scenes) > 1:
                 cells = (_cell(section, section.score(run, scene, key), mark) for key in keys)
                 rows.append((run, f"mean of {_n_scenes(section, run, scene)}", *cells))
-        header = ("run", "scene" if scene_rows else "scenes", *(measure.heading for measure, _ in keys))
-        title = f"{section.data_set} - {section.protocol.name}, every measure, {region}"
+        header = ("run", "scene" if scene_rows else "scenes", *(metric.heading for metric, _ in keys))
+        title = f"{section.data_set} - {section.protocol.name}, every metric, {region}"
         made.append(Table(title, header, tuple(rows)))
     return made
 
@@ -194,11 +194,11 @@ def further_tables(report: EvaluationReport) -> list[Table]:
 
 
 def wide_tables(report: EvaluationReport) -> list[Table]:
-    """Return the wide tables: of every section the headline by scene, then the means of all measures, by region."""
+    """Return the wide tables: of every section the headline by scene, then the means of all metrics, by region."""
     made = []
     for section in report.sections:
         made += [wide_by_scene(section, (section.protocol.headline, region)) for region in section.regions]
-        made += [wide_by_measure(section, region) for region in section.regions]
+        made += [wide_by_metric(section, region) for region in section.regions]
     return made
 
 
@@ -207,27 +207,27 @@ Column = tuple[str, list[Number], bool | None, str]
 
 
 def wide_by_scene(section: Section, key: Key) -> Table:
-    """Return one measure in one region: a column for every scene, then the means and, where they are known, times."""
-    measure, region = key
+    """Return one metric in one region: a column for every scene, then the means and, where they are known, times."""
+    metric, region = key
     columns: list[Column] = []
     for scene in section.scenes:
         results = [next(r for r in section.results_of(run) if r.scene == scene) for run in section.runs]
         if any(key in r.by_key for r in results):
             cells = [_cell(section, r.by_key.get(key), "*" * bool(r.error)) for r in results]
-            columns.append((short(scene), cells, measure.larger_is_better, scene))
+            columns.append((short(scene), cells, metric.larger_is_better, scene))
     if len(section.scenes) > 1:
         heading = section.protocol.presentation.mean_heading
         columns.append(_means(section, key, MEAN, heading))
         if section.common and section.incomplete:
             columns.append(_means(section, key, COMMON_MEAN, f"{heading} of {len(section.common)} common"))
-        if measure == section.protocol.headline and len(section.runs) > 1:
+        if metric == section.protocol.headline and len(section.runs) > 1:
             ranks = [Number(rank, 1) for rank in section.average_rank([key]).values()]
             columns.append(("avg rank", ranks, False, ""))
-    return _wide(section, f"{section.data_set}: {measure.heading_with_unit}, {region}", columns)
+    return _wide(section, f"{section.data_set}: {metric.heading_with_unit}, {region}", columns)
 
 
-def wide_by_measure(section: Section, region: str) -> Table:
-    """Return the means over the scenes of every measure in one region, a column for each."""
+def wide_by_metric(section: Section, region: str) -> Table:
+    """Return the means over the scenes of every metric in one region, a column for each."""
     columns = [_means(section, key, MEAN, key[0].heading) for key in section.keys if key[1] == region]
     many = len(section.scenes)
     over = f"means over {many} scenes" if many > 1 else short(section.scenes[0])

@@ -36,14 +36,14 @@ for (const table of document.querySelectorAll("table.sortable")) {
 
 for (const form of document.querySelectorAll("form.choose")) {
   const tables = [...form.parentNode.querySelectorAll(".matrix")];
-  const [measure, region] = [form.querySelector(".measure"), form.querySelector(".region")];
-  for (const [select, key] of [[measure, "measure"], [region, "region"]]) {
+  const [metric, region] = [form.querySelector(".metric"), form.querySelector(".region")];
+  for (const [select, key] of [[metric, "metric"], [region, "region"]]) {
     for (const value of new Set(tables.map((table) => table.dataset[key]))) select.append(make("option", value));
     select.onchange = () => {
-      const fits = (table) => table.dataset.measure === measure.value && table.dataset.region === region.value;
+      const fits = (table) => table.dataset.metric === metric.value && table.dataset.region === region.value;
       const chosen = tables.find(fits) || tables.find((table) => table.dataset[key] === select.value);
       region.value = chosen.dataset.region;
-      measure.value = chosen.dataset.measure;
+      metric.value = chosen.dataset.metric;
       for (const table of tables) table.classList.toggle("on", table === chosen);
     };
   }

@@ -19,7 +19,7 @@ from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.plots import plots
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.render import Number
-from depthcli.evaluation.results import Result
+from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.statistics import compare
 from depthcli.report import colors
 from depthcli.report.scene_view import SceneView, smaller
@@ -68,7 +68,7 @@ class Page:
         self._save()
         self._scene = SceneView.of(protocol, scene, truth)
 
-    def map(self, result: Result, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, Any]) -> None:
+    def map(self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, Any]) -> None:
         """Add one run's map to the scene."""
         if self._scene is not None:
             self._scene.add(result.run, path, estimate, truth, confidences)
@@ -198,7 +198,7 @@ def _scene_data(report: EvaluationReport, saved: _SavedScene) -> dict[str, Any]:
     runs = []
     for r in report.results:
         if r.scene == saved.name and r.protocol == saved.protocol.name:
-            figures = {s.region: Number(s.value) for s in r.scores if s.measure == saved.protocol.headline}
+            figures = {s.region: Number(s.value) for s in r.scores if s.metric == saved.protocol.headline}
             curves = [(c.region, c.confidence, c.of, Number(c.line.auc, 4)) for c in r.curves]
             runs.append({"result": r, "figures": figures, "curves": curves, "thumbs": saved.thumbs.get(r.run, {})})
     return {"name": saved.name, "protocol": saved.protocol, "thumbs": saved.thumbs.get("", {}), "runs": runs}

@@ -23,7 +23,7 @@ from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
-from depthcli.evaluation.results import Result
+from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.tables import report_tables, report_text
 from tests.scenes import DATA, needs_data
 
@@ -59,7 +59,7 @@ def run_of(folder: Path, maps: dict[str, np.ndarray]) -> Path:
     return folder
 
 
-def bad(result: Result, mask: str = "all", threshold: float = 1.0) -> float:
+def bad(result: MapResult, mask: str = "all", threshold: float = 1.0) -> float:
     return result.value("bad", mask, threshold)
 
 
@@ -307,7 +307,7 @@ def test_nothing_to_evaluate(tmp_path: Path, truth: Path):
 @needs_data
 def test_real_scenes_truth_is_zero_and_two_pixels_off_is_hundred(tmp_path: Path):
     """One folder of every kind; the figures of every mask and threshold below two pixels."""
-    wanted = {"Venus": "middlebury_v2", "middlebury_v3/Piano": "middlebury_v3", "2012_000070_10": "kitti_2012"}
+    wanted = {"Venus": "middlebury-v2", "middlebury_v3/Piano": "middlebury-v3", "2012_000070_10": "kitti-2012"}
     for scene in discover_scenes(DATA, patterns=list(wanted)):
         disparity = scene.truth().disparity
         write_pfm(tmp_path / "truth" / scene.name / "disp_left.pfm", disparity)
@@ -318,10 +318,10 @@ def test_real_scenes_truth_is_zero_and_two_pixels_off_is_hundred(tmp_path: Path)
         assert report.failed == []
         right, shifted = report.results
         assert right.protocol == protocol
-        assert all(s.value == 0 for s in right.scores if s.measure.unit == "%")
-        rates = [s for s in shifted.scores if s.measure.metric in ("bad", "totbad", "out")]
-        assert any((s.measure.threshold or 9) <= 2 for s in rates)
-        assert all(s.value == 100 for s in rates if (s.measure.threshold or 9) <= 2)
+        assert all(s.value == 0 for s in right.scores if s.metric.unit == "%")
+        rates = [s for s in shifted.scores if s.metric.name in ("bad", "totbad", "out")]
+        assert any((s.metric.threshold or 9) <= 2 for s in rates)
+        assert all(s.value == 100 for s in rates if (s.metric.threshold or 9) <= 2)
 
 
 @pytest.mark.slow
@@ -424,9 +424,9 @@ def test_a_complete_set_has_one_mean(tmp_path: Path, truth: Path):
 def test_the_protocol_is_given_or_named_by_the_scene(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2012"}))
-    assert [r.protocol for r in evaluate([run], truth, None).results] == ["kitti_2012", "middlebury_v2"]
+    assert [r.protocol for r in evaluate([run], truth, None).results] == ["kitti-2012", "middlebury-v2"]
     assert [r.protocol for r in evaluate([run], truth, None, protocol="ETH3D").results] == ["eth3d"] * 2
-    with pytest.raises(InputError, match=r"no protocol called 'kitty'; one of: depth, eth3d, kitti_2012"):
+    with pytest.raises(InputError, match=r"no protocol called 'kitty'; one of: depth, eth3d, kitti-2012"):
         evaluate([run], truth, None, protocol="kitty")
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitty"}))
     report = evaluate([run], truth, None)
@@ -439,10 +439,10 @@ def test_two_protocols_side_by_side(tmp_path: Path, truth: Path):
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2015"}))
     runs = [run_of(tmp_path / name, {"a": exact(truth) + d, "b": exact(truth)}) for name, d in (("x", 0), ("y", 5))]
     report = evaluate(runs, truth, tmp_path / "out")
-    assert [(s.data_set, s.protocol.name) for s in report.sections] == [("set", "kitti_2015"), ("set", "middlebury_v2")]
-    assert [section.protocol.name for section, _, _ in report.comparisons()] == ["kitti_2015", "middlebury_v2"]
+    assert [(s.data_set, s.protocol.name) for s in report.sections] == [("set", "kitti-2015"), ("set", "middlebury-v2")]
+    assert [section.protocol.name for section, _, _ in report.comparisons()] == ["kitti-2015", "middlebury-v2"]
     overview = next(table for table in report_tables(report) if table.title == "Headline by data set")
-    assert overview.header == ("run", "set (kitti_2015)", "set (middlebury_v2)")
+    assert overview.header == ("run", "set (kitti-2015)", "set (middlebury-v2)")
     assert [row[1:] for row in overview.rows] == [("0.00", "0.00"), ("100.00", "0.00")]
 
 
@@ -507,7 +507,7 @@ def test_formats_settings_and_comparison(tmp_path: Path, truth: Path, capsys: py
     assert main([*command, "--format", "markdown", "--resolution", "q"]) == 0
     out, err = capsys.readouterr()
     assert "| one | **0.00** | **100.00** | **50.00** | **1.2** | **1.50** |" in out
-    assert "--resolution makes no difference to middlebury_v2" in err
+    assert "--resolution makes no difference to middlebury-v2" in err
     assert main([*command, "--format", "latex"]) == 0
     assert r"\textbf{50.00}" in capsys.readouterr().out
     assert main([*command, "--format", "word"]) == 2

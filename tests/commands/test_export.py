@@ -12,7 +12,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.data.formats.disparity import read_disparity, write_pfm
-from depthcli.evaluation.benchmarks import BENCHMARKS, TEST, TRAINING, MiddleburyV3
+from depthcli.evaluation.benchmarks import BENCHMARKS, TEST, TRAINING, MiddleburyV3Benchmark
 
 V3, ETH, K12, K15 = (BENCHMARKS[name]() for name in ("middlebury-v3", "eth3d", "kitti-2012", "kitti-2015"))
 
@@ -30,7 +30,7 @@ def run_of(folder: Path, scenes: Iterable[str], size: Callable[[str], int], pref
 
 
 def quarter(scene: str) -> int:
-    return MiddleburyV3.others.get(scene, MiddleburyV3.width) // 4
+    return MiddleburyV3Benchmark.others.get(scene, MiddleburyV3Benchmark.width) // 4
 
 
 def export(run: Path, name: str, target: Path, *more: str) -> int:

@@ -76,7 +76,7 @@ def test_dense_thresholds_agree_with_the_table(name: str, threshold: float | Non
     estimate = np.where(rng.random(stored.shape) < 0.1, np.nan, stored + rng.normal(0, 2, stored.shape))
     estimate = estimate.astype(np.float32)
     before = judge.all_thresholds
-    dense = {s.measure.threshold: s for s in judge.threshold_curve(estimate, truth)}
+    dense = {s.metric.threshold: s for s in judge.threshold_curve(estimate, truth)}
     assert judge.all_thresholds == before
     assert len(dense) >= 24
     assert list(dense) == sorted(dense)
@@ -84,14 +84,14 @@ def test_dense_thresholds_agree_with_the_table(name: str, threshold: float | Non
     assert {s.region for s in dense.values()} == {main}
     compared = 0
     for score in judge.scores(estimate, truth):
-        at = score.measure.threshold
-        if score.region == main and at is not None and score.measure == judge.at(at):
+        at = score.metric.threshold
+        if score.region == main and at is not None and score.metric == judge.at(at):
             assert dense[at] == score
             compared += 1
     assert compared >= min(3, len(judge.thresholds))
     values = [s.value for s in dense.values()]
     assert values == sorted(values, reverse=True)
-    assert all(s.value == s.measure.worst for s in judge.missing(truth, dense=True))
+    assert all(s.value == s.metric.worst for s in judge.missing(truth, dense=True))
 
 
 def test_dense_ratios_of_depth_agree_with_the_table():
@@ -99,10 +99,10 @@ def test_dense_ratios_of_depth_agree_with_the_table():
     depth = rng.uniform(1, 3, (20, 30)).astype(np.float32)
     truth = DepthTruth(depth, {"all": np.ones(depth.shape, bool)}, None, 1000.0)
     judge, estimate = DepthProtocol(), (depth * rng.normal(1, 0.1, depth.shape)).astype(np.float32)
-    dense = {s.measure: s for s in judge.threshold_curve(estimate, truth)}
-    same = [s for s in judge.scores(estimate, truth) if s.measure in dense]
+    dense = {s.metric: s for s in judge.threshold_curve(estimate, truth)}
+    same = [s for s in judge.scores(estimate, truth) if s.metric in dense]
     assert len(same) == 3  # 1.05, 1.10, 1.25
-    assert all(dense[s.measure] == s for s in same)
+    assert all(dense[s.metric] == s for s in same)
 
 
 def test_the_plot_shows_the_means_of_the_report(scenes: Path, runs: list[Path]):
@@ -110,7 +110,7 @@ def test_the_plot_shows_the_means_of_the_report(scenes: Path, runs: list[Path]):
     section = report.sections[0]
     for row in report.by_threshold():
         assert len(row["thresholds"]) >= 24
-        keys = [key for key in section.keys if key[1] == row["mask"] and key[0].metric == "bad"]
+        keys = [key for key in section.keys if key[1] == row["mask"] and key[0].name == "bad"]
         found = {key[0].threshold: section.score(row["run"], MEAN, key).value for key in keys}
         at = dict(zip(row["thresholds"], row["values"], strict=True))
         assert found.keys() - {None} == {0.5, 0.75, 1.0, 1.5, 2.0}

@@ -20,8 +20,8 @@ from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, scale_warning
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
-from depthcli.evaluation.results import Result
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, bad_rate, find_score
+from depthcli.evaluation.results import MapResult
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, bad_rate, find_score
 from tests.naive import metrics as naive
 from tests.scenes import DATA, needs_data
 
@@ -57,9 +57,9 @@ def random_maps(seed: int, shape: tuple[int, int] = (13, 17)):
 
 
 def test_names_and_unknown_names():
-    assert {"middlebury_v2", "middlebury_v3", "eth3d", "kitti_2012", "kitti_2015"} <= set(protocols.names())
+    assert {"middlebury-v2", "middlebury-v3", "eth3d", "kitti-2012", "kitti-2015"} <= set(protocols.names())
     assert protocols.load("KITTI-2015") is protocols.load("kitti_2015")
-    with pytest.raises(InputError, match=r"no protocol called 'kitti'; one of: .*kitti_2012, kitti_2015"):
+    with pytest.raises(InputError, match=r"no protocol called 'kitti'; one of: .*kitti-2012, kitti-2015"):
         protocols.load("kitti")
 
 
@@ -69,15 +69,15 @@ def test_truth_scores_best_nothing_worst_and_the_headline_is_there(name, mask):
     truth = everywhere((2 + np.arange(60, dtype=np.float32) / 16).reshape(6, 10), mask)
     judge = make(name)
     for scores, best in ((judge.scores(truth.disparity, truth), True), (judge.missing(truth), False)):
-        headline = next(s for s in scores if (s.measure, s.region) == (judge.headline, mask))
+        headline = next(s for s in scores if (s.metric, s.region) == (judge.headline, mask))
         worst = math.nan if judge.headline.worst is None else judge.headline.worst
         assert headline.value == pytest.approx(0 if best else worst, nan_ok=True)
         for s in scores:
-            worst = s.measure.worst
-            expected = (100 if s.measure.larger_is_better else 0) if best else math.nan if worst is None else worst
+            worst = s.metric.worst
+            expected = (100 if s.metric.larger_is_better else 0) if best else math.nan if worst is None else worst
             assert s.value == expected or (math.isnan(s.value) and math.isnan(expected)), s
             assert s.density == (100 if best else 0)
-            assert s.pixels == 60 or (best and s.measure.unit == "px")
+            assert s.pixels == 60 or (best and s.metric.unit == "px")
             assert set(s.row()) == {
                 "metric", "mask", "threshold", "value", "unit", "wrong", "pixels", "density", "convention",
             }  # fmt: skip
@@ -86,13 +86,13 @@ def test_truth_scores_best_nothing_worst_and_the_headline_is_there(name, mask):
     with pytest.raises(KeyError, match="no score"):
         find_score(scores, "nonsense", mask)
     with pytest.raises(KeyError, match="no score"):
-        find_score(scores, judge.headline.metric, "elsewhere")
+        find_score(scores, judge.headline.name, "elsewhere")
 
 
 def test_a_name_that_several_scores_fit_is_an_error():
     truth = everywhere(np.ones((3, 3), np.float32))
     with pytest.raises(KeyError, match="5 scores for bad"):
-        find_score(make("middlebury_v2").scores(truth.disparity, truth), "bad", "all")
+        find_score(make("middlebury-v2").scores(truth.disparity, truth), "bad", "all")
 
 
 @pytest.mark.parametrize("name", STEREO)
@@ -101,8 +101,8 @@ def test_a_region_without_truth_gives_no_number_and_no_error(name):
     judge = make(name)
     for scores in (judge.scores(np.ones((3, 3), np.float32), truth), judge.missing(truth)):
         assert scores
-        assert all(math.isnan(score.value) for score in scores if score.measure.metric != "coverage")
-        mean = judge.mean([Result("r", "a", "d", name, scores=tuple(scores))])
+        assert all(math.isnan(score.value) for score in scores if score.metric.name != "coverage")
+        mean = judge.mean([MapResult("r", "a", "d", name, scores=tuple(scores))])
         assert all(math.isnan(score.value) for score in mean)
 
 
@@ -120,16 +120,18 @@ def test_a_users_threshold_is_the_headlines(name, threshold):
     truth = everywhere(np.full((1, 4), 1, np.float32))
     judge = make(name, threshold=threshold)
     scores = judge.scores(truth.disparity + np.array([[0, 1.25, 2, 3]], np.float32), truth)
-    headline = pick(scores, judge.headline.metric, threshold, judge.headline.convention)
+    headline = pick(scores, judge.headline.name, threshold, judge.headline.convention)
     assert headline.wrong == {1.0: 3, 2.5: 1}[threshold]
     assert judge.wrong(truth.disparity + np.float32(2), truth).all() == (threshold == 1)
 
 
 def test_mean_of_a_map_that_answers_nothing_is_not_taken_over_fewer():
     truth = everywhere(np.full((2, 2), 5, np.float32))
-    judge = make("middlebury_v2")
+    judge = make("middlebury-v2")
     maps = (truth.disparity, np.full((2, 2), np.nan, np.float32))
-    results = [Result("r", str(k), "d", judge.name, scores=tuple(judge.scores(m, truth))) for k, m in enumerate(maps)]
+    results = [
+        MapResult("r", str(k), "d", judge.name, scores=tuple(judge.scores(m, truth))) for k, m in enumerate(maps)
+    ]
     mean = judge.mean(results)
     assert pick(mean, "bad", 1.0).value == 50
     assert math.isnan(pick(mean, "avgerr").value)
@@ -142,7 +144,7 @@ def test_mean_of_a_map_that_answers_nothing_is_not_taken_over_fewer():
 @settings(max_examples=40, deadline=None)
 def test_v2_agrees_with_the_naive_one(seed):
     estimate, truth, mask = random_maps(seed)
-    scores = make("middlebury_v2").scores(estimate, DisparityTruth(truth, {"all": mask}))
+    scores = make("middlebury-v2").scores(estimate, DisparityTruth(truth, {"all": mask}))
     for t in (0.5, 0.75, 1.0, 1.5, 2.0):
         score = pick(scores, "bad", t)
         wrong, pixels = naive.bad_v2(estimate, truth, mask, t)
@@ -153,8 +155,8 @@ def test_v2_agrees_with_the_naive_one(seed):
 
 def test_an_error_of_exactly_the_threshold_is_right():
     truth = everywhere(np.tile(np.arange(20, dtype=np.float32), (5, 1)))
-    assert pick(make("middlebury_v2").scores(truth.disparity + 1, truth), "bad", 1.0).value == 0
-    assert pick(make("middlebury_v2").scores(truth.disparity + 2, truth), "bad", 1.0).value == 100
+    assert pick(make("middlebury-v2").scores(truth.disparity + 1, truth), "bad", 1.0).value == 0
+    assert pick(make("middlebury-v2").scores(truth.disparity + 2, truth), "bad", 1.0).value == 100
 
 
 def test_masks_that_are_not_given_follow_from_both_views():
@@ -162,7 +164,7 @@ def test_masks_that_are_not_given_follow_from_both_views():
     left[:, 15:20] = 7
     right = np.full((20, 30), 2, np.float32)
     right[:, 8:13] = 7
-    judge = make("middlebury_v2")
+    judge = make("middlebury-v2")
     derived = judge.masks(StereoTruth(left, right))
     assert not derived["nonocc"][:, :2].any()  # outside the right image
     assert not derived["nonocc"][:, 10:15].any()  # hidden
@@ -183,7 +185,7 @@ def test_v3_agrees_with_the_naive_one(seed, factor, rounded, size):
     estimate, _, _ = random_maps(seed + 1, (12 // factor, 16 // factor))
     full = {"F": 1, "H": 2, "Q": 4}[size]
     reference = DisparityTruth(truth, {"all": mask}, max_disparity=59, round_disparity=rounded, factor=full)
-    judge = make("middlebury_v3")
+    judge = make("middlebury-v3")
     scores = judge.scores(estimate, reference)
     for t in (0.5, 1.0, 2.0, 4.0):
         bad, invalid, total, average = naive.evaldisp(estimate, truth, mask, t / full, 59, rounded)
@@ -199,7 +201,7 @@ def test_v3_clips_minus_infinity_as_the_sdk(tmp_path):
     values = np.array([[-np.inf, np.inf, np.nan], [2, 2, 2]], np.float32)
     data = b"Pf\n3 2\n-1\n" + values[::-1].astype("<f4").tobytes()
     (tmp_path / "map.pfm").write_bytes(data)
-    judge = make("middlebury_v3")
+    judge = make("middlebury-v3")
     scores = judge.scores(judge.read(tmp_path / "map.pfm", single(tmp_path), truth), truth)
     assert pick(scores, "invalid").wrong == 2
     assert pick(scores, "bad", 1.0).wrong == 1
@@ -213,7 +215,7 @@ def single(folder: Path) -> StereoScene:
 def test_quantiles_are_errors_that_occur():
     truth = everywhere(np.zeros((1, 10), np.float32))
     estimate = np.arange(1, 11, dtype=np.float32)[None]
-    v3, eth3d = (make(name).scores(estimate, truth) for name in ("middlebury_v3", "eth3d"))
+    v3, eth3d = (make(name).scores(estimate, truth) for name in ("middlebury-v3", "eth3d"))
     assert [pick(v3, f"A{q}").value for q in (50, 90, 95, 99)] == [5, 9, 10, 10]
     assert [pick(eth3d, f"A{q}").value for q in (50, 90, 95, 99)] == [6, 10, 10, 10]
 
@@ -221,7 +223,7 @@ def test_quantiles_are_errors_that_occur():
 @pytest.mark.parametrize("shape", [(5, 7), (6, 7), (3, 4), (2, 2), (11, 13)])
 def test_v3_refuses_what_is_no_exact_half_or_quarter(shape):
     with pytest.raises(ValueError, match="exactly half or a quarter"):
-        make("middlebury_v3").resized(np.ones(shape, np.float32), everywhere(np.ones((10, 13), np.float32)))
+        make("middlebury-v3").resized(np.ones(shape, np.float32), everywhere(np.ones((10, 13), np.float32)))
 
 
 @pytest.mark.parametrize(
@@ -235,22 +237,22 @@ def test_v3_refuses_what_is_no_exact_half_or_quarter(shape):
 def test_v3_thresholds_are_those_of_the_full_size(tmp_path, name, width, asked, factor):
     write_pfm(tmp_path / "disp0GT.pfm", np.full((1, width), 20, np.float32))
     scene = StereoScene(name=name, folder=tmp_path, left=tmp_path, disparity_left=tmp_path / "disp0GT.pfm")
-    judge = make("middlebury_v3", resolution=asked)
+    judge = make("middlebury-v3", resolution=asked)
     truth = judge.truth(scene)
     assert truth.factor == factor
     for off, expected in ((2.0, 0), (2.25, 100)):
         scores = judge.scores(truth.disparity + np.float32(off / factor), truth)
         assert pick(scores, "totbad", 2.0).value == expected
     here = {1: "totbad 2", 2: "totbad 2 (1)", 4: "totbad 2 (0.5)"}
-    assert pick(scores, "totbad", 2.0).measure.heading == here[factor]
+    assert pick(scores, "totbad", 2.0).metric.heading == here[factor]
     with pytest.raises(ConfigError, match="want F, H or Q"):
         Settings(resolution="X")
 
 
 def test_v3_means_weigh_the_hard_scenes_half():
-    judge, measure = make("middlebury_v3"), Measure("totbad", "%", 2.0, worst=100.0)
+    judge, metric = make("middlebury-v3"), Metric("totbad", "%", 2.0, worst=100.0)
     values = {"Teddy": 10.0, "PianoL": 40.0}
-    results = [Result("r", f"set/{n}", "set", "middlebury_v3", scores=(Score(measure, "nonocc", v, 1, 100.0),))
+    results = [MapResult("r", f"set/{n}", "set", "middlebury-v3", scores=(Score(metric, "nonocc", v, 1, 100.0),))
                for n, v in values.items()]  # fmt: skip
     (mean,) = judge.mean(results)
     assert mean.value == pytest.approx((10 + 20) / 1.5)
@@ -291,7 +293,7 @@ def test_kitti_agrees_with_the_naive_one(seed):
     png = naive.submitted(estimate)
     filled = interpolate_background(png)
     np.testing.assert_array_equal(filled, naive.interpolate_background(png))
-    scores = make("kitti_2015").scores(estimate, DisparityTruth(truth, {"occ": mask}))
+    scores = make("kitti-2015").scores(estimate, DisparityTruth(truth, {"occ": mask}))
     for convention in (INTERPOLATED, ESTIMATED_ONLY):
         for metric, t in (("D1", 3.0), ("out", 3.0), ("out", 5.0)):
             only = convention == ESTIMATED_ONLY
@@ -310,7 +312,7 @@ def test_interpolation_leaves_an_empty_row_between_full_ones():
     assert np.isnan(interpolate_background(np.full((3, 4), nan, np.float32))).all()
     # There the kit's map holds -1: the pixels are wrong, and their errors count.
     truth = everywhere(np.full((5, 3), 5, np.float32), "occ")
-    scores = make("kitti_2012").scores(disparity, truth)
+    scores = make("kitti-2012").scores(disparity, truth)
     assert pick(scores, "out", 3.0, INTERPOLATED).wrong == 3
     assert pick(scores, "avgerr", None, INTERPOLATED).value == pytest.approx((3 * 6 + 2 * (1 + 3 + 3)) / 15)
 
@@ -318,7 +320,7 @@ def test_interpolation_leaves_an_empty_row_between_full_ones():
 def test_d1_needs_both_conditions_and_exactly_five_percent_is_wrong():
     truth = everywhere(np.array([[100, 100, 20, 80]], np.float32), "occ")
     estimate = np.array([[104, 106, 23.5, 84]], np.float32)  # 4 %; 6 %; 3.5 px and 17.5 %; 5 %
-    judge = make("kitti_2015")
+    judge = make("kitti-2015")
     assert pick(judge.scores(estimate, truth), "D1", 3.0, ESTIMATED_ONLY).wrong == 3
     np.testing.assert_array_equal(judge.wrong(estimate, truth), [[False, True, True, True]])
 
@@ -327,7 +329,7 @@ def test_kitti_scores_the_png_that_would_be_submitted(tmp_path):
     truth = everywhere(np.array([[10, 10, 10, 300]], np.float32), "occ")
     estimate = np.array([[-10, 13 + 1 / 600, 13 + 1 / 400, 300]], np.float32)  # missing; 13; 13 + 1/256; 255.996
     write_pfm(tmp_path / "m.pfm", estimate)
-    judge = make("kitti_2012")
+    judge = make("kitti-2012")
     scores = judge.scores(judge.read(tmp_path / "m.pfm", None, truth), truth)
     out = pick(scores, "out", 3.0, ESTIMATED_ONLY)
     assert (out.wrong, out.pixels, out.density) == (2, 3, 75)
@@ -335,10 +337,10 @@ def test_kitti_scores_the_png_that_would_be_submitted(tmp_path):
 
 def test_kitti_2012_averages_frames_and_2015_pools_their_pixels():
     frames = [(np.full((1, 4), 10, np.float32), [0, 0, 0, 9]), (np.full((1, 1), 10, np.float32), [9])]
-    for name, metric, expected in (("kitti_2012", "out", 62.5), ("kitti_2015", "D1", 40.0)):
+    for name, metric, expected in (("kitti-2012", "out", 62.5), ("kitti-2015", "D1", 40.0)):
         judge = make(name)
         found = [judge.scores(t + np.array([e], np.float32), everywhere(t, "occ")) for t, e in frames]
-        results = [Result("r", str(k), "d", name, scores=tuple(scores)) for k, scores in enumerate(found)]
+        results = [MapResult("r", str(k), "d", name, scores=tuple(scores)) for k, scores in enumerate(found)]
         mean = judge.mean(results)
         for convention in (INTERPOLATED, ESTIMATED_ONLY):
             assert pick(mean, metric, 3.0, convention).value == pytest.approx(expected)
@@ -351,7 +353,7 @@ def test_kitti_2012_averages_frames_and_2015_pools_their_pixels():
     assert math.isnan(pick(judge.mean(lacking), "avgerr", None, INTERPOLATED).value)
 
 
-@pytest.mark.parametrize(("name", "others"), [("kitti_2012", 50.0), ("kitti_2015", 100.0)])
+@pytest.mark.parametrize(("name", "others"), [("kitti-2012", 50.0), ("kitti-2015", 100.0)])
 def test_kitti_frames_without_any_estimate(name, others):
     """The kits divide by at least one pixel: such a frame scores 0 on its estimated pixels, and has a density of 0."""
     judge, empty = make(name), everywhere(np.full((1, 6), 10, np.float32), "occ")
@@ -362,11 +364,11 @@ def test_kitti_frames_without_any_estimate(name, others):
     assert pick(nothing, "out", 3.0, INTERPOLATED).value == 100
     half = everywhere(np.full((1, 4), 10, np.float32), "occ")
     wrong = judge.scores(np.array([[20, 20, np.nan, np.nan]], np.float32), half)
-    frames = [Result("r", str(k), "d", name, scores=tuple(scores)) for k, scores in enumerate((nothing, wrong))]
+    frames = [MapResult("r", str(k), "d", name, scores=tuple(scores)) for k, scores in enumerate((nothing, wrong))]
     mean = judge.mean(frames)
     assert pick(mean, "out", 3.0, ESTIMATED_ONLY).value == others
     for convention in (INTERPOLATED, ESTIMATED_ONLY):
-        assert pick(mean, "out", 3.0, convention).density == (25 if name == "kitti_2012" else 20)
+        assert pick(mean, "out", 3.0, convention).density == (25 if name == "kitti-2012" else 20)
     assert pick(judge.mean(frames[:1]), "out", 3.0, ESTIMATED_ONLY).value == 0
 
 
@@ -374,16 +376,16 @@ def test_kitti_regions():
     occ = np.array([[10, 10, 10, -1, np.nan]], np.float32)
     noc = np.array([[12, np.nan, 10, np.nan, np.nan]], np.float32)
     stored = StereoTruth(occ, None, noc, np.array([[True, False, False, False, True]]))
-    judge = make("kitti_2015")
+    judge = make("kitti-2015")
     masks = judge.masks(stored)
     sizes = {"occ": 3, "occ_bg": 2, "occ_fg": 1, "noc": 2, "noc_bg": 1, "noc_fg": 1}
     assert {name: int(masks[name].sum()) for name in judge.ordered(masks)} == sizes
     # noc has its own values: an estimate of 10 is off by 2 there.
-    scores = make("kitti_2012").scores(np.full((1, 5), 10, np.float32), DisparityTruth(occ, masks, noc))
+    scores = make("kitti-2012").scores(np.full((1, 5), 10, np.float32), DisparityTruth(occ, masks, noc))
     assert find_score(scores, "avgerr", "noc", None, INTERPOLATED).value == 1
     assert find_score(scores, "avgerr", "occ", None, INTERPOLATED).value == 0
     assert judge.figure_regions(judge.ordered(masks)) == ["occ"]
-    assert make("kitti_2012").figure_regions(["noc", "occ"]) == ["noc"]
+    assert make("kitti-2012").figure_regions(["noc", "occ"]) == ["noc"]
 
 
 # Warnings
@@ -432,7 +434,7 @@ def disturbed(truth: np.ndarray, holes: bool) -> np.ndarray:
 def test_numbers_of_evaldisp(holes, nonocc, everything):
     """SDK 1.6: ``evaldisp`` with 0.5 px and the mask, with 1.0 px and without it; 70 disparities, not rounded."""
     (scene,) = discover_scenes(DATA / "middlebury_v3", patterns=["Motorcycle"])
-    judge = make("middlebury_v3")
+    judge = make("middlebury-v3")
     truth = judge.truth(scene)
     scores = judge.scores(disturbed(truth.disparity, holes), truth)
     for mask, t, printed in (("nonocc", 2.0, nonocc), ("all", 4.0, everything)):
@@ -473,8 +475,8 @@ def test_numbers_of_the_eth3d_program(holes, mask, printed):
 )
 def test_numbers_of_evaluate_scene_flow(holes, mask, printed):
     """``stats_disp_*_0.txt`` for two frames: D1 of background, foreground and all, each interpolated and estimated."""
-    judge = make("kitti_2015")
-    mean = {(s.measure.metric, s.region, s.measure.convention): s for s in judge.mean(_kitti_frames(judge, holes))}
+    judge = make("kitti-2015")
+    mean = {(s.metric.name, s.region, s.metric.convention): s for s in judge.mean(_kitti_frames(judge, holes))}
     keys = [(f"{mask}{part}", c) for part in ("_bg", "_fg", "") for c in (INTERPOLATED, ESTIMATED_ONLY)]
     found = [mean["D1", m, c].value for m, c in keys] + [mean["D1", mask, INTERPOLATED].density]
     assert " ".join(f"{value / 100:.6f}" for value in found) == printed
@@ -496,7 +498,7 @@ def test_numbers_of_evaluate_scene_flow(holes, mask, printed):
 )  # fmt: skip
 def test_numbers_of_evaluate_stereo(holes, mask, out, average):
     """``stats_*_out.txt`` (2 to 5 px, interpolated and estimated; density) and ``stats_*_avg.txt`` for two frames."""
-    judge = make("kitti_2012")
+    judge = make("kitti-2012")
     mean = judge.mean(_kitti_frames(judge, holes))
     both = (INTERPOLATED, ESTIMATED_ONLY)
     rates = [find_score(mean, "out", mask, t, c).value for t in (2.0, 3.0, 4.0, 5.0) for c in both]
@@ -505,14 +507,16 @@ def test_numbers_of_evaluate_stereo(holes, mask, out, average):
     assert " ".join(f"{find_score(mean, 'avgerr', mask, None, c).value:.6f}" for c in both) == average
 
 
-def _kitti_frames(judge: Any, holes: bool) -> list[Result]:
+def _kitti_frames(judge: Any, holes: bool) -> list[MapResult]:
     results = []
     for folder, noc in (("kitti/2012_000070_10", "disp_left_noc.png"), ("kitti_eval_pairs/pair_07", "disp_left.png")):
         occ = read_disparity(DATA / folder / "disp_left.png")
         objects = (np.indices(occ.shape)[1] // 100) % 3 == 1
         stored = StereoTruth(occ, None, read_disparity(DATA / folder / noc), objects)
         truth = DisparityTruth(occ, judge.masks(stored), stored.noc)
-        results.append(Result("r", folder, "d", judge.name, scores=tuple(judge.scores(disturbed(occ, holes), truth))))
+        results.append(
+            MapResult("r", folder, "d", judge.name, scores=tuple(judge.scores(disturbed(occ, holes), truth)))
+        )
     return results
 
 
@@ -523,7 +527,7 @@ def _kitti_frames(judge: Any, holes: bool) -> list[Result]:
 def test_figures_of_the_kitti_pairs(pair, d1, three, end_point):
     """The D1, > 3 px and end-point errors that DATA.md gives for a real network's maps."""
     (scene,) = discover_scenes(DATA / "kitti_eval_pairs", patterns=[pair])
-    judge = make("kitti_2015")
+    judge = make("kitti-2015")
     truth = judge.truth(scene)
     scores = judge.scores(judge.read(DATA / "kitti_eval_pairs" / pair / "disp_est.png", scene, truth), truth)
     assert pick(scores, "D1", 3.0, ESTIMATED_ONLY).value == pytest.approx(d1, abs=0.005)

@@ -14,7 +14,7 @@ from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.protocols import registration
 from depthcli.evaluation.protocols._registration import error_classes
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
-from depthcli.evaluation.results import COMMON_MEAN, MEAN, Result
+from depthcli.evaluation.results import COMMON_MEAN, MEAN, MapResult
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 
 
@@ -46,13 +46,13 @@ WIDE = (8, 250, 100)
 """Shape of a volume whose last axis has a common divisor with any round step."""
 
 
-def result(scene: str, expected: np.ndarray | None, true: np.ndarray, run: str = "run") -> Result:
+def result(scene: str, expected: np.ndarray | None, true: np.ndarray, run: str = "run") -> MapResult:
     """The result of a dense truth; without ``expected``, of a pair that has no map."""
     volume = true.astype(np.float32)
     inside = np.ones(volume.shape, bool)
     grid = Grid((volume.shape[2], volume.shape[1], volume.shape[0]), (1.0, 1.0, 1.0))
     truth = PreparedTruth(volume.ravel(), None, inside, RegistrationTruth(grid, np.zeros((0, 3)), volume))
-    start = Result(run, scene, "set", PROTOCOL.name)
+    start = MapResult(run, scene, "set", PROTOCOL.name)
     if expected is None:
         return replace(start, scores=tuple(PROTOCOL.missing(truth)), error="no map")
     estimate = expected.astype(np.float32).ravel()
@@ -67,7 +67,7 @@ def errors_along_x(seed: int, shape: tuple[int, int, int] = WIDE) -> tuple[np.nd
 
 
 def values(scores: Any) -> dict[str, float]:
-    return {score.measure.heading: score.value for score in scores}
+    return {score.metric.heading: score.value for score in scores}
 
 
 def test_the_pooled_figures_of_one_pair_are_its_row():

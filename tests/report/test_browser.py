@@ -164,7 +164,7 @@ def test_tables_sort_and_choose(browser: Any, made: Path):
         cells = [float(t) for t in table.locator(f"tbody tr > :nth-child({column[0]})").all_inner_texts()]
         assert cells == sorted(cells)[::direction]
     visit.page.locator("select.region").select_option("all")
-    visit.page.locator("select.measure").select_option("bad 2")
+    visit.page.locator("select.metric").select_option("bad 2")
     assert visit.page.locator(".matrix.on caption").inner_text().endswith("bad 2, %, all")
     assert visit.page.locator(".matrix:visible").count() == 1
     visit.close()

@@ -28,8 +28,8 @@ from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.presentation import Presentation
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
-from depthcli.evaluation.results import Result
-from depthcli.evaluation.scores import Measure, Score
+from depthcli.evaluation.results import MapResult
+from depthcli.evaluation.scores import Metric, Score
 from depthcli.report import colors
 from depthcli.report.packing import cuts, pack, pack_bytes, thinned, unpack
 from depthcli.report.page import Page
@@ -239,7 +239,7 @@ class Boxes(Protocol[Any, Any]):
     """Volumes without a single number a voxel to show: errors alone."""
 
     kind, files, presentation = Scene, MapFiles(("{scene}",), ()), Presentation("boxes", "mm")
-    headline = Measure("mean", "mm")
+    headline = Metric("mean", "mm")
 
     def truth(self, scene: Scene) -> Any:
         return np.zeros((4, 6, 8))
@@ -267,7 +267,7 @@ def test_volumes_show_slices_of_their_errors(tmp_path: Path):
     judge, scene, page = Boxes(), BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
     volume = np.arange(4 * 6 * 8, dtype=float).reshape(4, 6, 8)
     page.scene(judge, scene, judge.truth(scene))
-    result = Result("run", "box", "set", judge.name, scores=tuple(judge.scores(volume, judge.truth(scene))))
+    result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(volume, judge.truth(scene))))
     page.map(result, tmp_path / "box", volume, judge.truth(scene), {})
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})
     data = json.loads(read(tmp_path).scripts["data-0"])
@@ -316,7 +316,7 @@ def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
     scene, page = BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
     truth = judge.truth(scene)
     points = np.arange(truth.size, dtype=float) * 4
-    result = Result("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
+    result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
     page.scene(judge, scene, truth)
     page.map(result, tmp_path / "box", points, truth, {"c": points})
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})

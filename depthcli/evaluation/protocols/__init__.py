@@ -5,9 +5,8 @@ from __future__ import annotations
 import importlib
 import math
 import pkgutil
-import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -21,9 +20,10 @@ from depthcli.data.formats.disparity import read_plane
 from depthcli.data.scenes import Scene
 from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.map_files import MapFiles
+from depthcli.evaluation.pooling import Pooling
 from depthcli.evaluation.presentation import Presentation, error_picture
-from depthcli.evaluation.results import Curve, Result
-from depthcli.evaluation.scores import Key, Measure, Score
+from depthcli.evaluation.results import Curve
+from depthcli.evaluation.scores import Metric, Score
 
 Estimate = TypeVar("Estimate")
 Truth = TypeVar("Truth")
@@ -51,15 +51,7 @@ class Settings:
             raise ConfigError(f"resolution: want F, H or Q (got {self.resolution!r})")
 
 
-def parse_size(text: str | None) -> tuple[int, int] | None:
-    """Return ``640x480`` as (640, 480), and None for None; ConfigError for anything else."""
-    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", (text or "1x1").strip().lower())
-    if not found:
-        raise ConfigError(f"--resize: want WIDTHxHEIGHT, such as 256x144 (got {text!r})")
-    return (int(found[1]), int(found[2])) if text else None
-
-
-class Protocol(ABC, Generic[Estimate, Truth]):
+class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
     """How one benchmark scores: an estimate and a scene's truth in, scores out, and the pooling of several scenes.
 
     ``truth`` prepares a scene's ground truth once and ``read`` one run's estimate for it; all other methods open no
@@ -71,18 +63,14 @@ class Protocol(ABC, Generic[Estimate, Truth]):
     kind : kind of scene that is scored
     files : where a run folder may hold the maps
     presentation : words, units and colors of tables and pictures
-    region_order : names of regions in the order of tables; the first one present is the main region
     curve_regions : regions of the confidence curves; empty: the main region
-    averages_regions : the single figure of a run is the mean over all regions, not the main region's
     takes : names of the settings that make a difference
     """
 
     kind: ClassVar[type[Scene]]
     files: ClassVar[MapFiles]
     presentation: ClassVar[Presentation]
-    region_order: ClassVar[tuple[str, ...]] = ("nonocc", "all", "disc")
     curve_regions: ClassVar[tuple[str, ...]] = ()
-    averages_regions: ClassVar[bool] = False
     takes: ClassVar[tuple[str, ...]] = ("scale", "threshold")
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -90,13 +78,13 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     @property
     def name(self) -> str:
-        """Name of the protocol: its module's."""
-        return type(self).__module__.rpartition(".")[2]
+        """Name of the protocol: its module's, with dashes."""
+        return type(self).__module__.rpartition(".")[2].replace("_", "-")
 
     @property
     @abstractmethod
-    def headline(self) -> Measure:
-        """The measure that ranks runs; ``scores`` has it for every region."""
+    def headline(self) -> Metric:
+        """The metric that ranks runs; ``scores`` has it for every region."""
 
     @abstractmethod
     def truth(self, scene: Scene) -> Truth:
@@ -139,7 +127,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     @abstractmethod
     def scores(self, estimate: Estimate, truth: Truth) -> list[Score]:
-        """Compute every measure in every region."""
+        """Compute every metric in every region."""
 
     def threshold_curve(self, estimate: Estimate, truth: Truth) -> list[Score]:
         """Compute one metric at many thresholds in the main region, as ``scores`` does; empty where there is none."""
@@ -180,7 +168,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
 
     def headlines(self, estimate: Estimate, truth: Truth) -> dict[str, float]:
         """Return region -> value of the headline."""
-        return {s.region: s.value for s in self.scores(estimate, truth) if s.measure == self.headline}
+        return {s.region: s.value for s in self.scores(estimate, truth) if s.metric == self.headline}
 
     def warnings(self, estimate: Estimate, truth: Truth) -> list[str]:
         """Return what looks wrong with the estimate, one line each."""
@@ -192,7 +180,7 @@ class Protocol(ABC, Generic[Estimate, Truth]):
         sizes = {name: int(np.count_nonzero(region)) for name, region in self.regions(truth).items()}
         made = []
         for score in scores:
-            worst, pixels = score.measure.worst, sizes.get(score.region, score.pixels)
+            worst, pixels = score.metric.worst, sizes.get(score.region, score.pixels)
             wrong = None if score.wrong is None else pixels
             value = math.nan if worst is None or math.isnan(score.density) else worst
             made.append(replace(score, value=value, pixels=pixels, wrong=wrong))
@@ -212,83 +200,31 @@ class Protocol(ABC, Generic[Estimate, Truth]):
                 made += [Curve(name, confidence, of, line) for (confidence, of), line in lines.items()]
         return made
 
-    # Several scenes
-
     def pooling_data(self, estimate: Estimate, truth: Truth) -> Any:
         """Return what ``mean`` needs beside the scores, such as points to be pooled; kept in memory, not written."""
         return None
-
-    def figure_regions(self, regions: Sequence[str]) -> list[str]:
-        """Return the regions that the single figure of a run is taken over, of those present."""
-        return list(regions) if self.averages_regions else list(regions[:1])
-
-    def ordered(self, regions: Iterable[str]) -> list[str]:
-        """Return names of regions in the order of ``region_order``, then all others by name."""
-        present = set(regions)
-        return [name for name in self.region_order if name in present] + sorted(present - set(self.region_order))
-
-    def weight(self, scene: str) -> float:
-        """Return the weight of a scene in means."""
-        return 1.0
-
-    def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
-        """Compute one score from those of several scenes: here the mean, in which every scene counts by its weight.
-
-        Empty regions are left out. A region in which a map has no value counts as the measure's worst; where the
-        measure has no bound the mean is NaN.
-        """
-        pairs = [(s, w) for s, w in zip(scores, weights, strict=True) if not math.isnan(s.density)]
-        measure = scores[0].measure
-        worst = math.nan if measure.worst is None else measure.worst
-        total = math.fsum(w for _, w in pairs)
-
-        def mean(values: list[float]) -> float:
-            return math.fsum(v * w for v, (_, w) in zip(values, pairs, strict=True)) / total if total else math.nan
-
-        value, density = (
-            mean([worst if math.isnan(s.value) else s.value for s, _ in pairs]),
-            mean([s.density for s, _ in pairs]),
-        )
-        return Score(measure, scores[0].region, value, sum(s.pixels for s, _ in pairs), density)
-
-    def pooled(self, scored: Iterable[tuple[Sequence[Score], str]]) -> list[Score]:
-        """Compute one score for every measure and region out of (scores, scene) of several scenes."""
-        groups: dict[Key, list[tuple[Score, float]]] = {}
-        for scores, scene in scored:
-            for score in scores:
-                groups.setdefault(score.key, []).append((score, self.weight(scene)))
-        return [self.pool([s for s, _ in group], [w for _, w in group]) for group in groups.values()]
-
-    def mean(self, results: Sequence[Result]) -> list[Score]:
-        """Compute every measure in every region over the scenes of one run."""
-        return self.pooled((result.scores, result.scene) for result in results)
 
 
 AnyProtocol: TypeAlias = Protocol[Any, Any]
 
 
 def names() -> list[str]:
-    """Return the names of all protocols, sorted."""
-    return sorted(m.name for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_"))
+    """Return the names of all protocols, with dashes, sorted."""
+    return sorted(m.name.replace("_", "-") for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_"))
 
 
+@cache
 def load(name: str) -> type[AnyProtocol]:
-    """Return the protocol of that name, written with hyphens or underscores.
+    """Return the protocol of that name, written with dashes or underscores.
 
     Raises
     ------
     InputError
         There is none; the message lists the names.
     """
-    found = name.lower().replace("-", "_")
-    if found not in names():
+    if name.lower().replace("_", "-") not in names():
         raise InputError(f"no protocol called {name!r}; one of: {', '.join(names())}")
-    return _load(found)
-
-
-@cache
-def _load(name: str) -> type[AnyProtocol]:
-    module = importlib.import_module(f"{__name__}.{name}")
+    module = importlib.import_module(f"{__name__}.{name.lower().replace('-', '_')}")
     own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
     (protocol,) = (v for v in own if issubclass(v, Protocol))
     return protocol

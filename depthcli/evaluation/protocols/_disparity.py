@@ -19,7 +19,7 @@ from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.evaluation.map_files import DisparityFiles
 from depthcli.evaluation.presentation import LEGEND_TEXT, Presentation
 from depthcli.evaluation.protocols import Protocol
-from depthcli.evaluation.scores import MISSING_IS_BAD, Measure, Score, Tally
+from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally
 
 Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]
@@ -66,17 +66,17 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     """Thresholds of the tables, pixels; that of the settings is added."""
     default_threshold: ClassVar[float]
     """Threshold of the headline, pixels."""
-    thresholded_measure: ClassVar[Measure] = Measure("bad", "%", convention=MISSING_IS_BAD, worst=100.0)
+    thresholded_metric: ClassVar[Metric] = Metric("bad", "%", convention=MISSING_IS_BAD, worst=100.0)
     """The headline without its threshold."""
 
     @property
-    def headline(self) -> Measure:
-        """``thresholded_measure`` at the benchmark's threshold, or at the user's."""
+    def headline(self) -> Metric:
+        """``thresholded_metric`` at the benchmark's threshold, or at the user's."""
         return self.at(self.settings.threshold or self.default_threshold)
 
-    def at(self, threshold: float) -> Measure:
-        """Return the headline's measure at another threshold."""
-        return replace(self.thresholded_measure, threshold=threshold)
+    def at(self, threshold: float) -> Metric:
+        """Return the headline's metric at another threshold."""
+        return replace(self.thresholded_metric, threshold=threshold)
 
     plot_thresholds: tuple[float, ...] | None = None
     """Thresholds to take instead of ``thresholds``, set on the copy that computes a plot."""
@@ -169,7 +169,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
             sorted({*self.all_thresholds, *(top * k / _N_DENSE for k in range(1, _N_DENSE + 1))})
         )
         scores = many.scores(estimate, replace(truth, masks={main: truth.masks[main]}))
-        return [s for s in scores if s.measure.threshold is not None and s.measure == self.at(s.measure.threshold)]
+        return [s for s in scores if s.metric.threshold is not None and s.metric == self.at(s.metric.threshold)]
 
     def warnings(self, estimate: Disparity, truth: DisparityTruth) -> list[str]:
         """Return a line where the scale looks wrong."""

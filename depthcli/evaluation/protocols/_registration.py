@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.evaluation.curves import sparsification
-from depthcli.evaluation.scores import Measure, Score, percent
+from depthcli.evaluation.scores import Metric, Score, percent
 from depthcli.evaluation.statistics import correlation, ranks, roc_area
 
 Errors = NDArray[np.float32]
@@ -16,7 +16,7 @@ Errors = NDArray[np.float32]
 LIMITS_MM = (3.0, 6.0)
 """A point is correct below the first, poor below the second, and wrong from there on (Sokooti et al. 2019)."""
 
-HEADLINE = Measure("Spearman", "", worst=-1.0, larger_is_better=True)
+HEADLINE = Metric("Spearman", "", worst=-1.0, larger_is_better=True)
 """Rank correlation of expected and true errors."""
 
 _WORST_SHARE = 0.3  # of TRE30, the robustness of Learn2Reg
@@ -29,7 +29,7 @@ def error_classes(error: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
 
 
 def point_scores(region: str, expected: Errors, true: Errors) -> list[Score]:
-    """Compute every measure over points; expected errors that are not finite are unknown.
+    """Compute every metric over points; expected errors that are not finite are unknown.
 
     Parameters
     ----------
@@ -44,16 +44,16 @@ def point_scores(region: str, expected: Errors, true: Errors) -> list[Score]:
     accuracy = 100 * float(np.mean(error_classes(e) == error_classes(t))) if n_known else np.nan
     values = (
         (HEADLINE, correlation(ranks(e), ranks(t))),
-        (Measure("Pearson", "", worst=-1.0, larger_is_better=True), correlation(e, t)),
-        (Measure("AUC", "", LIMITS_MM[0], worst=0.0, larger_is_better=True), roc_area(e, t > LIMITS_MM[0])),
-        (Measure("accuracy", "%", worst=0.0, larger_is_better=True), accuracy),
-        (Measure("MAE", "mm"), float(np.abs(e - t).mean()) if n_known else np.nan),
-        (Measure("expected", "mm"), float(e.mean()) if n_known else np.nan),
-        (Measure("AUSE", "mm"), np.nan if line is None else line.ause),
-        (Measure("AURG", "mm", larger_is_better=True), np.nan if line is None else line.aurg),
-        (Measure("TRE", "mm"), float(ordered.mean())),
-        (Measure("TRE std", "mm"), float(ordered.std())),
-        (Measure("TRE30", "mm"), float(worst.mean())),
+        (Metric("Pearson", "", worst=-1.0, larger_is_better=True), correlation(e, t)),
+        (Metric("AUC", "", LIMITS_MM[0], worst=0.0, larger_is_better=True), roc_area(e, t > LIMITS_MM[0])),
+        (Metric("accuracy", "%", worst=0.0, larger_is_better=True), accuracy),
+        (Metric("MAE", "mm"), float(np.abs(e - t).mean()) if n_known else np.nan),
+        (Metric("expected", "mm"), float(e.mean()) if n_known else np.nan),
+        (Metric("AUSE", "mm"), np.nan if line is None else line.ause),
+        (Metric("AURG", "mm", larger_is_better=True), np.nan if line is None else line.aurg),
+        (Metric("TRE", "mm"), float(ordered.mean())),
+        (Metric("TRE std", "mm"), float(ordered.std())),
+        (Metric("TRE30", "mm"), float(worst.mean())),
     )
     density, n = percent(n_known, len(true)), len(true)
-    return [Score(measure, region, value, n_known, density, region_pixels=n) for measure, value in values]
+    return [Score(metric, region, value, n_known, density, region_pixels=n) for metric, value in values]

@@ -20,7 +20,7 @@ from depthcli.data.scenes.rgbd import RgbdScene, RgbdTruth
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.presentation import LEGEND_TEXT, Presentation
 from depthcli.evaluation.protocols import Protocol
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
 
 Depth = NDArray[np.float32]
 
@@ -52,7 +52,7 @@ class DepthTruth:
 class DepthProtocol(Protocol[Depth, DepthTruth]):
     """Mean and root-mean-square errors, relative errors, and shares of pixels within a ratio of the truth.
 
-    The measures are those of the depth completion literature: MAE and RMSE in millimeters, REL the mean of
+    The metrics are those of the depth completion literature: MAE and RMSE in millimeters, REL the mean of
     ``|z - z_true| / z_true``, and delta, the percentage of pixels with ``max(z / z_true, z_true / z)`` below 1.05, 1.10
     and 1.25 (ClearGrasp's ``eval_depth_completion.py``, TransCG's ``utils/metrics.py``) and below 1.25 squared and
     cubed (the convention of NYU). Where the sensor's focal length x baseline is known, ``MAE px`` and ``bad 1 px``
@@ -76,7 +76,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     )
     region_order = ("all", "gap", "occluded", "specular", "mismatch", "measured", "object", "transparent")
     takes = ("scale", "threshold", "resize")
-    headline = Measure("MAE", "mm", convention=ESTIMATED_ONLY)
+    headline = Metric("MAE", "mm", convention=ESTIMATED_ONLY)
 
     def truth(self, scene: Scene) -> DepthTruth:
         """Return the true depth with its regions, at the size of the settings."""
@@ -149,7 +149,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         return [_delta(tally, inside, 1 + k / 100) for k in range(1, 51)]
 
     def scores(self, estimate: Depth, truth: DepthTruth) -> list[Score]:
-        """Compute every measure in every region."""
+        """Compute every metric in every region."""
         error, ratio = self.error(estimate, truth), _ratio(estimate, truth.depth)
         pixels = None
         if truth.fb is not None:
@@ -158,31 +158,31 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         for name, region in truth.regions.items():
             tally = Tally(name, error[region])
             known = ~np.isnan(tally.error)
-            square = _mean(tally, replace(self.headline, metric="RMSE"), tally.valid * tally.valid)
+            square = _mean(tally, replace(self.headline, name="RMSE"), tally.valid * tally.valid)
             relative = (error[region] / (1000.0 * truth.depth[region]))[known]
             scores += [
                 _mean(tally, self.headline, tally.valid),
                 replace(square, value=float(np.sqrt(square.value))),
-                _mean(tally, Measure("REL", "", convention=ESTIMATED_ONLY), relative),
+                _mean(tally, Metric("REL", "", convention=ESTIMATED_ONLY), relative),
                 *(_delta(tally, ratio[region][known], limit) for limit in _RATIOS),
             ]
             if pixels is not None:
                 off = pixels[region][known]
-                scores.append(_mean(tally, Measure("MAE", "px", convention=ESTIMATED_ONLY, label="MAE px"), off))
-                scores.append(tally.rate(Measure("bad", "%", 1.0, ESTIMATED_ONLY, label="bad 1 px"), off > 1.0))
-            coverage = Measure("coverage", "%", worst=0.0, larger_is_better=True)
+                scores.append(_mean(tally, Metric("MAE", "px", convention=ESTIMATED_ONLY, label="MAE px"), off))
+                scores.append(tally.rate(Metric("bad", "%", 1.0, ESTIMATED_ONLY, label="bad 1 px"), off > 1.0))
+            coverage = Metric("coverage", "%", worst=0.0, larger_is_better=True)
             scores.append(tally.number(coverage, tally.density, tally.error.size))
         return scores
 
 
-def _mean(tally: Tally, measure: Measure, values: NDArray[np.floating[Any]]) -> Score:
-    return tally.number(measure, float(values.mean()) if values.size else np.nan, values.size)
+def _mean(tally: Tally, metric: Metric, values: NDArray[np.floating[Any]]) -> Score:
+    return tally.number(metric, float(values.mean()) if values.size else np.nan, values.size)
 
 
 def _delta(tally: Tally, ratios: NDArray[np.float64], limit: float) -> Score:
     """Return the percentage of ``ratios``, those of the estimated pixels, below a limit."""
-    measure = Measure("delta", "%", round(limit, 4), ESTIMATED_ONLY, larger_is_better=True, label=f"delta {limit:.4g}")
-    return tally.number(measure, 100.0 * float(np.mean(ratios < limit)) if ratios.size else np.nan, ratios.size)
+    metric = Metric("delta", "%", round(limit, 4), ESTIMATED_ONLY, larger_is_better=True, label=f"delta {limit:.4g}")
+    return tally.number(metric, 100.0 * float(np.mean(ratios < limit)) if ratios.size else np.nan, ratios.size)
 
 
 def _ratio(estimate: Depth, truth: Depth) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""The two-view evaluation of ETH3D, as its program ``two-view-evaluation`` takes its measures."""
+"""The two-view evaluation of ETH3D, as its program ``two-view-evaluation`` computes its metrics."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
 
 QUANTILES = (50, 90, 95, 99)  # percent, as printed by the program
 MISSING_NOT_COUNTED = "estimated pixels only; an empty map counts as bad"
 
 
-class Eth3d(DisparityProtocol):
+class Eth3dProtocol(DisparityProtocol):
     """Bad pixels among the estimated ones, with the coverage beside them.
 
     Values are neither clipped nor rounded; one beyond the image's width counts as missing. A map without any
@@ -28,7 +28,7 @@ class Eth3d(DisparityProtocol):
     )
     thresholds = (0.5, 1.0, 2.0, 4.0)
     default_threshold = 1.0
-    thresholded_measure = Measure("bad", "%", convention=MISSING_NOT_COUNTED, worst=100.0)
+    thresholded_metric = Metric("bad", "%", convention=MISSING_NOT_COUNTED, worst=100.0)
 
     def values(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
         """Return the estimate without the values, of either sign, that are beyond the image's width."""
@@ -38,15 +38,15 @@ class Eth3d(DisparityProtocol):
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute ``bad`` at four thresholds, ``coverage``, ``avgerr``, ``rms`` and quantiles."""
-        return [score for tally in self.tallies(estimate, truth) for score in self._measures(tally)]
+        return [score for tally in self.tallies(estimate, truth) for score in self._metrics(tally)]
 
-    def _measures(self, tally: Tally) -> list[Score]:
+    def _metrics(self, tally: Tally) -> list[Score]:
         valid = tally.valid
         if valid.size:
             scores = [tally.rate(self.at(t), valid > np.float32(t)) for t in self.all_thresholds]
         else:
             scores = [tally.rate(self.at(t), np.isnan(tally.error)) for t in self.all_thresholds]
-        coverage = Measure("coverage", "%", worst=0.0, larger_is_better=True)
+        coverage = Metric("coverage", "%", worst=0.0, larger_is_better=True)
         mean, rms = tally.means()
         # In single precision, as there; the places of the quantiles too.
         square = float(np.mean(valid * valid, dtype=np.float64)) if valid.size else math.nan
@@ -56,5 +56,5 @@ class Eth3d(DisparityProtocol):
         for q in QUANTILES:
             place = int(np.float32(valid.size) * np.float32(q / 100))
             value = float(ordered[place]) if valid.size else math.nan
-            scores.append(tally.number(Measure(f"A{q}", "px", convention=ESTIMATED_ONLY), value, valid.size))
+            scores.append(tally.number(Metric(f"A{q}", "px", convention=ESTIMATED_ONLY), value, valid.size))
         return scores

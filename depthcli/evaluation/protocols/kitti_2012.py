@@ -1,4 +1,4 @@
-"""The stereo evaluation of KITTI 2012, as its development kit's ``evaluate_stereo`` takes its measures."""
+"""The stereo evaluation of KITTI 2012, as its development kit's ``evaluate_stereo`` computes its metrics."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from depthcli.evaluation.protocols._disparity import (
     Masks,
     difference,
 )
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, float_sum
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, float_sum
 
 INTERPOLATED = "background-interpolated"
 NOTHING_ESTIMATED = 0.0
@@ -29,7 +29,7 @@ NOTHING_ESTIMATED = 0.0
 _EMPTY = np.float32(-1)  # value of a row without any, as the kit writes it
 
 
-class Kitti2012(DisparityProtocol):
+class Kitti2012Protocol(DisparityProtocol):
     """Outliers and average errors, on the background-interpolated map and on the estimated pixels; frames averaged.
 
     The map is scored as the 16-bit PNG that would be submitted: multiples of 1/256 px, negative values missing.
@@ -52,7 +52,7 @@ class Kitti2012(DisparityProtocol):
     curve_regions = ("noc", "occ")
     thresholds = (2.0, 3.0, 4.0, 5.0)
     default_threshold = 3.0
-    thresholded_measure = Measure("out", "%", convention=INTERPOLATED, worst=100.0)
+    thresholded_metric = Metric("out", "%", convention=INTERPOLATED, worst=100.0)
 
     def masks(self, stored: StereoTruth) -> Masks:
         """Return ``noc``, the visible pixels, where there is such a file, and ``occ``, all pixels."""
@@ -70,7 +70,7 @@ class Kitti2012(DisparityProtocol):
         return np.where(known_kitti(values), codes, np.nan).astype(np.float32)
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
-        """Compute every measure on the interpolated map, then on the estimated pixels."""
+        """Compute every metric on the interpolated map, then on the estimated pixels."""
         as_is = self.values(estimate, truth)
         filled = interpolate_background(as_is)
         filled[np.isnan(filled)] = _EMPTY
@@ -82,24 +82,24 @@ class Kitti2012(DisparityProtocol):
             tally = Tally(name, difference(as_is, reference).T[inside])
             for convention, pixels in ((INTERPOLATED, inside), (ESTIMATED_ONLY, inside & known)):
                 error = difference(filled, reference).T[pixels]
-                scores += self.measures(tally, error, reference.T[pixels], convention)
+                scores += self.metrics(tally, error, reference.T[pixels], convention)
         return [replace(s, value=NOTHING_ESTIMATED) if s.region_pixels and not s.pixels else s for s in scores]
 
-    def measures(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
+    def metrics(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
         """Compute ``out`` at the thresholds and ``avgerr`` from the errors and the true values of a region."""
         est = "est " if convention == ESTIMATED_ONLY else ""
         scores = [
-            tally.rate(Measure("out", "%", t, convention, 100.0, label=f"{est}out {t:g}"), error > np.float32(t))
+            tally.rate(Metric("out", "%", t, convention, 100.0, label=f"{est}out {t:g}"), error > np.float32(t))
             for t in self.all_thresholds
         ]
         value = float_sum(error) / error.size if error.size else math.nan
-        average = Measure("avgerr", "px", convention=convention, label=f"{est}avgerr")
+        average = Metric("avgerr", "px", convention=convention, label=f"{est}avgerr")
         return [*scores, tally.number(average, value, error.size)]
 
     def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
         """Compute the mean over the frames, summed in single precision as by the kit."""
         mean = super().pool(scores, weights)
-        unit = 100.0 if mean.measure.unit == "%" else 1.0
+        unit = 100.0 if mean.metric.unit == "%" else 1.0
         values = np.array([s.value / unit for s in scores if not math.isnan(s.density)], np.float32)
         value = unit * float_sum(values) / max(values.size, 1)
         return mean if math.isnan(mean.value + value) else replace(mean, value=value)

@@ -1,4 +1,4 @@
-"""The stereo evaluation of KITTI 2015, as its development kit's ``evaluate_scene_flow`` takes its measures."""
+"""The stereo evaluation of KITTI 2015, as its development kit's ``evaluate_scene_flow`` computes its metrics."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityTruth, Masks, difference
-from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, NOTHING_ESTIMATED, Kitti2012
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Measure, Score, Tally, percent, pooled_density
+from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, NOTHING_ESTIMATED, Kitti2012Protocol
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, percent, pooled_density
 
 
-class Kitti2015(Kitti2012):
+class Kitti2015Protocol(Kitti2012Protocol):
     """D1: more than 3 px and at least 5 % of the truth off; pixels pooled over all frames.
 
     A quotient of exactly 5 % counts as wrong: in single precision it is a little above. ``occ_bg`` and ``occ_fg`` are
@@ -37,7 +37,7 @@ class Kitti2015(Kitti2012):
     curve_regions = ("occ", "noc")
 
     @property
-    def headline(self) -> Measure:
+    def headline(self) -> Metric:
         """D1, or plain outliers above the user's threshold."""
         return _d1(INTERPOLATED) if self.settings.threshold is None else self.at(self.settings.threshold)
 
@@ -55,15 +55,15 @@ class Kitti2015(Kitti2012):
             return super().wrong(estimate, truth)
         return is_d1(difference(self.values(estimate, truth), truth.disparity), truth.disparity)
 
-    def measures(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
-        """Compute ``D1``, then the measures of KITTI 2012."""
-        return [tally.rate(_d1(convention), is_d1(error, truth)), *super().measures(tally, error, truth, convention)]
+    def metrics(self, tally: Tally, error: Disparity, truth: Disparity, convention: str) -> list[Score]:
+        """Compute ``D1``, then the metrics of KITTI 2012."""
+        return [tally.rate(_d1(convention), is_d1(error, truth)), *super().metrics(tally, error, truth, convention)]
 
     def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
         """Compute a score over all pixels of all frames: wrong pixels / all pixels, or the mean error."""
         pixels, n_region = sum(s.pixels for s in scores), sum(s.region_pixels for s in scores)
         density = pooled_density(scores)
-        measure, region = scores[0].measure, scores[0].region
+        metric, region = scores[0].metric, scores[0].region
         counts = [s.wrong for s in scores if s.wrong is not None]
         if counts:
             value = percent(sum(counts), pixels)
@@ -71,7 +71,7 @@ class Kitti2015(Kitti2012):
             value = math.fsum(s.value * s.pixels for s in scores if s.pixels) / pixels if pixels else math.nan
         if n_region and not pixels:
             value = NOTHING_ESTIMATED
-        return Score(measure, region, value, pixels, density, sum(counts) if counts else None, n_region)
+        return Score(metric, region, value, pixels, density, sum(counts) if counts else None, n_region)
 
 
 def is_d1(error: Disparity, truth: Disparity) -> NDArray[np.bool_]:
@@ -81,6 +81,6 @@ def is_d1(error: Disparity, truth: Disparity) -> NDArray[np.bool_]:
     return wrong
 
 
-def _d1(convention: str) -> Measure:
+def _d1(convention: str) -> Metric:
     label = "est D1" if convention == ESTIMATED_ONLY else "D1"
-    return Measure("D1", "%", 3.0, convention, 100.0, label=label)
+    return Metric("D1", "%", 3.0, convention, 100.0, label=label)

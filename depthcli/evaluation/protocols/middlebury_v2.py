@@ -13,7 +13,7 @@ from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, Di
 from depthcli.evaluation.scores import Score
 
 
-class MiddleburyV2(DisparityProtocol):
+class MiddleburyV2Protocol(DisparityProtocol):
     """Bad-pixel rates.
 
     A pixel is bad if ``|d - d_true| > t`` or if it has no value (Scharstein & Szeliski, IJCV 2002, eq. 2; the

@@ -1,4 +1,4 @@
-"""The third Middlebury evaluation, as the SDK's ``evaldisp`` takes its measures."""
+"""The third Middlebury evaluation, as the SDK's ``evaldisp`` computes its metrics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.scenes import Scene
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, size
-from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Measure, Score, Tally, float_sum
+from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Metric, Score, Tally, float_sum
 
 QUANTILES = (50, 90, 95, 99)  # percent, as printed by the SDK
 _FACTORS = {"F": 1, "H": 2, "Q": 4}  # full size / size of a resolution
@@ -25,8 +25,8 @@ _HARD = ("PianoL", "Playroom", "Playtable", "Shelves", "Vintage")
 _MAX_RANGES = 1000  # a value beyond so many search ranges is no value, as the SDK's "infinite" ones
 
 
-class MiddleburyV3(DisparityProtocol):
-    """Measures of the SDK.
+class MiddleburyV3Protocol(DisparityProtocol):
+    """Metrics of the SDK.
 
     Maps of half or quarter size are scaled up; values are clipped to the search range at their own size, and
     rounded where the truth is whole pixels. ``bad`` counts wrong values and ``invalid`` missing ones, both over all
@@ -49,7 +49,7 @@ class MiddleburyV3(DisparityProtocol):
     thresholds = (0.5, 1.0, 2.0, 4.0)
     default_threshold = 2.0
     takes = ("scale", "threshold", "resolution")
-    thresholded_measure = Measure("totbad", "%", convention=MISSING_IS_BAD, worst=100.0)
+    thresholded_metric = Metric("totbad", "%", convention=MISSING_IS_BAD, worst=100.0)
 
     def weight(self, scene: str) -> float:
         """Return 0.5 for a hard scene and 1 for all others, as in the site's average."""
@@ -110,27 +110,27 @@ class MiddleburyV3(DisparityProtocol):
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute ``bad`` and ``totbad`` at four thresholds, ``invalid``, ``avgerr``, ``rms`` and quantiles."""
-        return [score for tally in self.tallies(estimate, truth) for score in _measures(self, tally, truth.factor)]
+        return [score for tally in self.tallies(estimate, truth) for score in _metrics(self, tally, truth.factor)]
 
 
-def _measures(protocol: MiddleburyV3, tally: Tally, factor: int) -> list[Score]:
+def _metrics(protocol: MiddleburyV3Protocol, tally: Tally, factor: int) -> list[Score]:
     error, valid, missing = tally.error, tally.valid, np.isnan(tally.error)
     scores = []
-    for metric, convention, extra in (("bad", MISSING_APART, False), ("totbad", MISSING_IS_BAD, True)):
+    for name, convention, extra in (("bad", MISSING_APART, False), ("totbad", MISSING_IS_BAD, True)):
         for t in protocol.all_thresholds:
             here = t / factor
-            label = f"{metric} {t:g}" + (f" ({here:g})" if factor > 1 else "")
-            measure = Measure(metric, "%", t, convention, 100.0, label=label)
+            label = f"{name} {t:g}" + (f" ({here:g})" if factor > 1 else "")
+            metric = Metric(name, "%", t, convention, 100.0, label=label)
             wrong = error > np.float32(here)
             if extra:
                 wrong |= missing
-            scores.append(tally.rate(measure, wrong))
-    scores.append(tally.rate(Measure("invalid", "%", None, MISSING_APART, 100.0), missing))
+            scores.append(tally.rate(metric, wrong))
+    scores.append(tally.rate(Metric("invalid", "%", None, MISSING_APART, 100.0), missing))
     mean, *others = tally.means()
     average = float_sum(valid.astype(np.float32)) / valid.size if valid.size else math.nan
     scores += [replace(mean, value=average), *others]
     ordered = np.sort(valid)
     for q in QUANTILES:
         value = float(ordered[max(0, -(-q * valid.size // 100) - 1)]) if valid.size else math.nan
-        scores.append(tally.number(Measure(f"A{q}", "px", convention=ESTIMATED_ONLY), value, valid.size))
+        scores.append(tally.number(Metric(f"A{q}", "px", convention=ESTIMATED_ONLY), value, valid.size))
     return scores

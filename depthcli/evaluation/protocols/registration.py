@@ -24,7 +24,7 @@ from depthcli.evaluation.presentation import Presentation
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.protocols._registration import HEADLINE, LIMITS_MM, Errors, error_classes, point_scores
 from depthcli.evaluation.render import Number, Table
-from depthcli.evaluation.results import Curve, Result
+from depthcli.evaluation.results import Curve, MapResult
 from depthcli.evaluation.scores import Score
 
 _MAX_POOLED = 8_000_000  # points of several pairs; of more, which take minutes, so many are drawn
@@ -209,7 +209,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         return math.prod(truth.truth.grid.shape)
 
     def scores(self, estimate: Errors, truth: PreparedTruth) -> list[Score]:
-        """Compute every measure over all points."""
+        """Compute every metric over all points."""
         return point_scores(truth.region, estimate, truth.error)
 
     def curves(self, estimate: Errors, truth: PreparedTruth, confidences: Mapping[str, NDArray[Any]]) -> list[Curve]:
@@ -225,8 +225,8 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Return region, expected and true errors of all points."""
         return truth.region, estimate, truth.error
 
-    def mean(self, results: Sequence[Result]) -> list[Score]:
-        """Compute every measure over all points of the scenes; those of a scene without any value count as the worst.
+    def mean(self, results: Sequence[MapResult]) -> list[Score]:
+        """Compute every metric over all points of the scenes; those of a scene without any value count as the worst.
 
         Of more than ``_MAX_POOLED`` points every scene gives the same share, drawn without regard to the other scenes.
         """
@@ -234,7 +234,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         regions = dict.fromkeys(result.scores[0].region for result in scored)
         return [s for region in regions for s in self._pooled([r for r in scored if r.scores[0].region == region])]
 
-    def _pooled(self, results: Sequence[Result]) -> list[Score]:
+    def _pooled(self, results: Sequence[MapResult]) -> list[Score]:
         """Pool the scenes of one region."""
         if len(results) == 1:
             return list(results[0].scores)
@@ -260,7 +260,7 @@ def _with_missing(score: Score, share: float, n_points: int) -> Score:
     """The score where a share of the points lies in scenes without any value; NaN where there is no worst value."""
     if share == 0:
         return replace(score, region_pixels=n_points)
-    worst = math.nan if score.measure.worst is None else score.measure.worst
+    worst = math.nan if score.metric.worst is None else score.metric.worst
     value, density = share * worst + (1 - share) * score.value, (1 - share) * score.density
     return replace(score, value=value, density=density, region_pixels=n_points)
 
