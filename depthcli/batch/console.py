@@ -14,8 +14,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from depthcli.batch.json_csv import Row
-from depthcli.core.errors import IncompleteError, printable
-from depthcli.core.text import one_line
+from depthcli.core.errors import IncompleteError
+from depthcli.core.text import one_line, printable
 
 if TYPE_CHECKING:
     from tqdm import tqdm

@@ -55,7 +55,7 @@ class _Commands(TyperGroup):
         if cmd_name not in command_names():
             return None
         app = typer.Typer(**_SETTINGS)
-        app.command(cmd_name, help=help_of(cmd_name))(_function(load_command(cmd_name)))
+        app.command(cmd_name, help=help_of(cmd_name))(_callback(load_command(cmd_name)))
         return get_command(app)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -81,41 +81,30 @@ def depthcli(
     """Depth from images and its evaluation, in batches: YAML configs and folders in, maps and reports out."""
 
 
-def _function(command: Command) -> Callable[..., int]:
-    """Return a function that runs a command, with the signature that typer makes a command line of."""
+def _callback(command: Command) -> Callable[..., int]:
+    """Return the function that typer calls for a command; typer reads the options from its signature."""
 
-    def function(**values: Any) -> int:
-        reporter = Reporter(-1 if values["quiet"] else int(values["verbose"]))
-        return command.run(values, reporter)
+    def callback(**values: Any) -> int:
+        return command.run(values, Reporter(-1 if values["quiet"] else int(values["verbose"])))
 
-    parameters = [
-        inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=_annotation(option))
-        for option, default in (
-            *((argument, _argument(argument)) for argument in command.arguments),
-            *((option, _option(option)) for option in (*command.options, *_COMMON)),
-        )
-    ]
-    function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    function.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return function
+    parameters = [_parameter(argument, positional=True) for argument in command.arguments]
+    parameters += [_parameter(option, positional=False) for option in (*command.options, *_COMMON)]
+    callback.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    callback.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return callback
 
 
-def _annotation(option: Option) -> Any:
+def _parameter(option: Option, *, positional: bool) -> inspect.Parameter:
+    default = ... if option.required else option.default
+    texts: dict[str, Any] = {"metavar": option.metavar or None, "help": option.help}
+    if positional:
+        declared = typer.Argument(default, **texts)
+    else:
+        names = (option.flag, option.short) if option.short else (option.flag,)
+        declared = typer.Option(default, *names, min=option.min_value, max=option.max_value, **texts)
     kind: Any = list[option.type] if option.repeatable else option.type  # type: ignore[name-defined]
-    return kind if option.required or option.type is bool else kind | None
-
-
-def _argument(option: Option) -> Any:
-    default = ... if option.required else option.default
-    return typer.Argument(default, metavar=option.metavar or None, help=option.help)
-
-
-def _option(option: Option) -> Any:
-    default = ... if option.required else option.default
-    names = (option.flag, option.short) if option.short else (option.flag,)
-    return typer.Option(
-        default, *names, metavar=option.metavar or None, help=option.help, min=option.min_value, max=option.max_value
-    )
+    annotation = kind if option.required or option.type is bool else kind | None
+    return inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=declared, annotation=annotation)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -125,35 +114,20 @@ def main(arguments: list[str] | None = None) -> int:
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGTERM, _terminate)
     try:
-        code = int(app(arguments, prog_name="depthcli", standalone_mode=False) or 0)
-        if code == 130:  # typer turns Ctrl-C into this code, silently
-            raise KeyboardInterrupt
-        return code
+        return _run_typer(arguments)
     except IncompleteError as error:
         _print_error(f"depthcli: {error}")
         return SOME_FAILED
-    except DepthcliError as error:
+    except DepthcliError as error:  # several lines are the problems of a config, each with its place
         _print_error(f"depthcli: {error}" if "\n" not in str(error) else str(error))
         return 2
     except _Terminated:
         _print_error("depthcli: terminated; the same command goes on where it stopped")
         return 143
-    except (KeyboardInterrupt, typer.Abort):
+    except KeyboardInterrupt:
         _print_error("depthcli: interrupted; the same command goes on where it stopped")
         return 130
-    except SystemExit as error:
-        if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
-            raise
-        return 0  # typer ends so where the reader of its help text has closed it
-    except Exception as error:
-        if isinstance(error, OSError) and error.filename is None and error.errno in _STREAM_ERRORS:  # typer's help text
-            Reporter.close_stdout()
-            _print_error(f"depthcli: stdout: cannot be written ({error.strerror})")
-            return SOME_FAILED
-        if getattr(error, "exit_code", None) == 2 and hasattr(error, "show"):  # wrong usage: typer has the message
-            with contextlib.suppress(OSError):
-                error.show()
-            return 2
+    except Exception:
         import traceback
 
         _print_error(traceback.format_exc().rstrip())
@@ -162,6 +136,41 @@ def main(arguments: list[str] | None = None) -> int:
     finally:
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
+
+
+def _run_typer(arguments: list[str] | None) -> int:
+    """Parse the command line, run its command and return the exit code.
+
+    Typer ends in ways of its own, which become one of ours here:
+
+    - Ctrl-C: it returns 130 as if a command had, or raises ``Abort``. Here: ``KeyboardInterrupt``.
+    - Wrong usage: an exception of a private class with ``exit_code`` 2, which prints usage and message. Here: 2.
+    - The reader of a help text has closed the pipe (``--help | head``): it exits with 1. Here: 0, nothing failed.
+    - A help text that a full disk does not take: a bare ``OSError``. Here: ``IncompleteError``, as for other output.
+    - Shell completion, which the variable ``_DEPTHCLI_COMPLETE`` asks for: it exits with its own codes, which stay.
+    """
+    try:
+        code = int(app(arguments, prog_name="depthcli", standalone_mode=False) or 0)
+    except typer.Abort:
+        code = 130
+    except SystemExit as error:
+        if error.code != 1 or "_DEPTHCLI_COMPLETE" in os.environ:
+            raise
+        return 0
+    except OSError as error:
+        if error.filename is not None or error.errno not in _STREAM_ERRORS:
+            raise
+        Reporter.close_stdout()
+        raise IncompleteError(f"stdout: cannot be written ({error.strerror})") from error
+    except Exception as error:
+        if getattr(error, "exit_code", None) != 2 or not hasattr(error, "show"):
+            raise
+        with contextlib.suppress(OSError):
+            error.show()
+        return 2
+    if code == 130:
+        raise KeyboardInterrupt
+    return code
 
 
 def _repair_streams() -> None:

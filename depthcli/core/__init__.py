@@ -1,1 +1,18 @@
-"""Types and mechanisms that every other package stands on."""
+"""What every other package stands on: how a config becomes an algorithm, what algorithms take and give back, errors.
+
+Read ``method`` first: an algorithm is one file with one pydantic model, and a folder of such files is a registry.
+
+| module | holds |
+|---|---|
+| ``method`` | ``Method``, base of the algorithms; ``Family``, those of a folder; ``RootConfig``, of a command |
+| ``config_file`` | ``load_config``: a YAML file, the one it is based on, and ``--set`` become a checked model |
+| ``yaml_source`` | the YAML below it: plain data, with the line of every value; ``to_yaml`` back |
+| ``config_errors`` | pydantic's errors as lines with file, key and what may be meant |
+| ``frames``, ``volumes`` | inputs: a rectified pair; color and depth (and infrared); two volumes on one grid |
+| ``maps``, ``result`` | outputs: a map with the status of every pixel; what else a method gives back, its times |
+| ``cameras`` | one camera, two of them, their rectification; disparity and depth; the Kinect's raw codes |
+| ``networks`` | a trained network as arrays |
+| ``option`` | a command-line option as data |
+| ``memory`` | large arrays that are recycled |
+| ``errors``, ``text`` | errors that a user reads; texts from outside, made harmless |
+"""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from depthcli.core.text import printable
+
 
 class DepthcliError(Exception):
     """Base of the errors a command reports without a traceback. The message can always be printed and encoded."""
@@ -24,20 +26,3 @@ class OutputError(DepthcliError):
 
 class IncompleteError(DepthcliError):
     """Results stand in their files, but the report or the data for stdout cannot be written."""
-
-
-def printable(text: str) -> str:
-    """``text`` with escapes for what cannot be shown: control characters, bytes of names that are not UTF-8.
-
-    Line breaks stay. Python holds such bytes as lone surrogates, which no stream takes.
-    """
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() or c == "\n" else _escape(c) for c in text)
-
-
-def _escape(character: str) -> str:
-    code = ord(character)
-    if 0xDC80 <= code <= 0xDCFF:
-        return f"\\x{code - 0xDC00:02x}"
-    return character.encode("unicode_escape").decode("ascii")

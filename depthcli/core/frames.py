@@ -1,4 +1,4 @@
-"""Inputs of the algorithms: a rectified pair, a frame of color and depth."""
+"""Inputs of the algorithms: a rectified pair, a frame of color and depth, and such frames with more beside."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ class StereoPair:
 
     @cached_property
     def grey8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """Both images as (H, W) uint8."""
+        """Both images as (H, W) uint8 luma; 16-bit images are scaled."""
         left, right = self.grey
         return _eight_bit(left), _eight_bit(right)
 
     @property
     def top(self) -> int:
-        """The largest sample."""
+        """Largest value that a sample can have."""
         return (1 << (self.bits or 8 * self.left.itemsize)) - 1
 
     @property
@@ -87,9 +87,7 @@ class StereoPair:
 
 
 def _grey(image: Image) -> Image:
-    if image.ndim == 2:
-        return image
-    return cast(Image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+    return image if image.ndim == 2 else cast(Image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
 
 
 def _clamped(image: Image, top: int) -> Image:
@@ -97,7 +95,7 @@ def _clamped(image: Image, top: int) -> Image:
 
 
 def _spread(image: Image, top: int) -> Image:
-    """Samples up to ``top`` over the range of the image's dtype."""
+    # Samples up to ``top`` over the range of the image's dtype.
     full = np.iinfo(image.dtype).max
     if top == full:
         return image

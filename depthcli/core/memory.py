@@ -10,7 +10,7 @@ import ctypes
 import threading
 import weakref
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -22,28 +22,20 @@ _lock = threading.RLock()  # re-entrant: a finalizer may run inside ``empty``
 _free: list[NDArray[np.uint8]] = []
 
 
-def keep_freed_memory() -> None:
-    """Ask the C library to keep what is freed, for arrays below the pool's size (glibc only; else nothing)."""
+def _keep_freed_memory() -> Callable[[int], int] | None:
+    # Ask the C library to keep what is freed, for arrays below the pool's size; return what gives it back. glibc only.
     trim_threshold, mmap_threshold = -1, -3
     try:
-        mallopt = ctypes.CDLL(None).mallopt
-    except (AttributeError, OSError, TypeError):
-        return
-    mallopt(trim_threshold, 256 << 20)
-    mallopt(mmap_threshold, 32 << 20)
-
-
-def _find_trim() -> Callable[[int], int] | None:
-    """What gives back the freed memory that the C library keeps (glibc only)."""
-    try:
-        trim: Callable[[int], int] = ctypes.CDLL(None).malloc_trim
+        library = ctypes.CDLL(None)
+        mallopt, trim = library.mallopt, library.malloc_trim
     except (AttributeError, OSError, TypeError):
         return None
-    return trim
+    mallopt(trim_threshold, 256 << 20)
+    mallopt(mmap_threshold, 32 << 20)
+    return cast(Callable[[int], int], trim)
 
 
-keep_freed_memory()
-_trim = _find_trim()
+_trim = _keep_freed_memory()
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
@@ -76,7 +68,7 @@ def _give(block: NDArray[np.uint8]) -> None:
 
 
 def kept() -> int:
-    """Bytes of free blocks that are held back."""
+    """Return the bytes of free blocks that are held back."""
     with _lock:
         return sum(block.size for block in _free)
 

@@ -13,7 +13,7 @@ import importlib
 import importlib.util
 import pkgutil
 from functools import cache
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal, LiteralString
 
 from pydantic import (
     AfterValidator,
@@ -111,36 +111,22 @@ class Family:
         """
         if isinstance(value, Method):
             return value
-        if isinstance(value, str):
-            value = {self.key: value}
-        if not isinstance(value, dict):
-            raise PydanticCustomError(
-                "method_type",
-                "want a name or a mapping with '{key}'; one of: {names}",
-                {"key": self.key, "names": ", ".join(self.names())},
-            )
-        fields = dict(value)
+        if not isinstance(value, str | dict):
+            raise self._error("method_type", "want a name or a mapping with '{key}'")
+        fields = {self.key: value} if isinstance(value, str) else dict(value)
         name = fields.pop(self.key, None)
         if name is None:
-            raise PydanticCustomError(
-                "method_name",
-                "want '{key}' in this mapping; one of: {names}",
-                {"key": self.key, "names": ", ".join(self.names())},
-            )
+            raise self._error("method_name", "want '{key}' in this mapping")
         own = self.named(name) if isinstance(name, str) else None
         if own is None:
-            hint = difflib.get_close_matches(str(name), self.names(), 1)
-            raise PydanticCustomError(
-                "method_name",
-                "no {key} called {name}{hint}; one of: {names}",
-                {
-                    "key": self.key,
-                    "name": repr(name),
-                    "hint": f"; did you mean {hint[0]!r}?" if hint else "",
-                    "names": ", ".join(self.names()),
-                },
-            )
+            near = difflib.get_close_matches(str(name), self.names(), 1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise self._error("method_name", "no {key} called {name}{hint}", name=repr(name), hint=hint)
         return self.load(own).model_validate(fields)
+
+    def _error(self, kind: Literal["method_type", "method_name"], text: LiteralString, **values: str) -> Exception:
+        values |= {"key": self.key, "names": ", ".join(self.names())}
+        return PydanticCustomError(kind, text + "; one of: {names}", values)
 
 
 @cache

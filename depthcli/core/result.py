@@ -15,7 +15,7 @@ from depthcli.core.maps import DepthMap
 
 @dataclass(kw_only=True)
 class Result:
-    """The half of a result that does not depend on the problem.
+    """What a pipeline gives back beside its main map; each problem adds its map to it.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class Result:
     confidence : name -> (H, W) float32, higher is surer
     tables : name -> list of rows (dicts), written as CSV
     pictures : name -> (H, W), (H, W, 3) uint8 or (H, W) uint16, written as PNG
-    figures : name -> number, added to the item's row of the report
+    figures : name -> number, added to the scene's row of the report
     """
 
     seconds: dict[str, float] = field(default_factory=dict)
@@ -57,8 +57,8 @@ class RefinedDepth(Result):
 class Clock:
     """Adds up seconds by stage.
 
-    What ``untimed`` counts (seconds spent compiling kernels, where a runner says so) is left out: it happens
-    once on a machine and is not the method's time.
+    What ``untimed`` counts is left out: the seconds spent on compiling kernels, where a runner sets it so. That
+    happens once on a machine and is not the method's time.
     """
 
     untimed: ClassVar[Callable[[], float]] = staticmethod(lambda: 0.0)

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
-from depthcli.core.errors import printable
-
 _FORMULA_STARTS = ("=", "+", "-", "@")  # cells that begin so are computed by spreadsheets (OWASP, CSV injection)
 
 
+def printable(text: str) -> str:
+    """Return ``text`` with escapes for what cannot be shown: control characters, bytes of names that are not UTF-8.
+
+    Line breaks stay. Python holds such bytes as lone surrogates, which no stream takes.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else _escape(c) for c in text)
+
+
+def _escape(character: str) -> str:
+    code = ord(character)
+    if 0xDC80 <= code <= 0xDCFF:
+        return f"\\x{code - 0xDC00:02x}"
+    return character.encode("unicode_escape").decode("ascii")
+
+
 def one_line(text: str) -> str:
-    """``text`` on one line, with escapes for line breaks and for what cannot be shown."""
+    """Return ``text`` on one line, with escapes for line breaks and for what cannot be shown."""
     return printable(text).replace("\n", "\\n")
 
 
 def csv_cell(value: object) -> object:
-    """``value`` as a cell of a CSV file: a text that a spreadsheet would compute gets an apostrophe before it.
+    """Return ``value`` as a cell of a CSV file: a text that a spreadsheet would compute gets an apostrophe before it.
 
     Numbers stay, those in texts too; line breaks and what cannot be shown are escaped.
     """

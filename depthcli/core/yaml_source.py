@@ -95,7 +95,7 @@ def read_config(path: Path) -> ConfigData:
 
 
 def parse_config(text: str, name: str) -> ConfigData:
-    """Parse the text of a config file; ``name`` stands in messages. Errors as :func:`read_config`."""
+    """Parse the text of a config file; ``name`` stands in messages. Raises as :func:`read_config` does."""
     node = compose(text, name)
     config = ConfigData(name)
     if node is None:
@@ -108,9 +108,8 @@ def parse_config(text: str, name: str) -> ConfigData:
 
 
 def to_yaml(value: Any) -> str:
-    """Plain data as YAML in the given order, short lists on one line."""
-    text: str = yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)
-    return text
+    """Return plain data as YAML in the given order, lists without mappings or lists in them on one line."""
+    return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
 
 
 class _Dumper(yaml.SafeDumper):
@@ -135,15 +134,14 @@ _Dumper.add_representer(float, _Dumper.represent_float)
 
 
 def compose(text: str, name: str) -> yaml.Node | None:
-    """The node tree of a YAML text; ConfigError with the line where it is not YAML."""
+    """Return the node tree of a YAML text, None of an empty one; ConfigError with the line where it is not YAML."""
     inline = name.startswith("--")
     try:
         loader = _Loader(text)
         try:
-            node: yaml.Node | None = loader.get_single_node()
+            return loader.get_single_node()
         finally:
             loader.dispose()
-        return node
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         what = " ".join(filter(None, [error.context, error.problem]))
@@ -151,13 +149,11 @@ def compose(text: str, name: str) -> yaml.Node | None:
             what = "a tab; YAML wants spaces for indentation"
         at = name if inline or mark is None else f"{name}:{mark.line + 1}"
         raise ConfigError(f"{at}: not valid YAML ({what})") from None
-    except yaml.YAMLError as error:
-        what = str(getattr(error, "reason", error)).splitlines()[0]
-        raise ConfigError(f"{name}: not valid YAML ({what})") from None
     except RecursionError:
         raise ConfigError(f"{name}: nested too deeply") from None
-    except ValueError as error:
-        raise ConfigError(f"{name}: not valid YAML ({str(error).splitlines()[0]})") from None
+    except (yaml.YAMLError, ValueError) as error:
+        what = str(getattr(error, "reason", error)).splitlines()[0]
+        raise ConfigError(f"{name}: not valid YAML ({what})") from None
 
 
 def _line(node: yaml.Node) -> int:

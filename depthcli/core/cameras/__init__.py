@@ -1,2 +1,9 @@
-"""Cameras and what two of them measure together: ``camera`` (one camera), ``triangulation`` (disparity and depth),
-``rig`` (two cameras at fixed places, and their rectification), ``kinect`` (a sensor's raw codes)."""
+"""Cameras, and what two of them measure together.
+
+| module | holds |
+|---|---|
+| ``camera`` | ``Camera``: where one camera with a lens projects points to; ``Intrinsics``: without its distortion |
+| ``rig`` | ``Rig``: two cameras at fixed places; ``RectifiedRig``: both turned so that rows correspond |
+| ``triangulation`` | ``PairGeometry``, the numbers by which a rectified pair's disparity becomes depth, and back |
+| ``kinect`` | ``KinectCalibration``: raw codes to depth, and its depth map in the color camera's pixels |
+"""
