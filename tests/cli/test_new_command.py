@@ -95,7 +95,7 @@ def test_the_measures_serve_pairs_of_the_layout_and_the_protocol_ranks_the_runs(
     assert compared.returncode == 0, compared.stderr
     document = json.loads((checkout / "report" / "scores.json").read_text())
     assert document["runs"] == ["squared", "constant"]
-    assert "eighth_pixel" in json.dumps(document)
+    assert "eighth-pixel" in json.dumps(document)
 
 
 @pytest.mark.system

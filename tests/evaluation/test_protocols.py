@@ -183,6 +183,7 @@ def test_masks_that_are_not_given_follow_from_both_views():
 def test_v3_agrees_with_the_naive_one(seed, factor, rounded, size):
     _, truth, mask = random_maps(seed, (12, 16))
     estimate, _, _ = random_maps(seed + 1, (12 // factor, 16 // factor))
+    estimate[1, 1:3] = -np.inf
     full = {"F": 1, "H": 2, "Q": 4}[size]
     reference = DisparityTruth(truth, {"all": mask}, max_disparity=59, round_disparity=rounded, factor=full)
     judge = make("middlebury-v3")
@@ -286,22 +287,42 @@ def test_eth3d_counts_the_estimated_pixels_and_neither_clips_nor_rounds():
 # KITTI
 
 
-@given(st.integers(0, 10**6))
+@given(st.integers(0, 10**6), st.lists(st.sampled_from(["map", "empty", "empty row"]), min_size=1, max_size=4))
 @settings(max_examples=60, deadline=None)
-def test_kitti_agrees_with_the_naive_one(seed):
-    estimate, truth, mask = random_maps(seed)
-    png = naive.submitted(estimate)
-    filled = interpolate_background(png)
-    np.testing.assert_array_equal(filled, naive.interpolate_background(png))
-    scores = make("kitti-2015").scores(estimate, DisparityTruth(truth, {"occ": mask}))
-    for convention in (INTERPOLATED, ESTIMATED_ONLY):
-        for metric, t in (("D1", 3.0), ("out", 3.0), ("out", 5.0)):
-            only = convention == ESTIMATED_ONLY
-            wrong, pixels, average = naive.kitti(png, filled, truth, mask, only, None if metric == "D1" else t)
-            score = pick(scores, metric, t, convention)
-            assert (score.wrong, score.pixels) == (wrong, pixels)
-        expected = average if mask.any() and not np.isnan(truth[mask]).all() else math.nan
-        assert pick(scores, "avgerr", None, convention).value == pytest.approx(expected, rel=1e-5, nan_ok=True)
+def test_kitti_agrees_with_the_kits_formulas(seed, kinds):
+    """Over frames of several sizes, of which some have no estimate at all, or none in a row: figures and densities."""
+    frames = []
+    for k, kind in enumerate(kinds):
+        estimate, truth, mask = random_maps(seed + k, (5 + 3 * k, 11 - 2 * k))
+        estimate[{"map": slice(0), "empty": slice(None), "empty row": slice(2, 3)}[kind]] = np.nan
+        mask[0, 0], truth[0, 0] = True, 9  # a frame without truth is an error of the kits
+        frames.append((naive.submitted(estimate), truth, mask))
+        np.testing.assert_array_equal(
+            interpolate_background(frames[-1][0]), naive.interpolate_background(frames[-1][0])
+        )
+    for name, formulas, rules in (
+        ("kitti-2012", naive.kitti_2012, [("out", t) for t in (2.0, 3.0, 4.0, 5.0)]),
+        ("kitti-2015", naive.kitti_2015, [("D1", 3.0), ("out", 3.0)]),
+    ):
+        judge = make(name)
+        found = [judge.scores(estimate, DisparityTruth(truth, {"occ": mask})) for estimate, truth, mask in frames]
+        mean = judge.mean([MapResult("r", str(k), "d", name, scores=tuple(scores)) for k, scores in enumerate(found)])
+        for metric, t in rules:
+            rule = naive.d1 if metric == "D1" else lambda error, _, t=t: error > t
+            expected = formulas(frames, rule)
+            for frame, scores in zip(frames, found, strict=True):
+                wrong, _, pixels = naive.kitti_frame(*frame, rule)
+                both = [pick(scores, metric, t, c) for c in (INTERPOLATED, ESTIMATED_ONLY)]
+                assert [(s.wrong, s.pixels) for s in both] == list(zip(wrong, pixels, strict=True))
+            for convention, (share, average) in zip(
+                (INTERPOLATED, ESTIMATED_ONLY), (expected[:2], expected[2:4]), strict=True
+            ):
+                score = pick(mean, metric, t, convention)
+                assert score.value == pytest.approx(share, rel=1e-5)
+                assert score.density == pytest.approx(expected[4], rel=1e-6)
+                average_score = pick(mean, "avgerr", None, convention)
+                assert average_score.value == pytest.approx(average, rel=1e-5)
+                assert average_score.density == pytest.approx(expected[4], rel=1e-6)
 
 
 def test_interpolation_leaves_an_empty_row_between_full_ones():

@@ -1,4 +1,4 @@
-"""Slow, obvious twins of the error measures, pixel by pixel. Never imports depthcli."""
+"""Slow, obvious versions of the metrics, pixel by pixel, from the benchmarks' definitions. Never imports depthcli."""
 
 from __future__ import annotations
 
@@ -100,25 +100,52 @@ def submitted(disparity):
     return out
 
 
-def kitti(estimate, filled, truth, mask, only_estimated, t=None):
-    """(wrong, pixels, average error) by D1 (``t`` None) or an error above ``t``; a value still missing is -1.
+def kitti_frame(estimate, truth, mask, wrong):
+    """Sums of one frame as both kits take them, in loops over columns, then rows.
 
-    No pixel has an average error of 0, by the kit's division by at least 1.
+    ``wrong(error, true)`` judges a pixel. (wrong, error sum, pixels) of the interpolated map, then of the pixels that
+    the map itself has a value for. A pixel that the interpolation leaves empty holds -1, and counts by it.
     """
-    wrong = pixels = 0
-    total = 0.0
-    for y in range(truth.shape[0]):
-        for x in range(truth.shape[1]):
-            gt = float(truth[y, x])
-            if not mask[y, x] or not gt >= 0 or (only_estimated and math.isnan(estimate[y, x])):
+    filled = interpolate_background(estimate)
+    bad, total, pixels = [0, 0], [0.0, 0.0], [0, 0]
+    for x in range(truth.shape[1]):
+        for y in range(truth.shape[0]):
+            true = float(truth[y, x])
+            if not mask[y, x] or not true >= 0:
                 continue
             d = -1.0 if math.isnan(filled[y, x]) else float(filled[y, x])
-            error = abs(d - gt)
-            pixels += 1
-            total += error
-            if (error > 3 and error >= 0.05 * gt) if t is None else error > t:
-                wrong += 1
-    return wrong, pixels, total / max(pixels, 1)
+            for k in range(1 if math.isnan(estimate[y, x]) else 2):
+                bad[k] += wrong(abs(d - true), true)
+                total[k] += abs(d - true)
+                pixels[k] += 1
+    return bad, total, pixels
+
+
+def d1(error, true):
+    """The rule of KITTI 2015; exactly 5 % is wrong."""
+    return error > 3 and error >= 0.05 * true
+
+
+def kitti_2012(frames, wrong):
+    """(%, average error) of interpolated and estimated pixels, and density %: each the mean of the frames' own figures.
+
+    A frame's sums are divided by at least 1, so that one without any estimate gives 0.
+    """
+    rows = []
+    for bad, total, pixels in (kitti_frame(*frame, wrong) for frame in frames):
+        both = [(100 * bad[k] / max(pixels[k], 1), total[k] / max(pixels[k], 1)) for k in (0, 1)]
+        rows.append((*both[0], *both[1], 100 * pixels[1] / max(pixels[0], 1)))
+    return [sum(column) / len(frames) for column in zip(*rows, strict=True)]
+
+
+def kitti_2015(frames, wrong):
+    """The same five figures, each a quotient of the sums over all frames; the divisor is at least 1."""
+    sums = [0.0] * 6
+    for bad, total, pixels in (kitti_frame(*frame, wrong) for frame in frames):
+        sums = [a + b for a, b in zip(sums, (*bad, *total, *pixels), strict=True)]
+    bad, total, pixels = sums[:2], sums[2:4], sums[4:]
+    both = [(100 * bad[k] / max(pixels[k], 1), total[k] / max(pixels[k], 1)) for k in (0, 1)]
+    return [*both[0], *both[1], 100 * pixels[1] / max(pixels[0], 1)]
 
 
 def expected_sparsification(confidence, wrong, percentages):
