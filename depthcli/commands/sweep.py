@@ -172,7 +172,7 @@ def _print_result(
     documents, texts = [], []
     for section in report.by_protocol:
         headline, sign = section.protocol.headline, -1 if section.protocol.headline.larger_is_better else 1
-        figures = {run: math.nan if (s := section.figure(run)) is None else s.value for run in report.runs}
+        figures = {run: section.figure(run).value for run in report.runs}
         order = sorted(report.runs, key=lambda run: (math.isnan(figures[run]), sign * figures[run]))
         found = effects(axes, {chosen[run]: figures[run] for run in report.runs}, headline.larger_is_better)
         for run in order:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -65,45 +65,69 @@ class Section:
         return sum(bool(result.error) for result in self.results_of(run))
 
     @cached_property
-    def mean_records(self) -> list[Record]:
-        """The means of every run, metric and region, over all scenes (``MEAN``) and common ones (``COMMON_MEAN``)."""
-        made = []
-        for run in self.runs:
-            common = {score.key: score for score in self.protocol.mean(self.results_of(run, common=True))}
-            n_missing = self.n_missing(run)
-            missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
-            where = {"run": run, "data_set": self.data_set, "protocol": self.protocol.name}
-            for score in self.protocol.mean(self.results_of(run)):
-                of_common = common.get(score.key, replace(score, value=math.nan, density=math.nan))
-                note = f"over the {len(self.common)} scenes that all runs have"
-                made.append(Record(scene=MEAN, score=score, note=f"over {len(self.scenes)} scenes{missing}", **where))
-                made.append(Record(scene=COMMON_MEAN, score=of_common, note=note, **where))
-        return made
+    def _means(self) -> dict[tuple[str, bool], dict[Key, Score]]:
+        """(run, over the common scenes alone) -> (metric, region) -> mean."""
+        return {
+            (run, common): {score.key: score for score in self.protocol.mean(self.results_of(run, common))}
+            for run in self.runs
+            for common in (False, True)
+        }
 
-    @cached_property
-    def _scores(self) -> dict[tuple[str, str, Key], Score]:
-        records = [record for result in self.results for record in result.records()] + self.mean_records
-        return {(r.run, r.scene, r.score.key): r.score for r in records if r.score is not None}
+    def mean(self, run: str, key: Key, common: bool = False) -> Score:
+        """Return a run's mean over all scenes or the common ones; NaN where there is none."""
+        return self._means[run, common].get(key) or Score(*key, math.nan, 0, math.nan)
 
-    def score(self, run: str, scene: str, key: Key) -> Score | None:
-        """Return one run's score of a scene, of ``MEAN`` or of ``COMMON_MEAN``; None where there is none."""
-        return self._scores.get((run, scene, key))
+    def figure(self, run: str, common: bool = False) -> Score:
+        """Return the single figure of a run over all scenes or the common ones; NaN where there is none.
 
-    def figure(self, run: str, scene: str = MEAN) -> Score | None:
-        """Return the single figure of a run over all scenes (``MEAN``) or the common ones (``COMMON_MEAN``).
-
-        It is the headline over the protocol's regions for it; None where the run has no score.
+        It is the headline over the protocol's regions for it.
         """
         keys = [(self.protocol.headline, region) for region in self.protocol.figure_regions(self.regions)]
-        if len(keys) == 1:  # the mean of that region, which a protocol may compute in its own way
-            return self.score(run, scene, keys[0])
         pairs = [
-            (score, self.protocol.weight(result.scene))
-            for result in self.results_of(run, scene == COMMON_MEAN)
+            (result.by_key[key], self.protocol.weight(result.scene))
+            for result in self.results_of(run, common)
             for key in keys
-            if (score := result.by_key.get(key)) is not None
+            if key in result.by_key
         ]
-        return self.protocol.pool(*zip(*pairs, strict=True)) if pairs else None
+        if len(keys) == 1 or not pairs:  # the mean of that region, which a protocol may compute in its own way
+            return self.mean(run, keys[0], common)
+        return self.protocol.pool(*zip(*pairs, strict=True))
+
+    def records(self) -> list[Record]:
+        """Return the means of every run, metric and region, over all scenes (``MEAN``) and common ones."""
+        made = []
+        for run in self.runs:
+            n_missing = self.n_missing(run)
+            missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
+            note = f"over {len(self.scenes)} scenes{missing}"
+            both = ((MEAN, False, note), (COMMON_MEAN, True, f"over the {len(self.common)} scenes that all runs have"))
+            for key in self._means[run, False]:
+                for scene, common, about in both:
+                    score = self.mean(run, key, common)
+                    made.append(Record(run, self.data_set, scene, self.protocol.name, score, note=about))
+        return made
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the means of every run, metric and region as plain values."""
+        return [
+            self._row(run, score, self.mean(run, key, common=True))
+            for run in self.runs
+            for key, score in self._means[run, False].items()
+        ]
+
+    def figure_rows(self) -> list[dict[str, Any]]:
+        """Return the single figure of every run as plain values."""
+        regions = "+".join(self.protocol.figure_regions(self.regions))
+        return [
+            self._row(run, self.figure(run), self.figure(run, common=True)) | {"mask": regions} for run in self.runs
+        ]
+
+    def _row(self, run: str, score: Score, common: Score) -> dict[str, Any]:
+        return {
+            "run": run, "data_set": self.data_set, "protocol": self.protocol.name, **score.row(),
+            "scenes": len(self.scenes), "missing": self.n_missing(run), "common": len(self.common),
+            "value_common": common.value,
+        }  # fmt: skip
 
     def threshold_curve(self, run: str) -> list[Score]:
         """Return the means over all scenes of one metric at many thresholds."""
@@ -130,13 +154,18 @@ class Section:
         ranks = average_ranks(np.array(grid, np.float64).reshape(len(self.runs), -1))
         return {run: float(rank) for run, rank in zip(self.runs, ranks, strict=True)}
 
-    def row(self, run: str, score: Score, common: Score | None) -> dict[str, Any]:
-        """Return a mean over all scenes (``value``) and over the common ones (``value_common``) as plain values."""
-        return {
-            "run": run, "data_set": self.data_set, "protocol": self.protocol.name, **score.row(),
-            "scenes": len(self.scenes), "missing": self.n_missing(run), "common": len(self.common),
-            "value_common": math.nan if common is None else common.value,
-        }  # fmt: skip
+    def threshold_rows(self) -> list[dict[str, Any]]:
+        """Return the lines of the plot against the threshold, one for every run that has one, as plain values."""
+        made = []
+        for run in self.runs:
+            if scores := self.threshold_curve(run):
+                m = scores[0].metric
+                made.append({
+                    "run": run, "data_set": self.data_set, "protocol": self.protocol.name,
+                    "metric": m.name, "mask": scores[0].region, "unit": m.unit, "convention": m.convention,
+                    "thresholds": [s.metric.threshold for s in scores], "values": [s.value for s in scores],
+                })  # fmt: skip
+        return made
 
 
 @dataclass(frozen=True)
@@ -199,40 +228,7 @@ class EvaluationReport:
     def records(self) -> list[Record]:
         """Return every number of the evaluation: of all results, then the means of every section."""
         made = [record for result in self.results for record in result.records()]
-        return made + [record for section in self.sections for record in section.mean_records]
-
-    def means(self) -> list[dict[str, Any]]:
-        """Return the means of every metric by data set, run and region, as plain values."""
-        made = []
-        for section in self.sections:
-            for mean, common in zip(section.mean_records[::2], section.mean_records[1::2], strict=True):
-                assert mean.score is not None
-                made.append(section.row(mean.run, mean.score, common.score))
-        return made
-
-    def headlines(self) -> list[dict[str, Any]]:
-        """Return the single figure of every run in every data set, as plain values."""
-        return [
-            {**section.row(run, score, section.figure(run, COMMON_MEAN)), "mask": "+".join(regions)}
-            for section in self.sections
-            for regions in [section.protocol.figure_regions(section.regions)]
-            for run in self.runs
-            if (score := section.figure(run)) is not None
-        ]
-
-    def by_threshold(self) -> list[dict[str, Any]]:
-        """Return the lines of the plots against the threshold, one for every run and data set, as plain values."""
-        made = []
-        for section in self.sections:
-            for run in self.runs:
-                if scores := section.threshold_curve(run):
-                    m = scores[0].metric
-                    made.append({
-                        "run": run, "data_set": section.data_set, "protocol": section.protocol.name,
-                        "metric": m.name, "mask": scores[0].region, "unit": m.unit, "convention": m.convention,
-                        "thresholds": [s.metric.threshold for s in scores], "values": [s.value for s in scores],
-                    })  # fmt: skip
-        return made
+        return made + [record for section in self.sections for record in section.records()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values; NaN where there is no number."""
@@ -240,9 +236,9 @@ class EvaluationReport:
             "truth": str(self.truth),
             "runs": list(self.runs),
             "results": [result.to_dict() for result in self.results],
-            "means": self.means(),
-            "headlines": self.headlines(),
-            "by_threshold": self.by_threshold(),
+            "means": [row for section in self.sections for row in section.rows()],
+            "headlines": [row for section in self.sections for row in section.figure_rows()],
+            "by_threshold": [row for section in self.sections for row in section.threshold_rows()],
             "comparisons": [
                 {
                     "protocol": section.protocol.name,

@@ -10,8 +10,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 from depthcli.core.errors import ConfigError
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.curves import PERCENTAGES, Sparsification
-from depthcli.evaluation.results import MEAN
 from depthcli.evaluation.statistics import mean_of_known
 
 if TYPE_CHECKING:
@@ -29,6 +27,8 @@ if TYPE_CHECKING:
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6d1f", "#000000")
 _MARKERS = "osD^vPX*"
 _BOUND = "#777777"
+_SHARE_AXIS = "most confident pixels, %"
+_CACHE_VARIABLE, _CACHE_PREFIX = "MPLCONFIGDIR", ".matplotlib-"
 _SETTINGS = {"svg.fonttype": "none", "svg.hashsalt": "depthcli", "font.size": 10, "axes.spines.top": False,
              "axes.spines.right": False}  # fmt: skip
 
@@ -79,11 +79,10 @@ def _by_threshold(section: Section) -> str | None:
             points = [(s.metric.threshold, s.value) for s in lines.get(run, ()) if s.metric.threshold is not None]
             _line(axes, i, run, points, marker="")
             dots = [  # of the tables
-                (m.threshold, score.value)
+                (m.threshold, section.mean(run, (m, region)).value)
                 for m, region in section.keys
                 if m.threshold is not None and region == some.region
                 and m == replace(some.metric, threshold=m.threshold) and points and m.threshold <= points[-1][0]
-                and (score := section.score(run, MEAN, (m, region))) is not None
             ]  # fmt: skip
             axes.plot([x for x, _ in dots], [y for _, y in dots], linestyle="", marker=_marker(i), ms=4,
                       color=_color(i))  # fmt: skip
@@ -101,7 +100,7 @@ def _times(section: Section, what: str) -> str:
     with _figure() as (axes, out):
         for i, run in enumerate(section.runs):
             score, seconds = section.figure(run), mean_of_known(r.seconds for r in section.results_of(run))
-            if score is not None and not math.isnan(score.value + seconds):
+            if not math.isnan(score.value + seconds):
                 axes.plot([seconds], [score.value], linestyle="", marker=_marker(i), ms=8, color=_color(i),
                           label=_plain(run))  # fmt: skip
         axes.set_xscale("log")
@@ -126,23 +125,13 @@ def _sparsifications(section: Section) -> Iterator[tuple[tuple[str, str], str]]:
             name = f"{r.run}: {c.confidence}" if len(section.runs) > 1 else c.confidence
             groups.setdefault((c.region, c.of), {}).setdefault(name, []).append(c.line)
     for (region, of), lines in groups.items():
-        means = {name: [mean_of_known(column) for column in zip(*(c.errors for c in found), strict=True)]
-                 for name, found in lines.items()}  # fmt: skip
-        bests = [
-            [mean_of_known(column) for column in zip(*(c.best for c in found), strict=True)] for found in lines.values()
-        ]
-        with _figure() as (axes, out):
-            for i, name in enumerate(sorted(means, key=lambda name: sum(means[name]))):
-                _line(axes, i, name, list(zip(PERCENTAGES, means[name], strict=True)))
-            for best in [list(b) for b in dict.fromkeys(map(tuple, bests))]:
-                axes.plot(PERCENTAGES, best, linestyle=":", color=_BOUND)
-            axes.set_xlabel("most confident pixels, %")
-            axes.set_ylabel(
-                "share of wrong pixels" if of == "bad" else _plain(f"mean error, {section.protocol.presentation.unit}")
-            )
-            axes.set_ylim(bottom=0)
-            _legend(axes, len(means))
-        yield (region, of), out[0]
+        columns = {name: zip(*(line.errors for line in found), strict=True) for name, found in lines.items()}
+        means = {name: list(map(mean_of_known, errors)) for name, errors in columns.items()}
+        bests = [map(mean_of_known, zip(*(line.best for line in found), strict=True)) for found in lines.values()]
+        drawn = [Line(name, PERCENTAGES, means[name]) for name in sorted(means, key=lambda name: sum(means[name]))]
+        drawn += [Line("", PERCENTAGES, best, bound=True) for best in dict.fromkeys(map(tuple, bests))]
+        y_label = "share of wrong pixels" if of == "bad" else f"mean error, {section.protocol.presentation.unit}"
+        yield (region, of), line_plot(drawn, "", _SHARE_AXIS, y_label, any_names=True)
 
 
 @dataclass(frozen=True)
@@ -155,15 +144,17 @@ class Line:
     bound: bool = False
 
 
-def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str) -> str:
+def line_plot(lines: Sequence[Line], title: str, x_label: str, y_label: str, any_names: bool = False) -> str:
     """Return lines with axes, grid and legend, as the text of an SVG file.
 
     Parameters
     ----------
-    lines : NaN leaves a gap; from the ninth line on colors are used again, dashed
+    lines : NaN leaves a gap; from the ninth line on colors are used again, dashed; one without a name is not in the
+        legend
     title, x_label, y_label : plain text
+    any_names : fit the margins to names of any length, which takes twice the time
     """
-    with _figure(fixed=True) as (axes, out):
+    with _figure(fixed=not any_names) as (axes, out):
         for i, line in enumerate(lines):
             points = list(zip(line.x, line.y, strict=True))
             if line.bound:
@@ -186,17 +177,20 @@ def curve_plot(curves: Mapping[str, Sparsification], title: str, of: str) -> str
     lines.append(Line(f"optimal {some.optimal:.4f}", some.percentages, some.best, bound=True))
     lines.append(Line(f"random {some.mean:.4f}", some.percentages, [some.mean] * len(some.percentages), bound=True))
     y_label = "error rate" if of == "bad" else "mean absolute error"
-    return line_plot(lines, title, "most confident pixels, %", y_label)
+    return line_plot(lines, title, _SHARE_AXIS, y_label)
 
 
 @contextmanager
 def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, list[str]]]:
-    """Axes to draw in, and a list that holds the SVG's text afterwards.
+    """Axes to draw in, and a list that holds the SVG's text afterwards; ``fixed``: the margins are."""
+    try:  # without a folder that can be written it is not even imported
+        import matplotlib
 
-    ``fixed`` margins take half the time of those that are fitted to names of any length.
-    """
-    _find_cache()
-    import matplotlib
+        matplotlib.get_cachedir()
+    except OSError as error:
+        raise ConfigError(
+            f"plots: matplotlib finds no folder for its cache; set {_CACHE_VARIABLE} to one that can be written"
+        ) from error
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
@@ -217,43 +211,20 @@ def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, li
     out.append(text.getvalue())
 
 
-_CACHE_VARIABLE, _CACHE_PREFIX = "MPLCONFIGDIR", ".matplotlib-"
-_cache_parent: ContextVar[Path | None] = ContextVar("cache_parent", default=None)
-
-
 @contextmanager
 def cache_below(folder: Path | None) -> Iterator[None]:
-    """Let plots that the block draws cache fonts below ``folder`` where there is neither home nor temporary folder."""
-    token = _cache_parent.set(folder)
+    """Let matplotlib cache fonts below ``folder``, while the block runs, where there is no temporary folder."""
+    place = ""
+    if folder is not None and "matplotlib" not in sys.modules and not _has_temporary_folder():
+        with suppress(OSError):  # who writes there says it better
+            folder.mkdir(parents=True, exist_ok=True)
+            place = os.environ[_CACHE_VARIABLE] = tempfile.mkdtemp(prefix=_CACHE_PREFIX, dir=folder.absolute())
     try:
         yield
     finally:
-        _cache_parent.reset(token)
-        place = os.environ.get(_CACHE_VARIABLE, "")
-        if folder is not None and place.startswith(str(folder.absolute() / _CACHE_PREFIX)):
-            shutil.rmtree(os.environ.pop(_CACHE_VARIABLE), ignore_errors=True)
-
-
-def _find_cache() -> None:
-    """Give matplotlib, which is not even imported without a folder that can be written, one where it may find none.
-
-    Raises
-    ------
-    ConfigError
-        There is no such place.
-    """
-    parent = _cache_parent.get()
-    try:
-        if "matplotlib" not in sys.modules and parent is not None and not _has_temporary_folder():
-            parent.mkdir(parents=True, exist_ok=True)
-            os.environ[_CACHE_VARIABLE] = tempfile.mkdtemp(prefix=_CACHE_PREFIX, dir=parent.absolute())
-        import matplotlib
-
-        matplotlib.get_cachedir()
-    except OSError as error:
-        raise ConfigError(
-            f"plots: matplotlib finds no folder for its cache; set {_CACHE_VARIABLE} to one that can be written"
-        ) from error
+        if place:
+            del os.environ[_CACHE_VARIABLE]
+            shutil.rmtree(place, ignore_errors=True)
 
 
 def _has_temporary_folder() -> bool:

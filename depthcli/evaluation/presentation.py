@@ -16,6 +16,9 @@ from depthcli.data.formats.pictures import Palette
 from depthcli.data.scenes import Scene
 from depthcli.evaluation.render import Table
 
+UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
+"""Kinds of pixel; ``HIDDEN``: occluded in the other view, ``EMPTY``: without a value."""
+
 
 @dataclass(frozen=True)
 class Presentation:
@@ -31,7 +34,7 @@ class Presentation:
     scene_rows : tables have a row for every scene beside those of the means
     quantity : what a map holds, in a word
     threshold_axis : label of the axis of a plot against the threshold
-    legend : colors of :func:`error_picture` in words; empty: no error pictures are written
+    error_pictures : a picture of right, wrong and missing pixels is written for every map
     visible_region : name of the region that both views see, outside of which pixels are shown as occluded; or empty
     palette : colors and words of the status map beside a map
     opacity : initial opacity of a map's colors over the scene's image, 0 to 1
@@ -46,11 +49,22 @@ class Presentation:
     scene_rows: bool = True
     quantity: str = "value"
     threshold_axis: str = "threshold"
-    legend: str = ""
+    error_pictures: bool = False
     visible_region: str = ""
     palette: Palette = field(default_factory=dict)
     opacity: float = 1.0
     verdicts: tuple[str, str] = ("right", "wrong")
+
+    @property
+    def pixel_kind_names(self) -> tuple[str, ...]:
+        """Words for the kinds of pixel, ``UNKNOWN`` to ``EMPTY``."""
+        right, wrong = self.verdicts
+        return ("truth unknown or not evaluated", right, wrong, f"{right}, occluded", f"{wrong}, occluded", "no value")
+
+    @property
+    def legend(self) -> str:
+        """Colors of the error pictures in words."""
+        return "; ".join(f"{color}: {kind}" for (color, _), kind in zip(_COLORS, self.pixel_kind_names, strict=True))
 
     def tables(self, run: str, kept: Sequence[Any]) -> list[Table]:
         """Return further tables of a run, from what the protocol keeps of every scene with a map."""
@@ -80,48 +94,29 @@ class Presentation:
             return None
 
 
-LEGEND = {
-    "right": (170, 170, 170),
-    "wrong": (0, 0, 0),
-    "no value": (140, 30, 20),
-    "right, occluded": (176, 196, 222),
-    "wrong, occluded": (40, 70, 130),
-    "truth unknown or not evaluated": (255, 255, 255),
-}
-"""RGB color of every kind of pixel in an error picture."""
-
-LEGEND_TEXT = (
-    "grey: right; black: wrong; dark red: no value; light blue: right, occluded; "
-    "dark blue: wrong, occluded; white: truth unknown or not evaluated"
-)
-"""``LEGEND`` in words."""
+_COLORS = (
+    ("white", (255, 255, 255)), ("grey", (170, 170, 170)), ("black", (0, 0, 0)), ("light blue", (176, 196, 222)),
+    ("dark blue", (40, 70, 130)), ("dark red", (140, 30, 20)),
+)  # fmt: skip
+"""Name and RGB of every kind of pixel in an error picture."""
 
 
-def error_picture(
-    estimate: NDArray[np.floating[Any]],
-    wrong: NDArray[np.bool_],
-    evaluated: NDArray[np.bool_],
-    visible: NDArray[np.bool_] | None = None,
+def pixel_kinds(
+    known: NDArray[np.bool_], hidden: NDArray[np.bool_], wrong: NDArray[np.bool_], missing: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    """Color every pixel by :data:`LEGEND`: grey right, black wrong, blue tint where occluded.
+    """Return the kind of every pixel, ``UNKNOWN`` to ``EMPTY``, as uint8.
 
     Parameters
     ----------
-    estimate : (H, W) float, NaN = none
-    wrong : (H, W) bool, the value disagrees with the truth
-    evaluated : (H, W) bool, the truth is known and counts
-    visible : (H, W) bool, not occluded; None where that is not known
-
-    Returns
-    -------
-    (H, W, 3) uint8 RGB
+    known : the truth is known and counts
+    hidden : occluded in the other view
+    wrong : the value disagrees with the truth
+    missing : there is no value
     """
-    names = list(LEGEND)
-    kind = np.full(wrong.shape, names.index("truth unknown or not evaluated"), np.uint8)
-    hidden = np.zeros_like(wrong) if visible is None else ~visible
-    for name, pixels in (
-        ("right", ~wrong & ~hidden), ("wrong", wrong & ~hidden), ("right, occluded", ~wrong & hidden),
-        ("wrong, occluded", wrong & hidden), ("no value", np.isnan(estimate)),
-    ):  # fmt: skip
-        np.copyto(kind, np.uint8(names.index(name)), where=pixels & evaluated)
-    return np.array(list(LEGEND.values()), np.uint8)[kind]
+    kind = np.where(wrong, np.where(hidden, HIDDEN_WRONG, WRONG), np.where(hidden, HIDDEN_RIGHT, RIGHT))
+    return np.where(known, np.where(missing, EMPTY, kind), UNKNOWN).astype(np.uint8)
+
+
+def error_picture(kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return (H, W) kinds of pixel as (H, W, 3) uint8 RGB; ``Presentation.legend`` says what the colors mean."""
+    return np.array([color for _, color in _COLORS], np.uint8)[kinds]

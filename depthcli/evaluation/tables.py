@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from depthcli.core.text import one_line
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.render import Number, Table, markdown_code, markdown_link, markdown_text
-from depthcli.evaluation.results import COMMON_MEAN, MEAN, Curve
+from depthcli.evaluation.results import Curve
 from depthcli.evaluation.scores import Key, Score
 from depthcli.evaluation.statistics import mean_of_known
 
@@ -41,7 +41,8 @@ def report_markdown(report: EvaluationReport) -> str:
     out += [f"**Warning:** {markdown_text(line)}\n" for line in report.warnings]
     out += [table.markdown() for table in report_tables(report)]
     out += ["## Error pictures", ""]
-    out += [f"{p.name}: {p.presentation.legend}.\n" for p in report.protocols.values() if p.presentation.legend]
+    shown = ((p.name, p.presentation) for p in report.protocols.values())
+    out += [f"{name}: {presentation.legend}.\n" for name, presentation in shown if presentation.error_pictures]
     for r in report.results:
         if not r.error:
             scene = markdown_text(r.scene)
@@ -78,14 +79,13 @@ def summary(section: Section) -> Table:
     with_figure = protocol.averages_regions and len(section.regions) > 1
     with_times = any(not math.isnan(result.seconds) for result in section.results)
     rows = []
-    for run, scene, mark in _mean_rows(section):
-        cells: list[str] = [_cell(section, section.score(run, scene, key), mark) for key in keys]
-        cells += [_cell(section, section.figure(run, scene), mark)] * with_figure
-        cells += [Number(ranks[run], 1) if scene == COMMON_MEAN or not section.incomplete else ""]
-        score = section.score(run, scene, keys[0])
-        cells += [Number(math.nan if score is None else score.density, 1)]
-        cells += [Number(mean_of_known(r.seconds for r in section.results_of(run, scene == COMMON_MEAN)))] * with_times
-        rows.append((run, _n_scenes(section, run, scene), *cells))
+    for run, common, mark in _mean_rows(section):
+        cells: list[str] = [_cell(section, section.mean(run, key, common), mark) for key in keys]
+        cells += [_cell(section, section.figure(run, common), mark)] * with_figure
+        cells += [Number(ranks[run], 1) if common or not section.incomplete else ""]
+        cells += [Number(section.mean(run, keys[0], common).density, 1)]
+        cells += [Number(mean_of_known(r.seconds for r in section.results_of(run, common)))] * with_times
+        rows.append((run, _n_scenes(section, run, common), *cells))
     header = ["run", "scenes", *section.regions, *["mean of all figures"] * with_figure, "avg rank"]
     header += [f"density {section.regions[0]} %", *["seconds"] * with_times]
     title = f"{section.data_set} - {protocol.presentation.title} ({headline.heading})"
@@ -100,15 +100,15 @@ def details(section: Section) -> list[Table]:
     for region in section.regions:
         keys = [key for key in section.keys if key[1] == region]
         rows = []
-        for run, scene, mark in _mean_rows(section):
-            if scene_rows and scene == MEAN:
+        for run, common, mark in _mean_rows(section):
+            if scene_rows and not common:
                 rows += [
                     (run, short(r.scene) + "*" * bool(r.error), *(_cell(section, r.by_key.get(key)) for key in keys))
                     for r in section.results_of(run)
                 ]
             if not scene_rows or len(section.scenes) > 1:
-                cells = (_cell(section, section.score(run, scene, key), mark) for key in keys)
-                rows.append((run, f"mean of {_n_scenes(section, run, scene)}", *cells))
+                cells = (_cell(section, section.mean(run, key, common), mark) for key in keys)
+                rows.append((run, f"mean of {_n_scenes(section, run, common)}", *cells))
         header = ("run", "scene" if scene_rows else "scenes", *(metric.heading for metric, _ in keys))
         title = f"{section.data_set} - {section.protocol.name}, every metric, {region}"
         made.append(Table(title, header, tuple(rows)))
@@ -217,9 +217,9 @@ def wide_by_scene(section: Section, key: Key) -> Table:
             columns.append((short(scene), cells, metric.larger_is_better, scene))
     if len(section.scenes) > 1:
         heading = section.protocol.presentation.mean_heading
-        columns.append(_means(section, key, MEAN, heading))
+        columns.append(_means(section, key, heading))
         if section.common and section.incomplete:
-            columns.append(_means(section, key, COMMON_MEAN, f"{heading} of {len(section.common)} common"))
+            columns.append(_means(section, key, f"{heading} of {len(section.common)} common", common=True))
         if metric == section.protocol.headline and len(section.runs) > 1:
             ranks = [Number(rank, 1) for rank in section.average_rank([key]).values()]
             columns.append(("avg rank", ranks, False, ""))
@@ -228,17 +228,16 @@ def wide_by_scene(section: Section, key: Key) -> Table:
 
 def wide_by_metric(section: Section, region: str) -> Table:
     """Return the means over the scenes of every metric in one region, a column for each."""
-    columns = [_means(section, key, MEAN, key[0].heading) for key in section.keys if key[1] == region]
+    columns = [_means(section, key, key[0].heading) for key in section.keys if key[1] == region]
     many = len(section.scenes)
     over = f"means over {many} scenes" if many > 1 else short(section.scenes[0])
     return _wide(section, f"{section.data_set}: {over}, {region}", columns)
 
 
-def _means(section: Section, key: Key, scene: str, heading: str) -> Column:
-    cells = []
-    for run in section.runs:
-        mark = "*" * bool(scene == MEAN and section.n_missing(run))
-        cells.append(_cell(section, section.score(run, scene, key), mark))
+def _means(section: Section, key: Key, heading: str, common: bool = False) -> Column:
+    cells = [
+        _cell(section, section.mean(run, key, each), mark) for run, each, mark in _mean_rows(section) if each == common
+    ]
     return heading, cells, key[0].larger_is_better, ""
 
 
@@ -267,11 +266,12 @@ def _wide(section: Section, title: str, columns: list[Column]) -> Table:
     )
 
 
-def _mean_rows(section: Section) -> list[tuple[str, str, str]]:
-    """(run, ``MEAN`` or ``COMMON_MEAN``, mark of its numbers) of every row of means."""
-    scenes = (MEAN, COMMON_MEAN) if section.incomplete else (MEAN,)
+def _mean_rows(section: Section) -> list[tuple[str, bool, str]]:
+    """(run, over the common scenes alone, mark of its numbers) of every row of means."""
     return [
-        (run, scene, "*" * bool(scene == MEAN and section.n_missing(run))) for run in section.runs for scene in scenes
+        (run, common, "*" * bool(not common and section.n_missing(run)))
+        for run in section.runs
+        for common in ((False, True) if section.incomplete else (False,))
     ]
 
 
@@ -279,8 +279,8 @@ def _cell(section: Section, score: Score | None, mark: str = "") -> Number:
     return Number(math.nan if score is None else score.value, section.protocol.presentation.digits, mark)
 
 
-def _n_scenes(section: Section, run: str, scene: str) -> str:
-    if scene == COMMON_MEAN:
+def _n_scenes(section: Section, run: str, common: bool) -> str:
+    if common:
         return f"{len(section.common)} common"
     n_missing = section.n_missing(run)
     return f"{len(section.scenes)}, {n_missing} missing*" if n_missing else str(len(section.scenes))

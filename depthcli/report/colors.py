@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
-"""Kinds of pixel; ``HIDDEN``: occluded in the other view."""
+from depthcli.evaluation.presentation import EMPTY, HIDDEN_RIGHT, HIDDEN_WRONG, RIGHT, UNKNOWN, WRONG
 
 # From a small error to a large one. Blue and orange stay apart for every kind of color blindness, purple is apart from
 # both by lightness too; the darker, the worse.
@@ -24,11 +23,6 @@ _RAMPS = {
 }
 NO_VALUE = (90, 90, 90)
 """RGB of a pixel of a map that has no value; no color of the map's scale."""
-
-
-def pixel_kind_names(right: str, wrong: str) -> tuple[str, ...]:
-    """Return the kinds of pixel in words."""
-    return ("truth unknown", right, wrong, f"{right}, occluded", f"{wrong}, occluded", "no value")
 
 
 @cache
@@ -52,15 +46,6 @@ def map_picture(values: NDArray[np.floating[Any]], low: float, high: float) -> N
     picture = map_colors()[_index(values, low, high, 256)]
     picture[np.isnan(values)] = NO_VALUE
     return picture
-
-
-def pixel_kinds(
-    known: NDArray[np.bool_], hidden: NDArray[np.bool_], wrong: NDArray[np.bool_], missing: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
-    """Return the kind of every pixel, (H, W) uint8."""
-    kind = np.where(wrong, np.where(hidden, HIDDEN_WRONG, WRONG), np.where(hidden, HIDDEN_RIGHT, RIGHT))
-    kind = np.where(missing, EMPTY, kind)
-    return np.where(known, kind, UNKNOWN).astype(np.uint8)
 
 
 def error_picture(kind: NDArray[np.uint8], error: NDArray[np.floating[Any]], top: float) -> NDArray[np.uint8]:

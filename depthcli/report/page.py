@@ -98,7 +98,7 @@ class Page:
             "errors": colors.error_scales().tolist(),
             "none": colors.NO_VALUE,
         }
-        verdicts = dict.fromkeys(saved.protocol.presentation.verdicts for saved in self._saved)
+        kinds = dict.fromkeys(saved.protocol.presentation.pixel_kind_names for saved in self._saved)
         text = _template().render(
             style=_file("page.css"), scripts=[_file("page.js"), _file("viewer.js")],
             report=report, command=self.command,
@@ -106,7 +106,7 @@ class Page:
             sections=[_section_data(section) for section in report.sections], overview=tables.overview(report),
             others=tables.further_tables(report), scenes=[_scene_data(report, saved) for saved in self._saved],
             data=[_embedded(saved, factor) for saved in self._saved],
-            page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=[_swatches(v) for v in verdicts],
+            page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=[*map(_swatches, kinds)],
             number_of={saved.name: i for i, saved in enumerate(self._saved)},
         )  # fmt: skip
         write_text(self.folder / "report.html", text)
@@ -145,7 +145,7 @@ def _embedded(saved: _SavedScene, factor: int) -> str:
 def _section_data(section: Section) -> dict[str, Any]:
     """What the template shows of a section: runs from the best to the worst, tables, plots, comparisons."""
     headline, runs = section.protocol.headline, section.runs
-    figures = {run: math.nan if (s := section.figure(run)) is None else s.value for run in runs}
+    figures = {run: section.figure(run).value for run in runs}
     known = [run for run in runs if not math.isnan(figures[run])]
     best = sorted(known, key=lambda run: -figures[run] if headline.larger_is_better else figures[run])
     order = best + [run for run in runs if run not in known]
@@ -176,8 +176,7 @@ def _verdict(section: Section, best: list[str], signed: Mapping[str, list[float]
     """The best run against the second: by how much, on how many scenes, where it gains and loses most."""
     if len(best) < 2:
         return None
-    first, second = (section.figure(run) for run in best[:2])
-    assert first is not None and second is not None
+    first, second = (section.figure(run).value for run in best[:2])
     gains = sorted(
         (
             (b - a, abs(a), abs(b), scene)
@@ -187,8 +186,8 @@ def _verdict(section: Section, best: list[str], signed: Mapping[str, list[float]
         reverse=True,
     )
     return {
-        "best": best[0], "second": best[1], "values": [Number(first.value), Number(second.value)],
-        "gap": Number(abs(first.value - second.value)), "compared": compare(signed[best[1]], signed[best[0]]),
+        "best": best[0], "second": best[1], "values": [Number(first), Number(second)],
+        "gap": Number(abs(first - second)), "compared": compare(signed[best[1]], signed[best[0]]),
         "gains": [g for g in gains[:2] if g[0] > 0], "losses": [g for g in gains[::-1][:2] if g[0] < 0],
     }  # fmt: skip
 
@@ -204,11 +203,10 @@ def _scene_data(report: EvaluationReport, saved: _SavedScene) -> dict[str, Any]:
     return {"name": saved.name, "protocol": saved.protocol, "thumbs": saved.thumbs.get("", {}), "runs": runs}
 
 
-def _swatches(verdicts: tuple[str, str]) -> list[tuple[str, str, str]]:
+def _swatches(names: tuple[str, ...]) -> list[tuple[str, str, str]]:
     """(words, color of a small error, color of a large one) of every kind of pixel."""
-    scales = colors.error_scales()
-    ends = [[f"rgb({','.join(map(str, scales[kind, k].tolist()))})" for k in (0, -1)] for kind in range(len(scales))]
-    return [(words, first, last) for words, (first, last) in zip(colors.pixel_kind_names(*verdicts), ends, strict=True)]
+    ends = [[f"rgb({','.join(map(str, scale[k].tolist()))})" for k in (0, -1)] for scale in colors.error_scales()]
+    return [(words, first, last) for words, (first, last) in zip(names, ends, strict=True)]
 
 
 def _template() -> Any:

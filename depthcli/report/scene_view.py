@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.data.formats.pictures import read_status, status_color, status_words
 from depthcli.data.scenes import Scene
+from depthcli.evaluation.presentation import UNKNOWN, pixel_kinds
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.report import colors
 from depthcli.report.packing import Cut, Packed, cuts, pack, pack_bytes, thinned
@@ -62,11 +63,8 @@ class SceneView:
     @classmethod
     def of(cls, protocol: AnyProtocol, scene: Scene, truth: Any) -> SceneView | None:
         """Return the view of a scene without runs; None where its points lie on no grid."""
-        shown, regions = protocol.presentation, protocol.regions(truth)
-        known = np.logical_or.reduce(list(regions.values()))
-        visible = regions.get(shown.visible_region)
-        hidden = np.zeros_like(known) if visible is None else known & ~visible
-        known_grid, hidden_grid = shown.on_grid(known, truth), shown.on_grid(hidden, truth)
+        shown = protocol.presentation
+        known_grid, hidden_grid = (shown.on_grid(pixels, truth) for pixels in protocol.shown_pixels(truth))
         if known_grid is None or hidden_grid is None:
             return None
         view = cls(scene.name, protocol, shown.image(scene), known_grid, hidden_grid)
@@ -81,7 +79,7 @@ class SceneView:
         self._cuts = cuts(known.shape)
         self.data = {"name": self.name, "protocol": self.protocol.name, "quantity": shown.quantity, "unit": shown.unit,
                      "low": low, "high": high, "hidden": bool(self.hidden.any()), "status": {}, "views": [],
-                     "words": colors.pixel_kind_names(*shown.verdicts), "opacity": shown.opacity,
+                     "words": shown.pixel_kind_names, "opacity": shown.opacity,
                      "start": self._first_cut()}  # fmt: skip
         for cut in self._cuts:
             plane = known[cut.index]
@@ -142,7 +140,7 @@ class SceneView:
             }
         cut = self._cuts[self.data["start"]].index
         step = _step(known[cut].shape)
-        kind = colors.pixel_kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
+        kind = pixel_kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
         worst = error[wrong & ~np.isnan(error)]
         high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
         self._errors[run] = _ErrorThumb(error[cut][::step, ::step], kind[::step, ::step], high)
@@ -156,7 +154,7 @@ class SceneView:
         self.data["top"] = top
         for run, thumb in self._errors.items():
             picture = colors.error_picture(thumb.kind, thumb.error, top)
-            self.thumbs.setdefault(run, {})["error"] = self._blended(picture, thumb.kind == colors.UNKNOWN)
+            self.thumbs.setdefault(run, {})["error"] = self._blended(picture, thumb.kind == UNKNOWN)
         self._errors, self.image = {}, None
 
     def _map_thumb(self, plane: NDArray[np.floating[Any]]) -> str:

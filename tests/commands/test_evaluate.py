@@ -383,7 +383,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     both = run_of(tmp_path / "both", {"a": good, "b": poor})
     easy = run_of(tmp_path / "easy", {"a": good})
     report = evaluate([both, easy], truth, tmp_path / "out")
-    means = {(m["run"], m["metric"], m["mask"], m["threshold"]): m for m in report.means()}
+    means = {(m["run"], m["metric"], m["mask"], m["threshold"]): m for m in report.sections[0].rows()}
     full, lacking = (means[run, "bad", "all", 1.0] for run in ("both", "easy"))
     assert (full["value"], full["scenes"], full["missing"], full["common"], full["value_common"]) == (25, 2, 0, 1, 0)
     assert (lacking["value"], lacking["scenes"], lacking["missing"], lacking["value_common"]) == (50, 2, 1, 0)

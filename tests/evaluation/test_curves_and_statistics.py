@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from depthcli.evaluation.curves import PERCENTAGES, sparsification
-from depthcli.evaluation.presentation import LEGEND, error_picture
+from depthcli.evaluation.presentation import Presentation, error_picture, pixel_kinds
 from depthcli.evaluation.statistics import average_ranks, compare, sign_test
 from tests.naive import metrics as naive
 
@@ -103,10 +103,14 @@ def test_paired_comparison():
 
 
 def test_error_picture_colors():
-    estimate = np.array([[1, 1, np.nan, 1, 1, 1]], np.float32)
+    missing = np.array([[0, 0, 1, 0, 0, 0]], bool)
     wrong = np.array([[0, 1, 0, 0, 1, 1]], bool)
-    evaluate = np.array([[1, 1, 1, 1, 1, 0]], bool)
-    visible = np.array([[1, 1, 1, 0, 0, 1]], bool)
-    picture = error_picture(estimate, wrong, evaluate, visible)
-    order = ["right", "wrong", "no value", "right, occluded", "wrong, occluded", "truth unknown or not evaluated"]
-    assert [tuple(int(v) for v in p) for p in picture[0]] == [LEGEND[name] for name in order]
+    evaluated = np.array([[1, 1, 1, 1, 1, 0]], bool)
+    hidden = np.array([[0, 0, 0, 1, 1, 0]], bool)
+    picture = error_picture(pixel_kinds(evaluated, hidden, wrong, missing))
+    colors = [(170, 170, 170), (0, 0, 0), (140, 30, 20), (176, 196, 222), (40, 70, 130), (255, 255, 255)]
+    assert [tuple(int(v) for v in p) for p in picture[0]] == colors
+    assert Presentation().legend == (
+        "white: truth unknown or not evaluated; grey: right; black: wrong; light blue: right, occluded; "
+        "dark blue: wrong, occluded; dark red: no value"
+    )

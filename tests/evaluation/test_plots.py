@@ -19,7 +19,6 @@ from depthcli.evaluation.plots import Line, curve_plot, line_plot
 from depthcli.evaluation.protocols import Settings, load, names
 from depthcli.evaluation.protocols._disparity import DisparityTruth
 from depthcli.evaluation.protocols.depth import DepthProtocol, DepthTruth
-from depthcli.evaluation.results import MEAN
 
 
 def test_a_plot_is_well_formed_and_escapes():
@@ -108,14 +107,15 @@ def test_dense_ratios_of_depth_agree_with_the_table():
 def test_the_plot_shows_the_means_of_the_report(scenes: Path, runs: list[Path]):
     report = evaluate(runs, scenes, None)
     section = report.sections[0]
-    for row in report.by_threshold():
+    rows = section.threshold_rows()
+    for row in rows:
         assert len(row["thresholds"]) >= 24
         keys = [key for key in section.keys if key[1] == row["mask"] and key[0].name == "bad"]
-        found = {key[0].threshold: section.score(row["run"], MEAN, key).value for key in keys}
+        found = {key[0].threshold: section.mean(row["run"], key).value for key in keys}
         at = dict(zip(row["thresholds"], row["values"], strict=True))
         assert found.keys() - {None} == {0.5, 0.75, 1.0, 1.5, 2.0}
         assert all(at[t] == v for t, v in found.items())
-    assert not re.search("nan", str(report.by_threshold()))
+    assert not re.search("nan", str(rows))
 
 
 @pytest.mark.slow

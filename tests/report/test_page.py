@@ -25,7 +25,7 @@ from depthcli.data.scenes.volume_pair import RegistrationTruth
 from depthcli.data.walk import BrokenScene
 from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Presentation
+from depthcli.evaluation.presentation import RIGHT, WRONG, Presentation, pixel_kinds
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
 from depthcli.evaluation.results import MapResult
@@ -350,13 +350,13 @@ def test_volumes_are_cut_across_every_axis():
 def test_colors_are_told_apart():
     flags = ("011111", "000110", "001010", "000001")
     known, hidden, wrong, missing = (np.array([[c == "1" for c in row]]) for row in flags)
-    kind = colors.pixel_kinds(known, hidden, wrong, missing)
+    kind = pixel_kinds(known, hidden, wrong, missing)
     assert kind.tolist() == [list(range(6))]
     scales = colors.error_scales().astype(float) / 255
     light = scales @ np.array([0.2126, 0.7152, 0.0722])
     assert np.all(np.diff(light[1:5], axis=1) <= 1e-9)  # darker is worse
     # Right and wrong differ for readers without red-green vision too: the blue channel they keep differs widely.
-    assert np.min(scales[colors.RIGHT][:, 2]) - np.max(scales[colors.WRONG][:, 2]) > 0.3
+    assert np.min(scales[RIGHT][:, 2]) - np.max(scales[WRONG][:, 2]) > 0.3
     steps = np.diff(colors.map_colors().astype(int) @ np.array([2126, 7152, 722]))
     assert np.all(steps > -20_000)
     assert colors.map_colors()[-1].sum() > colors.map_colors()[0].sum() + 200

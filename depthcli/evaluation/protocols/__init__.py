@@ -21,7 +21,7 @@ from depthcli.data.scenes import Scene
 from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.pooling import Pooling
-from depthcli.evaluation.presentation import Presentation, error_picture
+from depthcli.evaluation.presentation import Presentation, error_picture, pixel_kinds
 from depthcli.evaluation.results import Curve
 from depthcli.evaluation.scores import Metric, Score
 
@@ -148,15 +148,19 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
         """Return the values of the truth that ``values`` are compared with, or None."""
         return None
 
+    def shown_pixels(self, truth: Truth) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return the pixels of any region, and those of them that the other view does not see."""
+        regions = self.regions(truth)
+        known: NDArray[np.bool_] = np.logical_or.reduce(list(regions.values()))
+        visible = regions.get(self.presentation.visible_region)
+        return known, np.zeros_like(known) if visible is None else known & ~visible
+
     def picture(self, estimate: Estimate, truth: Truth) -> NDArray[np.uint8] | None:
-        """Return the (H, W, 3) RGB error picture; None where the presentation has no legend for it."""
-        values, true, regions = self.values(estimate, truth), self.true_values(truth), self.regions(truth)
-        if not self.presentation.legend or values is None or true is None:
+        """Return the (H, W, 3) RGB error picture; None where the presentation wants none."""
+        if not self.presentation.error_pictures:
             return None
-        evaluated = regions.get("all", ~np.isnan(true))
-        return error_picture(
-            values, self.wrong(estimate, truth), evaluated, regions.get(self.presentation.visible_region)
-        )
+        missing = np.isnan(self.error(estimate, truth))
+        return error_picture(pixel_kinds(*self.shown_pixels(truth), self.wrong(estimate, truth), missing))
 
     def points(self, estimate: Estimate, truth: Truth) -> list[dict[str, float]]:
         """Return a row for each point whose truth is known, for a table; empty where the truth is a map."""

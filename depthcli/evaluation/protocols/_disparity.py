@@ -17,7 +17,7 @@ from depthcli.data.formats.pictures import STATUS_PALETTE
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.evaluation.map_files import DisparityFiles
-from depthcli.evaluation.presentation import LEGEND_TEXT, Presentation
+from depthcli.evaluation.presentation import Presentation
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally
 
@@ -25,7 +25,7 @@ Disparity = NDArray[np.float32]
 Masks = dict[str, NDArray[np.bool_]]
 
 PRESENTATION = Presentation(
-    unit="px", quantity="disparity", threshold_axis="threshold, px", legend=LEGEND_TEXT, visible_region="nonocc",
+    unit="px", quantity="disparity", threshold_axis="threshold, px", error_pictures=True, visible_region="nonocc",
     palette=STATUS_PALETTE,
 )  # fmt: skip
 """Common to all stereo protocols, which add title and note."""

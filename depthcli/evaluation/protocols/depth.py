@@ -18,7 +18,7 @@ from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene, RgbdTruth
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import LEGEND_TEXT, Presentation
+from depthcli.evaluation.presentation import Presentation
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
 
@@ -69,7 +69,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
             "MAE, RMSE: mm; REL: mean of |error| / true depth; delta: % of the estimated pixels within that ratio "
             "of the truth; px: of the sensor's disparity; coverage: % of the pixels with known truth that have a value"
         ),
-        legend=LEGEND_TEXT,
+        error_pictures=True,
         quantity="depth",
         threshold_axis="ratio to the truth",
         palette=DEPTH_STATUS_PALETTE,
