@@ -64,7 +64,8 @@ class Presentation:
     @property
     def legend(self) -> str:
         """Colors of the error pictures in words."""
-        return "; ".join(f"{color}: {kind}" for (color, _), kind in zip(_COLORS, self.pixel_kind_names, strict=True))
+        words = [f"{color}: {kind}" for (color, _), kind in zip(_COLORS, self.pixel_kind_names, strict=True)]
+        return "; ".join(words[1:] + words[:1])
 
     def tables(self, run: str, kept: Sequence[Any]) -> list[Table]:
         """Return further tables of a run, from what the protocol keeps of every scene with a map."""

@@ -111,6 +111,6 @@ def test_error_picture_colors():
     colors = [(170, 170, 170), (0, 0, 0), (140, 30, 20), (176, 196, 222), (40, 70, 130), (255, 255, 255)]
     assert [tuple(int(v) for v in p) for p in picture[0]] == colors
     assert Presentation().legend == (
-        "white: truth unknown or not evaluated; grey: right; black: wrong; light blue: right, occluded; "
-        "dark blue: wrong, occluded; dark red: no value"
+        "grey: right; black: wrong; light blue: right, occluded; dark blue: wrong, occluded; dark red: no value; "
+        "white: truth unknown or not evaluated"
     )
