@@ -1,8 +1,22 @@
 """Run a command over many scenes: plan, compute, record, resume. Knows no algorithm.
 
-``runner`` goes through the scenes of a run; ``task`` computes one of them, here, in worker ``processes`` or on a
-``cluster``. ``records`` says of a scene what it was made from and which files are its own; ``run_folder`` is the
-folder of a run and its config; ``report_writer`` writes ``report.json`` and ``report.csv``. ``sharing`` divides scenes
-among shards and locks the folder; ``dry_run`` says what a run would do; ``sweep`` makes the configs of a sweep;
-``console`` is what people read; ``command`` is what a sub-command declares.
+The life of a scene, from :func:`depthcli.batch.runner.run_scenes`, which gets all scenes of a folder from a command:
+
+1. *Found*: ``plan`` takes those of this process's shard (``sharing``) and refuses names and files in the way.
+2. *Opened*: ``sharing`` locks the run folder, ``run_folder`` writes ``run.yaml`` or refuses the folder of another run.
+3. *Digested*: ``plan.Planner`` makes a ``task.Task`` of the scene, with a digest of every file that it depends on.
+4. *Resumed*: where ``record.json`` of the scene (``records``) has the same run and digests, and its files match, it is
+   done, and its row is that of the record. Nothing else of an earlier run is believed.
+5. *Computed*: ``runner`` gives the other tasks to this process, to worker ``processes`` (``--jobs``), or to the workers
+   of a ``cluster`` (``--scheduler``). Each calls ``task.run_task``, which calls the command's ``compute`` with an empty
+   folder ``.partial-<machine>-<process>/<number>`` in the run folder. Any failure becomes a row with its reason.
+6. *Written*: in the process that computed it ``install`` moves the files to ``<run folder>/<scene>``, the record last;
+   it replaces what a record claims, and no other file.
+7. *Reported*: the row (facts, seconds by stage, memory) goes back to ``runner``, which shows progress (``console``) and
+   has ``reports`` write ``report.json`` and ``report.csv``; the last of several processes joins their reports.
+
+A kill at any moment leaves files that one of these steps recognizes when the same command is started again.
+
+Beside them: ``command`` is what a sub-command declares, ``resources`` are cores and memory, ``json_csv`` writes rows,
+``presets`` finds the configs that are shipped, ``sweep`` makes the configs of a sweep and compares its figures.
 """

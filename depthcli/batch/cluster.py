@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import operator
 import os
 import pickle
 import platform
@@ -21,10 +22,11 @@ from typing import Any, NamedTuple
 
 from depthcli.batch import records, resources, run_folder
 from depthcli.batch.console import Reporter
+from depthcli.batch.install import discard
 from depthcli.batch.json_csv import Row
 from depthcli.batch.processes import compile_watch, report_compilation, use_threads
-from depthcli.batch.report_writer import finished_row
-from depthcli.batch.task import BUG, Run, Task, discard, run_task
+from depthcli.batch.reports import finished_row
+from depthcli.batch.task import BUG, Run, Task, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
 
 _CHUNK_SECONDS = 5.0  # computing time of a chunk of small scenes
@@ -114,7 +116,7 @@ class _Cluster:
             for address, (version, sources) in sorted(found.items()):
                 if sources != self.sources:
                     raise ConfigError(f"{scheduler}: {_other_code(f'{address} (version {version})')}")
-            identities = self.client.run(_identity, self.run)
+            identities = self.client.run(operator.attrgetter("identity"), self.run)
             folders = self.client.run(_folder_digest, str(output.absolute()))
         except ConfigError:
             raise
@@ -122,7 +124,7 @@ class _Cluster:
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise ConfigError(f"{scheduler}: its workers have no such depthcli ({reason})") from error
         for address, identity in sorted(identities.items()):
-            if identity != _identity(self.run):
+            if identity != self.run.identity:
                 raise ConfigError(f"{scheduler}: {_other_code(address)}")
         for address, folder in sorted(folders.items()):
             if folder != _folder_digest(str(output.absolute())):
@@ -260,11 +262,6 @@ def _chunk_function() -> Callable[[str, bytes], tuple[list[Row], int, float] | s
     return compute_chunk
 
 
-def _identity(run: Run) -> str:
-    """Return the identity of the run with the versions that this process has."""
-    return records.digest(run_folder.run_text(run.work.name, run.config).encode())
-
-
 def _folder_digest(output: str) -> str:
     """Return the digest of the run folder's config as this process sees it."""
     return records.digest(run_folder.saved_config(Path(output)).encode())
@@ -277,7 +274,7 @@ def _compute_chunk(chunk: list[Task], run: Run, folder: str) -> tuple[list[Row],
     """
     from distributed import get_worker
 
-    if chunk[0].run != _identity(run):
+    if chunk[0].run != run.identity:
         return f"{platform.node()}, process {os.getpid()},"
     own = f"{platform.node()}-{os.getpid()}"
     rows: list[Row] = []

@@ -1,12 +1,11 @@
-"""Records of scenes: from what a scene was made and which files are its own, so that no other file is replaced.
+"""Records: from what a folder of results was made and which files are its own, so that no other file is replaced.
 
-A record is not trusted when it is read: it may name only files in its own folder, holds a digest of itself and of
-each of them, and is ignored where a digest does not match.
+Every scene of a run has a record, and so has an evaluation. A record is not trusted when it is read: it may name only
+files in its own folder, holds a digest of itself and of each of them, and is ignored where a digest does not match.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
@@ -20,9 +19,12 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.files import MAX_BYTES, open_regular, write_text
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 
+RUN_FILE = "run.yaml"
+"""In a run folder: the config of the run."""
+
 RECORD_FILE = "record.json"
 CLAIM_FILE = ".claim.json"
-"""The record of a scene whose files are being written or removed: it is not done, but its files may be replaced."""
+"""The record of results that are being written or removed: they are not done, but their files may be replaced."""
 
 # The digest at the end of a record stands between these two.
 _BEFORE_DIGEST, _AFTER_DIGEST = ',\n "check": ', "\n}\n"
@@ -33,13 +35,13 @@ _MAX_HASHED_BYTES = 1 << 36
 
 
 @dataclass(frozen=True)
-class SceneRecord:
-    """What a finished scene was made from and consists of; the last file that is written into its folder.
+class Record:
+    """What finished results were made from and consist of; the last file that is written into their folder.
 
     Attributes
     ----------
-    scene : name of the scene
-    run : identity of the run, the digest of its ``run.yaml``
+    scene : name of the scene; empty for an evaluation
+    run : identity of the run, the digest of its ``run.yaml``; or the name of the command that has no such file
     inputs : role -> digest of an input file, and whatever else the result depends on
     files : path below the scene's folder -> digest of the file
     facts : columns of the report that do not change when the scene is computed again
@@ -52,7 +54,7 @@ class SceneRecord:
     facts: Row
 
     def is_done(self, folder: Path, run: str, inputs: Mapping[str, str]) -> bool:
-        """Return True where this run made the scene from these inputs and all its files in ``folder`` are unchanged."""
+        """Return True where this run made the files from these inputs, and all of them are unchanged in ``folder``."""
         made = self.run == run and self.inputs == dict(inputs)
         return made and all(file_digest(folder / name) == content for name, content in self.files.items())
 
@@ -81,26 +83,39 @@ def file_digest(path: Path) -> str:
     return sha.hexdigest()
 
 
-def write_record(folder: Path, record: SceneRecord) -> None:
-    """Write a record, with a digest of itself at its end, into a scene's folder."""
+def digests_below(folder: Path) -> dict[str, str]:
+    """Return path below ``folder`` -> digest of every file in it."""
+    made = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): file_digest(path) for path in made}
+
+
+def write_record(folder: Path, record: Record) -> None:
+    """Write a record, with a digest of itself at its end, into a folder of results."""
     content = to_json(asdict(record))
     check = f'{_BEFORE_DIGEST}"{digest(content.encode("utf-8"))}"{_AFTER_DIGEST}'
     write_text(folder / RECORD_FILE, content.removesuffix(_AFTER_DIGEST) + check)
 
 
-def read_record(folder: Path) -> SceneRecord | None:
-    """Return the record of a scene's folder; None where it is missing, damaged, or names files elsewhere."""
-    return _record_of(folder / RECORD_FILE)
+def read_record(folder: Path, name: str = "") -> Record | None:
+    """Return the record of a folder of results; None where it is missing, damaged, or names files elsewhere.
+
+    Parameters
+    ----------
+    name : scene in the run folder ``folder``, as a report has it; one that leads out of the folder has no record
+    """
+    if name and not is_inside(name):
+        return None
+    return _record_of(folder / name / RECORD_FILE)
 
 
-def _record_of(file: Path) -> SceneRecord | None:
+def _record_of(file: Path) -> Record | None:
     # The digest is that of the text without it, so that nothing has to be encoded again.
     content, found, check = read_text(file).rpartition(_BEFORE_DIGEST)
     content += _AFTER_DIGEST
     if not found or check != f'"{digest(content.encode("utf-8", "surrogatepass"))}"{_AFTER_DIGEST}':
         return None
     try:
-        record = SceneRecord(**json.loads(content))
+        record = Record(**json.loads(content))
     except (ValueError, TypeError, RecursionError):
         return None
     if not all(isinstance(each, dict) for each in (record.inputs, record.files, record.facts)):
@@ -108,42 +123,10 @@ def _record_of(file: Path) -> SceneRecord | None:
     return record if all(is_inside(name) for name in record.files) else None
 
 
-def remove_scene(folder: Path) -> None:
-    """Delete the files that the records of a scene's folder claim; others stay.
-
-    The record becomes a claim first: where this is interrupted the scene is not done, and its files are still known.
-    """
-    for _ in range(2):  # what a claim that was left behind lists, then what the record lists
-        folders = {folder}
-        for name in claims(folder, (CLAIM_FILE,)):
-            (folder / name).unlink(missing_ok=True)
-            folders.add((folder / name).parent)
-        (folder / CLAIM_FILE).unlink(missing_ok=True)
-        for each in sorted(folders, key=lambda path: -len(path.parts)):
-            with contextlib.suppress(OSError):  # it is not empty
-                each.rmdir()
-        if read_record(folder) is not None:
-            with contextlib.suppress(FileNotFoundError):
-                (folder / RECORD_FILE).replace(folder / CLAIM_FILE)
-
-
 def claims(folder: Path, names: Sequence[str] = (CLAIM_FILE, RECORD_FILE)) -> set[str]:
-    """Return the files in a scene's folder that the records of these names say a run wrote."""
+    """Return the files in a folder that the records of these names say a run wrote."""
     known = [record for name in names if (record := _record_of(folder / name)) is not None]
     return {name for record in known for name in record.files}
-
-
-def foreign_files(folder: Path, files: Mapping[str, str]) -> list[str]:
-    """Return those of ``files``, name -> digest, that would replace a file that no record claims.
-
-    A file with the same content counts as ours: nothing is lost. So do the results of a scene whose record was lost.
-    """
-    claimed = claims(folder)
-    there = {name: file_digest(folder / name) for name in files if os.path.lexists(folder / name)}
-    names = [name for name, content in there.items() if name not in claimed and content != files[name]]
-    if not claimed and not any(content == files[name] for name, content in there.items()):
-        names += [name for name in (RECORD_FILE, CLAIM_FILE) if os.path.lexists(folder / name)]  # not a damaged record
-    return names
 
 
 def is_inside(name: str) -> bool:

@@ -1,4 +1,4 @@
-"""The loop of every batch command: skip finished scenes, isolate failures, show progress, use several processes.
+"""A run: skip finished scenes, compute the others, isolate failures, show progress, report.
 
 A scene is computed in a hidden folder beside the others and then moved into place, its record written last. A run can
 therefore be killed at any moment and started again: scenes whose record matches the config and the inputs are kept,
@@ -8,27 +8,22 @@ all others are computed again.
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import os
-import platform
-import re
 import sys
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 
-from depthcli.batch import cluster, processes, records, report_writer, run_folder
+from depthcli.batch import cluster, processes, records
 from depthcli.batch.command import ConfigT, SceneT
 from depthcli.batch.console import Reporter
+from depthcli.batch.install import OTHER_RUN, discard, hidden_folder, remove_leftovers, remove_results
 from depthcli.batch.json_csv import Row
+from depthcli.batch.plan import Planner, check_files, check_names, inputs_digest, scenes_of_shard
+from depthcli.batch.reports import Part, ReportWriter, drop_parts, finished_row, read_report
+from depthcli.batch.run_folder import open_run, saved_config
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
-from depthcli.batch.task import OTHER_RUN, Run, RunOptions, SceneCommand, Task, discard, run_task
+from depthcli.batch.task import Run, RunOptions, SceneCommand, Task, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
-from depthcli.data.formats.files import ends_of_file
 from depthcli.data.scenes import Scene
-
-_WORKSPACE_PREFIX = ".partial-"
-# Digests that are remembered: calibrations and videos belong to several scenes that follow each other.
-_MAX_REMEMBERED = 16
 
 
 def run_scenes(
@@ -64,12 +59,12 @@ def run_scenes(
         Everything was computed, but the report cannot be written; or the connection to the scheduler was lost.
     """
     run = Run(work, config, options)
-    own = scenes_of_shard(work, config, scenes, options)
-    inputs = "" if options.shard is None else _inputs_digest(run, scenes)
-    _check_names(run, own, output)
-    with FolderLock(output, options.shard is not None, reporter.info) as lock:
-        earlier = _open_folder(run, scenes, output, lock, inputs)
-        batch = _Batch(run, own, output, reporter, lock, inputs)
+    own, shard = scenes_of_shard(work, config, scenes, options), options.shard
+    part = Part(work.name, run.identity, shard, "" if shard is None else inputs_digest(run, scenes))
+    check_names(run, own, output)
+    with FolderLock(output, shard is not None, reporter.info) as lock:
+        batch = _Batch(run, part, own, output, reporter, lock)
+        earlier = batch.open_folder({scene.name for scene in scenes})
         batch.plan(earlier)
         batch.compute()
     if batch.writer.problem:
@@ -77,129 +72,67 @@ def run_scenes(
     return [batch.rows[scene.name] for scene in own if scene.name in batch.rows]
 
 
-def scenes_of_shard(
-    work: SceneCommand[ConfigT, SceneT], config: ConfigT, scenes: Sequence[SceneT], options: RunOptions
-) -> list[SceneT]:
-    """Return the scenes that this process computes: those of its shard, or all."""
-    if options.shard is None:
-        return list(scenes)
-    return options.shard.of(scenes, lambda scene: work.effort(config, scene))
-
-
-def _check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
-    for scene in scenes:
-        if any(not part or part.startswith(".") or "\0" in part for part in scene.name.split("/")):
-            raise ConfigError(f"{scene.name!r} is no name for a folder of results; give one with --name")
-        target = os.path.realpath(output / scene.name)  # Path.resolve() raises for loops of links, realpath does not
-        files = () if scene.problem else run.work.files(run.config, scene).values()
-        if any(target == os.path.dirname(os.path.realpath(file)) for file in files):
-            raise ConfigError(f"{output}: {scene.name} would be written over its own input; choose another --output")
-        if target != os.path.join(os.path.realpath(output), *scene.name.split("/")):
-            raise ConfigError(f"{output}: {scene.name} is a link to {target}; give the folder that it leads to instead")
-
-
-def _inputs_digest(run: Run, scenes: Sequence[Scene]) -> str:
-    """Return what the inputs of all shards are known by: names, and sizes and ends of files, wherever they lie."""
-    sha = hashlib.sha256()
-    for scene in sorted(scenes, key=lambda scene: scene.name):
-        files = {} if scene.problem else run.work.files(run.config, scene)
-        sha.update(repr((scene.name, [(role, ends_of_file(file)) for role, file in sorted(files.items())])).encode())
-    return sha.hexdigest()
-
-
-def _open_folder(run: Run, scenes: Sequence[Scene], output: Path, lock: FolderLock, inputs: str) -> dict[str, Row]:
-    """Make ``output`` the folder of this run; return scene -> what only its earlier report holds."""
-    text = run_folder.run_text(run.work.name, run.config)
-    earlier = {
-        name: {key: row[key] for key in ("seconds", "peak_memory", "source") if row.get(key)}
-        for name, row in run_folder.read_report(output, facts=False).items()
-    }
-    if lock.alone or not lock.locks:  # without locks the first shard has no sign that it is the first
-        run_folder.open_run(output, text, run.options.overwrite)
-    if lock.alone:
-        _remove_leftovers(output)
-        if run.options.overwrite:  # scenes of the run that is replaced go; those that its report does not list stay
-            chosen, identity = {scene.name for scene in scenes}, records.digest(text.encode())
-            for name in earlier:
-                known = None if name in chosen else run_folder.reported_record(output, name)
-                if known is not None and known.run != identity:
-                    records.remove_scene(output / name)
-            report_writer.drop_parts(output, other_than=(identity, inputs))
-    if run.options.shard is not None and run_folder.saved_config(output) == text:
-        report_writer.open_part(output, run.work.name, records.digest(text.encode()), run.options.shard, inputs)
-    lock.settle()
-    run_folder.join_run(output, text)
-    return earlier
-
-
-def _remove_leftovers(output: Path) -> None:
-    """Remove what killed runs left."""
-    with contextlib.suppress(OSError):
-        (output / LOCKS_FILE).unlink(missing_ok=True)
-    for leftover in (*output.glob(f"{_WORKSPACE_PREFIX}*"), *output.glob(".*.partial~")):
-        if leftover.is_dir() and not leftover.is_symlink():
-            discard(leftover)
-        else:
-            with contextlib.suppress(OSError):
-                leftover.unlink(missing_ok=True)
-
-
-class Inspector:
-    """Finds out which scenes of a run are done; it reads only."""
-
-    def __init__(self, run: Run, output: Path) -> None:
-        self.run, self.output = run, output
-        self.identity = records.digest(run_folder.run_text(run.work.name, run.config).encode())
-        self._digests: dict[Path, str] = {}
-
-    def task(self, scene: Scene, workspace: Path, number: int) -> Task:
-        """Return the task that computes a scene, with the digests of all that its result depends on."""
-        work, config, keep = self.run.work, self.run.config, self.run.options.keep
-        files = {} if scene.problem else work.files(config, scene)
-        inputs = {role: self._digest(file) for role, file in files.items()}
-        inputs |= {} if scene.problem else work.settings(config, scene)
-        inputs |= {"keep": " ".join(keep)} if keep else {}
-        source = str(next(iter(files.values()), scene.folder).absolute())
-        return Task(scene, self.output, workspace, number, self.identity, inputs, source, keep)
-
-    def finished(self, task: Task, measured: Mapping[str, object]) -> tuple[Row | None, records.SceneRecord | None]:
-        """Return the row of a scene that is done, and its record; None where it is not done, or has no record."""
-        known = records.read_record(task.target)
-        if known is None or not known.is_done(task.target, task.run, task.inputs):
-            return None, known
-        return report_writer.finished_row(known, {**measured, "source": task.source}), known
-
-    def _digest(self, file: Path) -> str:
-        if file not in self._digests:
-            if len(self._digests) >= _MAX_REMEMBERED:
-                self._digests.pop(next(iter(self._digests)))
-            self._digests[file] = records.file_digest(file)
-        return self._digests[file]
-
-
 class _Batch:
-    """The scenes of one call: rows of those that are done, tasks for the others."""
+    """The scenes of one call: the folder opened, rows of the finished scenes, tasks for the others, their results.
+
+    Attributes
+    ----------
+    rows : scene -> row, of those that are finished or failed
+    tasks : what has to be computed
+    claimed : those of them that this process began, in a shared run or not
+    n_unclaimed : number of those that other processes compute
+    """
 
     def __init__(
-        self, run: Run, scenes: Sequence[Scene], output: Path, reporter: Reporter, lock: FolderLock, inputs: str
+        self, run: Run, part: Part, scenes: Sequence[Scene], output: Path, reporter: Reporter, lock: FolderLock
     ) -> None:
-        self.inputs = inputs
-        self.run, self.scenes, self.output, self.reporter, self.lock = run, scenes, output, reporter, lock
-        self.options = run.options
-        self.workspace = output / (f"{_WORKSPACE_PREFIX}{re.sub(r'[^A-Za-z0-9-]', '_', platform.node())}-{os.getpid()}")
-        self.inspector = Inspector(run, output)
+        self.run, self.part, self.scenes, self.output = run, part, scenes, output
+        self.reporter, self.lock, self.options = reporter, lock, run.options
+        self.workspace, self.planner = hidden_folder(output), Planner(run, output)
         self.rows: dict[str, Row] = {}
         self.tasks: list[Task] = []
         self.claimed: list[Task] = []
         self.n_unclaimed = 0
-        self.writer: report_writer.ReportWriter
+        self.writer: ReportWriter
+
+    def open_folder(self, names: set[str]) -> dict[str, Row]:
+        """Make the folder that of this run; return scene -> what only its earlier report holds.
+
+        Parameters
+        ----------
+        names : all scenes, also those of other shards
+        """
+        output, lock, text, overwrite = self.output, self.lock, self.run.text, self.options.overwrite
+        earlier = read_report(output, facts=False)
+        check_files(self.run, self.scenes, output, earlier)
+        if lock.alone or not lock.locks:  # without locks the first shard has no sign that it is the first
+            open_run(output, text, overwrite)
+        if lock.alone:
+            with contextlib.suppress(OSError):
+                (output / LOCKS_FILE).unlink(missing_ok=True)
+            remove_leftovers(output)
+            if overwrite:  # scenes of the run that is replaced go; those that its report does not list stay
+                for name in earlier.keys() - names:
+                    known = records.read_record(output, name)
+                    if known is not None and known.run != self.part.run:
+                        remove_results(output / name)
+                drop_parts(output, keep=self.part)
+        if saved_config(output) == text:
+            self.part.begin(output)
+        lock.settle()
+        if saved_config(output) != text:
+            raise ConfigError(
+                f"{output}: another depthcli writes a run of another config there; choose another --output"
+            )
+        measured = ("seconds", "peak_memory", "source")
+        return {name: {key: row[key] for key in measured if row.get(key)} for name, row in earlier.items()}
 
     def plan(self, earlier: dict[str, Row]) -> None:
         """Divide the scenes into finished ones and tasks; ``earlier`` rows that are read are removed."""
         for number, scene in enumerate(self.scenes):
-            task = self.inspector.task(scene, self.workspace, number)
+            task = self.planner.task(scene, self.workspace, number)
             measured = earlier.pop(scene.name, {})
-            row, known = self.inspector.finished(task, measured)
+            row, known = self.planner.finished(task, measured)
             if row is not None:
                 self.rows[scene.name] = _with_interned_keys(row)
                 continue
@@ -217,24 +150,16 @@ class _Batch:
             self.reporter.info(f"{len(self.rows)} of {len(self.scenes)} scenes are done already")
         others = [] if self.options.shard is not None else self._other_rows(earlier)
         earlier.clear()
-        self.writer = report_writer.ReportWriter(
-            self.output,
-            self.run.work.name,
-            self.inspector.identity,
-            self.rows,
-            self.scenes,
-            others,
-            self.options.shard,
-            self.inputs,
-        )
+        order = [scene.name for scene in self.scenes]
+        self.writer = ReportWriter(self.output, self.part, self.rows, order, others)
 
     def _other_rows(self, earlier: dict[str, Row]) -> list[Row]:
         """Rows of scenes of the same run that are not part of this call."""
         chosen, rows = {scene.name for scene in self.scenes}, []
         for name, row in earlier.items():
-            known = None if name in chosen else run_folder.reported_record(self.output, name)
-            if known is not None and known.run == self.inspector.identity:
-                rows.append(report_writer.finished_row(known, row))
+            known = None if name in chosen else records.read_record(self.output, name)
+            if known is not None and known.run == self.part.run:
+                rows.append(finished_row(known, row))
         return rows
 
     def compute(self) -> None:
@@ -266,7 +191,7 @@ class _Batch:
     def _claim(self, task: Task) -> bool:
         """Reserve a scene for this process; False where another process computes it, or has done so since."""
         if self.lock.claim(task.scene.name):
-            row = None if self.options.shard is None else self.inspector.finished(task, {})[0]
+            row = None if self.options.shard is None else self.planner.finished(task, {})[0]
             if row is None:
                 self.claimed.append(task)
                 return True
@@ -294,7 +219,7 @@ class _Batch:
     def _finish(self) -> None:
         """Complete the rows, remove the workspace, and write the report."""
         for task in self.claimed:  # a signal may arrive between a scene's last file and its row
-            row = None if task.scene.name in self.rows else self.inspector.finished(task, {})[0]
+            row = None if task.scene.name in self.rows else self.planner.finished(task, {})[0]
             if row is not None:
                 self.rows[task.scene.name] = _with_interned_keys(row)
         for task in self.tasks:
@@ -304,7 +229,7 @@ class _Batch:
         discard(self.workspace)
         self.writer.close(self.lock)
         if self.lock.alone:
-            _remove_leftovers(self.output)
+            remove_leftovers(self.output)
 
 
 def _compute_here(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Task], bool]) -> Iterator[Row]:

@@ -1,4 +1,4 @@
-"""One scene as a task: computed in a hidden folder, then moved into its own folder with its record written last."""
+"""One scene as a task: computed in a hidden folder, then moved into its own folder; and what a command gives for it."""
 
 from __future__ import annotations
 
@@ -6,27 +6,16 @@ import contextlib
 import fnmatch
 import os
 import shutil
-import time
 import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from depthcli.batch import resources
+from depthcli.batch.install import install, remove_results
 from depthcli.batch.json_csv import Row
-from depthcli.batch.records import (
-    CLAIM_FILE,
-    RECORD_FILE,
-    SceneRecord,
-    digest,
-    file_digest,
-    foreign_files,
-    read_record,
-    remove_scene,
-    write_record,
-)
-from depthcli.batch.report_writer import failed_row
-from depthcli.batch.run_folder import not_ours
+from depthcli.batch.records import Record, digest, digests_below, read_record
+from depthcli.batch.run_folder import run_text
 from depthcli.batch.sharing import Shard
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
@@ -35,8 +24,6 @@ from depthcli.data.scenes import Scene
 
 BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
-
-OTHER_RUN = "holds a scene of another run; choose another --output or --name, or --overwrite it"
 
 _MAX_TRACE_NAME = 200  # bytes of a scene's name in that of its traceback; a file's name has 255
 
@@ -99,7 +86,12 @@ class SceneCommand(Protocol[_Config, _Scene]):
     """What a command does with a scene; picklable, for worker processes."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name on the command line."""
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """Shell patterns of the files that it writes for a scene, for a look at the folder before it computes."""
 
     def compute(self, config: _Config, scene: _Scene, folder: Path, memory: int, /) -> Outcome:
         """Compute ``scene`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
@@ -121,6 +113,16 @@ class Run:
     work: SceneCommand[Any, Any]
     config: Any
     options: RunOptions
+
+    @property
+    def text(self) -> str:
+        """The text of ``run.yaml``: config and versions of this process."""
+        return run_text(self.work.name, self.config)
+
+    @property
+    def identity(self) -> str:
+        """What tells this run from others: the digest of its ``run.yaml``."""
+        return digest(self.text.encode())
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +169,8 @@ class Task:
 
     def failed(self, error: str) -> Row:
         """Return the row of the report for a scene that failed."""
-        return failed_row(self.scene.name, error, self.source)
+        return {"scene": self.scene.name, "status": "failed", "error": error, "seconds": {}, "peak_memory": None,
+                "source": self.source}  # fmt: skip
 
 
 def run_task(task: Task, run: Run, limit: int) -> Row:
@@ -212,7 +215,7 @@ def _run_task(task: Task, run: Run, limit: int) -> Row:
     known = read_record(task.target) if row["status"] == "failed" and not lost else None
     if known is not None and (known.run == task.run or run.options.overwrite):
         with contextlib.suppress(OSError):  # the result of an earlier run from other inputs must not stay
-            remove_scene(task.target)
+            remove_results(task.target)
     return row
 
 
@@ -223,16 +226,6 @@ def _delete_unwanted(task: Task) -> None:
             path.unlink()
 
 
-def discard(folder: Path) -> None:
-    """Delete a folder in which scenes are computed; it is renamed first, so that a writer loses it all at once."""
-    away = folder.with_name(f"{folder.name}-{time.time_ns()}")
-    try:
-        folder.rename(away)
-    except OSError:
-        away = folder
-    shutil.rmtree(away, ignore_errors=True)
-
-
 def _is_open(folder: Path, opened: int) -> bool:
     try:
         return os.path.samestat(os.stat(folder), os.fstat(opened))
@@ -241,33 +234,13 @@ def _is_open(folder: Path, opened: int) -> bool:
 
 
 def _install(task: Task, outcome: Outcome, opened: int, overwrite: bool) -> None:
-    """Move a computed scene into the run folder, in the place of files that a record claims and of no others.
-
-    ``opened`` is the open folder that it was computed in.
-    """
+    """Move a computed scene into the run folder; ``opened`` is the open folder that it was computed in."""
     try:
-        made = sorted(path for path in task.hidden.rglob("*") if path.is_file())
-        files = {path.relative_to(task.hidden).as_posix(): file_digest(path) for path in made}
+        files = digests_below(task.hidden)
         if not _is_open(task.hidden, opened):
             raise OutputError(f"{task.hidden}: was removed while it was written: the run has ended")
-        write_record(task.hidden, SceneRecord(task.scene.name, task.run, task.inputs, files, outcome.facts))
-        earlier = read_record(task.target)
-        if earlier is not None and earlier.run != task.run and not overwrite:
-            raise OutputError(f"{task.target}: {OTHER_RUN}")
-        if foreign := foreign_files(task.target, files):
-            raise OutputError(f"{task.target}: {not_ours(foreign)}")
-        remove_scene(task.target)
-        task.target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            task.hidden.rename(task.target)
-        except OSError:  # the folder exists and holds files of others
-            task.target.mkdir(exist_ok=True)
-            # Where this is interrupted, the next run knows by the claim that the files are its own.
-            os.replace(task.hidden / RECORD_FILE, task.target / CLAIM_FILE)
-            for name in files:
-                (task.target / name).parent.mkdir(parents=True, exist_ok=True)
-                os.replace(task.hidden / name, task.target / name)
-            os.replace(task.target / CLAIM_FILE, task.target / RECORD_FILE)
+        record = Record(task.scene.name, task.run, task.inputs, files, outcome.facts)
+        install(task.hidden, task.target, record, overwrite)
     except OSError as error:
         raise OutputError(f"{task.target}: cannot be written ({error.strerror or error})") from error
     task.trace.unlink(missing_ok=True)

@@ -20,9 +20,15 @@ if TYPE_CHECKING:
     from depthcli.data.formats.pictures import Palette
     from depthcli.evaluation.comparison import EvaluationReport
 
+DEPTH_RESULTS = ("depth.*", "sigma.pfm", "status.png", "preview.png", "confidence_*", "points.ply")
+"""Shell patterns of the files that commands write for a map of depth."""
+
 
 class BatchCommand(Command, Generic[ConfigT, SceneT]):
     """A command that computes scenes one by one, into a run folder."""
+
+    results: ClassVar[tuple[str, ...]] = ()
+    """Shell patterns of the files that it writes into a scene's folder: own files there are no surprise at the end."""
 
     @abstractmethod
     def compute(self, config: ConfigT, scene: SceneT, folder: Path, memory: int) -> Outcome:
@@ -65,7 +71,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
             return self._print_names(config, scenes, values, options, reporter)
         from depthcli.batch.console import run_table
         from depthcli.batch.json_csv import to_json
-        from depthcli.batch.report_writer import report_document
+        from depthcli.batch.reports import report_document
         from depthcli.batch.run_folder import LEGEND_FILE
         from depthcli.batch.runner import run_scenes
         from depthcli.batch.task import BUG
@@ -91,10 +97,10 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
     def _print_plan(
         self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
     ) -> int:
-        from depthcli.batch.dry_run import plan, plan_text
         from depthcli.batch.json_csv import to_json
+        from depthcli.batch.plan import plan_document, plan_text
 
-        document = plan(self, config, scenes, values["output"], self.memory_of, options)
+        document = plan_document(self, config, scenes, values["output"], self.memory_of, options)
         reporter.data(to_json(document) if values["json"] else plan_text(document, config))
         return 0
 
@@ -102,7 +108,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
     ) -> int:
         from depthcli.batch.json_csv import to_json
-        from depthcli.batch.runner import scenes_of_shard
+        from depthcli.batch.plan import scenes_of_shard
 
         names = [scene.name for scene in scenes_of_shard(self, config, scenes, options)]
         lines = "".join(f"{one_line(name)}\n" for name in names)

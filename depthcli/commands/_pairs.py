@@ -35,6 +35,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
     """Reads a pair, matches it, writes the left view's map."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (StereoScene,)
+    results: ClassVar[tuple[str, ...]] = ("disp_left.*", "status.png", "preview.png", "confidence_*")
 
     @abstractmethod
     def matcher(self, config: PairConfigT, scene: StereoScene) -> Matcher:

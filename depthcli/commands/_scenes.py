@@ -11,7 +11,7 @@ from typing import cast
 from depthcli.batch.command import SceneT, Values
 from depthcli.batch.console import Reporter
 from depthcli.batch.records import is_inside
-from depthcli.batch.run_folder import read_report
+from depthcli.batch.reports import read_report
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.data.pairs import TABLE_SUFFIXES
 from depthcli.data.scenes import Scene

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from depthcli.batch.json_csv import to_csv
-from depthcli.batch.run_folder import read_report
+from depthcli.batch.reports import read_report
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.data.formats.files import collected_warnings, write_text
 from depthcli.data.formats.images import write_png

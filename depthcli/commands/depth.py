@@ -7,11 +7,11 @@ The calibration lies beside the images that the run was made from (``calib.txt``
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, ClassVar, TypedDict
 
 from depthcli.batch.command import Values
 from depthcli.batch.json_csv import Row
-from depthcli.commands._batch import BatchCommand
+from depthcli.commands._batch import DEPTH_RESULTS, BatchCommand
 from depthcli.commands._options import DRY_RUN, OUTPUT, RUN, SCENES
 from depthcli.commands._scenes import find_maps
 from depthcli.core.errors import ConfigError, InputError
@@ -44,6 +44,8 @@ class DepthOptions(TypedDict):
 
 class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
     """``depthcli depth RUN --output DIR [--calibration FILE]``."""
+
+    results: ClassVar[tuple[str, ...]] = DEPTH_RESULTS
 
     @property
     def arguments(self) -> tuple[Option, ...]:

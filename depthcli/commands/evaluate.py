@@ -6,6 +6,7 @@ is read and how it is scored is decided by the scene's protocol (``depthcli/eval
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.protocols import AnyProtocol, Settings
+    from depthcli.evaluation.results import Result
     from depthcli.report.page import Page
 
 HTML = (
@@ -30,6 +32,7 @@ HTML = (
     Option("html_budget", str, "Size of its pictures beyond which they are scaled down, full ones beside the file.",
            "SIZE", default="50MB"),
 )  # fmt: skip
+_RESULTS = ("scores.*", "report.md", "report.html", "errors/**/*", "curves/**/*", "points/**/*", "assets/*")
 _DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's folder, without --protocol
 
 
@@ -101,8 +104,9 @@ def evaluate(
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
-    Written to ``output``: ``scores.csv``, ``scores.json``, ``report.md``,
-    ``errors/<run>/<scene>.png``, ``curves/<run>/<scene>_<region>_<kind>.svg``, ``points/<run>/<scene>.csv``.
+    Written to ``output``, all at the end: ``scores.csv``, ``scores.json``, ``report.md``,
+    ``errors/<run>/<scene>.png``, ``curves/<run>/<scene>_<region>_<kind>.svg``, ``points/<run>/<scene>.csv``, and
+    ``record.json``, by which the next evaluation knows which files it may replace.
 
     Parameters
     ----------
@@ -115,20 +119,20 @@ def evaluate(
     settings : options of the protocols
     reporter : shows progress, failures and warnings
     kinds : kinds of scene to evaluate; None: all, or what ``protocol`` scores
-    page : is filled and written into its folder; or None
+    page : is filled and written to ``output``; or None
 
     Raises
     ------
+    ConfigError
+        ``output`` holds files that no evaluation wrote under the names of its results; nothing is computed then.
     InputError
         No run, no scenes with ground truth, no such protocol. A map that is missing or unreadable is no error:
         it becomes a result with its reason (``report.failed``).
     OutputError
         The results cannot be written.
     """
+    from depthcli.batch.install import installed
     from depthcli.commands._scoring import Scoring
-    from depthcli.data.formats.files import remove_leftovers
-    from depthcli.evaluation.comparison import EvaluationReport
-    from depthcli.evaluation.plots import cache_below
     from depthcli.evaluation.protocols import Settings, load
 
     reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), Path(truth)
@@ -137,29 +141,38 @@ def evaluate(
     found = _find_truth(truth, scored_by, kinds, layout, scenes, settings, reporter)
     if len(found) > 1 and any(map(os.path.isfile, places.values())):
         raise InputError(f"a single map wants a single scene, {truth} has {len(found)}: give a file, or --scenes")
-    target = None if output is None else Path(output)
-    if target is not None:
-        remove_leftovers(target)
-    scoring = Scoring(places, truth, target, scored_by, settings, page)
-    results = []
-    with cache_below(target), reporter:
-        reporter.start(len(found), 0, "evaluate")
-        short = [scene.name.rpartition("/")[2] for scene in found]
-        for scene, name in zip(found, short, strict=True):
-            of_scene = scoring.results(scene, unique=short.count(name) == 1)
-            results += of_scene
-            reporter.step(any(result.error for result in of_scene))
-    for name in vars(settings):
-        taken = any(name in each.takes for each in scoring.protocols.values())
-        if getattr(settings, name) is not None and scoring.protocols and not taken:
-            reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
-    report = EvaluationReport(tuple(places), tuple(results), scoring.protocols, truth)
-    with cache_below(target):
-        _write(report, scoring)
+    writing = installed(Path(output), "evaluate", _RESULTS, reporter.info) if output is not None else None
+    with writing or contextlib.nullcontext() as folder:
+        if page is not None and folder is not None:
+            page.folder = folder
+        report = _scored(Scoring(places, truth, folder, scored_by, settings, page), found, reporter)
     for warning in report.warnings:
         reporter.info(f"warning: {warning}")
     for result in report.failed:
         reporter.error(f"{result.run} {result.scene}: {result.error}")
+    return report
+
+
+def _scored(scoring: Scoring, scenes: Sequence[Scene], reporter: Reporter) -> EvaluationReport:
+    """Score all scenes, and write scores, pictures and the page."""
+    from depthcli.evaluation.comparison import EvaluationReport
+    from depthcli.evaluation.plots import cache_below
+
+    results: list[Result] = []
+    with cache_below(scoring.output):
+        with reporter:
+            reporter.start(len(scenes), 0, "evaluate")
+            short = [scene.name.rpartition("/")[2] for scene in scenes]
+            for scene, name in zip(scenes, short, strict=True):
+                of_scene = scoring.results(scene, unique=short.count(name) == 1)
+                results += of_scene
+                reporter.step(any(result.error for result in of_scene))
+        for name, value in vars(scoring.settings).items():
+            taken = any(name in each.takes for each in scoring.protocols.values())
+            if value is not None and scoring.protocols and not taken:
+                reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
+        report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth)
+        _write(report, scoring)
     return report
 
 

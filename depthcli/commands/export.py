@@ -107,7 +107,7 @@ def _find_maps(
     run: Path, bench: Benchmark, splits: Sequence[str], seconds: float | None
 ) -> tuple[list[Entry], list[str]]:
     """The maps of the benchmark's scenes, and what is wrong: a split of which one scene is there must be complete."""
-    from depthcli.batch.run_folder import read_report
+    from depthcli.batch.reports import read_report
     from depthcli.evaluation.protocols import load
 
     if not os.path.isdir(run):

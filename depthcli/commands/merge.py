@@ -30,7 +30,7 @@ class MergeCommand(Command):
         from depthcli.batch.console import run_table
         from depthcli.batch.json_csv import to_json
         from depthcli.batch.records import RECORD_FILE
-        from depthcli.batch.report_writer import drop_joined_parts, joined_rows, report_document, write_report
+        from depthcli.batch.reports import drop_joined_parts, joined_rows, report_document, write_report
         from depthcli.batch.run_folder import opened_run
         from depthcli.batch.sharing import FolderLock
 

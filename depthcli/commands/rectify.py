@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import TYPE_CHECKING, ClassVar, Literal, TypedDict
 
 from depthcli.batch.command import Values
 from depthcli.batch.json_csv import Row
@@ -42,6 +42,8 @@ class RectifyOptions(TypedDict):
 
 class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
     """``depthcli rectify --input DIR --calibration FILE --output DIR``."""
+
+    results: ClassVar[tuple[str, ...]] = ("left.png", "right.png", "calib.txt", "meta.json")
 
     @property
     def options(self) -> tuple[Option, ...]:

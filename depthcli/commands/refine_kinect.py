@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from depthcli.batch.command import Values
-from depthcli.commands._batch import ConfigCommand
+from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
@@ -30,6 +30,8 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
     """Refines single frames, or sequences where the method carries state from frame to frame."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (RgbdScene,)
+    # Frames of a sequence have folders of their own.
+    results: ClassVar[tuple[str, ...]] = (*DEPTH_RESULTS, *(f"*/{name}" for name in DEPTH_RESULTS))
 
     @property
     def options(self) -> tuple[Option, ...]:

@@ -22,6 +22,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
     """Estimates the error of a registration from a search around every voxel."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (VolumePairScene,)
+    results: ClassVar[tuple[str, ...]] = ("confidence.*", "expected_error.*", "shift.*", "preview.png", "points.csv")
 
     def config_model(self) -> type[RegisterConfidenceConfig]:
         from depthcli.methods.registration.config import RegisterConfidenceConfig

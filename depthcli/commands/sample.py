@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from depthcli.batch.command import Values
 from depthcli.commands._batch import BatchCommand
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
     """Generates scenes that the options describe, into a run folder."""
+
+    results: ClassVar[tuple[str, ...]] = ("*",)
 
     @property
     def options(self) -> tuple[Option, ...]:

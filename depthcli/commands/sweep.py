@@ -120,13 +120,13 @@ def _print_plan(
     reporter: Reporter,
 ) -> int:
     from depthcli.batch.console import aligned
-    from depthcli.batch.dry_run import DONE, plan
     from depthcli.batch.json_csv import to_json
+    from depthcli.batch.plan import DONE, plan_document
 
     rows = []
     for name, own in each.items():
         scenes = command.find(own, reporter)
-        document = plan(command, configs[name], scenes, own["output"], command.memory_of, run_options(own))
+        document = plan_document(command, configs[name], scenes, own["output"], command.memory_of, run_options(own))
         done = sum(row["status"] == DONE for row in document["scenes"])
         rows.append({"run": name, "scenes": len(document["scenes"]), "done": done, "refused": document["refused"]})
     if values["json"]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.commands._batch import ConfigCommand
+from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.core.errors import InputError
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
@@ -24,6 +24,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
     """Completes the depth of transparent objects from sparse depth, given or matched between color and infrared."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (RgbdScene,)
+    results: ClassVar[tuple[str, ...]] = DEPTH_RESULTS
 
     def config_model(self) -> type[TransparentConfig]:
         from depthcli.methods.transparent.config import TransparentConfig

@@ -19,6 +19,7 @@ import pytest
 from depthcli.batch import records, run_folder
 from depthcli.batch.cluster import _chunk_function, _Cluster, _source_digest_function
 from depthcli.batch.console import Reporter
+from depthcli.batch.reports import REPORT_FILES
 from depthcli.batch.task import Run, RunOptions, Task
 from depthcli.cli import main
 from depthcli.data.scenes.stereo import StereoScene
@@ -68,7 +69,7 @@ def start(*arguments: str | Path) -> subprocess.Popen[str]:
 
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file but the reports, hidden ones included."""
-    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in run_folder.REPORT_FILES)
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in REPORT_FILES)
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 

@@ -14,9 +14,11 @@ from pydantic import BaseModel
 
 from depthcli.batch import records, resources
 from depthcli.batch.console import Reporter, run_table
+from depthcli.batch.install import discard
+from depthcli.batch.plan import plan_document
 from depthcli.batch.records import RECORD_FILE
 from depthcli.batch.runner import run_scenes
-from depthcli.batch.task import Outcome, Run, RunOptions, Task, discard, run_task
+from depthcli.batch.task import Outcome, Run, RunOptions, Task, run_task
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
 from depthcli.core.result import Clock
 from depthcli.data.scenes import Scene
@@ -44,6 +46,7 @@ class Repeat:
 
     log: Path | None = None
     name: str = "repeat"
+    results: tuple[str, ...] = ()
 
     def compute(self, config: Config, scene: Text, folder: Path, memory: int) -> Outcome:
         text = scene.load()
@@ -84,6 +87,7 @@ class Folder:
         self.root = root
         self.output = root / "run"
         self.reporter = Reporter(-1)
+        self.results: tuple[str, ...] = ()
         self.log = root / "log"
         (root / "in").mkdir()
         self.texts: dict[str, str] = {name: name * 3 for name in "abcd"}
@@ -96,7 +100,8 @@ class Folder:
             scenes.append(Text(name=name, folder=file.parent, file=file))
         self.log.write_text("")
         config = Config(factor=factor)
-        rows = run_scenes(Repeat(self.log), config, scenes, self.output, RunOptions(**options), self.reporter)
+        work = Repeat(self.log, results=self.results)
+        rows = run_scenes(work, config, scenes, self.output, RunOptions(**options), self.reporter)
         return {row["scene"]: row for row in rows}
 
     def computed(self) -> list[str]:
@@ -365,7 +370,7 @@ def test_a_report_that_cannot_be_written_is_told_after_the_work(folder: Folder, 
     def full(*_: object) -> None:
         raise OutputError("report.json: cannot be written (No space left on device)")
 
-    monkeypatch.setattr("depthcli.batch.report_writer.write_report", full)
+    monkeypatch.setattr("depthcli.batch.reports.write_report", full)
     with pytest.raises(IncompleteError, match="No space left"):
         folder.run()
     assert (folder.output / "d" / "out.txt").exists()
@@ -469,7 +474,33 @@ def test_files_that_no_record_claims_are_never_replaced(folder: Folder, overwrit
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-@pytest.mark.parametrize("name", ["run.yaml", "report.csv", "report.json", "legend.png"])
+def test_own_files_in_the_place_of_results_are_found_before_anything_is_computed(folder: Folder, overwrite: bool):
+    """They are named in one line, and nothing is written; what a report or a damaged record speaks of is ours."""
+    folder.results = ("out.*", "*/out.*")
+    for name in ("a/out.txt", "b/frame/out.png", "c/notes.txt", "d/out.txt", "d/out.png"):
+        (folder.output / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder.output / name).write_text("mine")
+    before = folder.bytes()
+    with pytest.raises(ConfigError, match=r"a/out\.txt, b/frame/out\.png, d/out\.png and 1 more would be replaced"):
+        folder.run(overwrite=overwrite)
+    assert folder.bytes() == before
+    assert not folder.computed()
+    assert not any(path.exists() for path in folder.reports())
+    scenes = [Text(name="a", folder=folder.root / "in", file=folder.root / "in/a")]
+    work = Repeat(results=folder.results)
+    plan = plan_document(work, Config(), scenes, folder.output, lambda *_: None, RunOptions())
+    assert "a/out.txt would be replaced" in plan["refused"]
+    for name in ("a/out.txt", "b/frame/out.png", "d/out.txt", "d/out.png"):
+        (folder.output / name).unlink()
+    folder.run(overwrite=overwrite)
+    (folder.output / "a/record.json").unlink()  # its report is left
+    (folder.output / "b/record.json").write_text("damaged")
+    assert {row["status"] for row in folder.run(overwrite=overwrite).values()} == {"done"}
+    assert folder.computed() == ["a", "b"]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("name", ["run.yaml", "report.csv", "report.json", "legend.png", "traceback-a.txt"])
 def test_a_folder_with_own_files_is_no_run_folder(folder: Folder, name: str, overwrite: bool):
     folder.output.mkdir()
     (folder.output / name).write_text("pipeline: mine")

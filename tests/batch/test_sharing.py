@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from depthcli.batch import run_folder
-from depthcli.batch.report_writer import joined_rows, write_rows
+from depthcli.batch.reports import REPORT_FILES, joined_rows, read_report, write_rows
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock, Shard, parse_shard
 from depthcli.cli import main
 from depthcli.commands.stereo import COMMAND as STEREO
@@ -39,7 +39,7 @@ def start(*arguments: str | Path) -> subprocess.Popen[str]:
 
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file but the reports, hidden ones included."""
-    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in run_folder.REPORT_FILES)
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name not in REPORT_FILES)
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
@@ -238,7 +238,7 @@ with FolderLock(Path({str(tmp_path / "run")!r}), True, print) as lock:
 def test_parts_are_read_before_they_are_joined(tmp_path: Path, whole: Path):
     run_id, command = run_folder.opened_run(whole)
     assert command == "stereo"
-    rows = list(run_folder.read_report(whole).values())
+    rows = list(read_report(whole).values())
     folder = tmp_path / "run"
     for name in ("run.yaml", *(row["scene"] + "/record.json" for row in rows)):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -246,7 +246,7 @@ def test_parts_are_read_before_they_are_joined(tmp_path: Path, whole: Path):
     write_rows(folder / ".parts/1-of-2.json", rows[:5], {"command": "stereo", "run": run_id}, {})
     write_rows(folder / ".parts/2-of-2.json", rows[5:9], {"command": "stereo", "run": run_id}, {})
     write_rows(folder / ".parts/1-of-9.json", [{**rows[0], "status": "failed"}], {"run": "of another config"}, {})
-    assert run_folder.read_report(folder) == {row["scene"]: row for row in rows[:9]}
+    assert read_report(folder) == {row["scene"]: row for row in rows[:9]}
     failed = {"scene": "zebra", "status": "failed", "error": "no stripes", "seconds": {}, "peak_memory": None}
     write_rows(folder / ".parts/3-of-3.json", [failed], {"command": "stereo", "run": run_id}, {})
     names = [row["scene"] for row in rows]

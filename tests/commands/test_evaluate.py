@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import itertools
 import json
 import math
+import os
 import shutil
 from pathlib import Path
 
@@ -14,9 +16,10 @@ import numpy as np
 import pytest
 
 from depthcli.batch.console import Reporter
+from depthcli.batch.records import Record, write_record
 from depthcli.cli import main
 from depthcli.commands.evaluate import COMMAND, evaluate
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.data.formats.disparity import read_disparity, write_disparity_png, write_pfm
 from depthcli.data.formats.images import read_image, write_png
 from depthcli.data.walk import discover_scenes
@@ -289,8 +292,66 @@ def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path, truth: Path):
     files = seen[0]
     assert files == seen[1]
     assert {str(p.relative_to("out")) for p in files} == {
-        "report.md", "scores.csv", "scores.json", "errors/run/a.png", "errors/run/b.png",
+        "record.json", "report.md", "scores.csv", "scores.json", "errors/run/a.png", "errors/run/b.png",
     }  # fmt: skip
+
+
+def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, truth: Path, monkeypatch, capsys):
+    """Own files under the names of results are refused before a scene is opened; earlier results make room."""
+    run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
+    out = tmp_path / "out"
+    evaluate([run], truth, out)
+    (out / "notes.txt").write_text("mine")
+    other = run_of(tmp_path / "other", {"a": exact(truth), "b": exact(truth)})
+    evaluate([other], truth, out)
+    assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == [
+        "errors/other/a.png", "errors/other/b.png", "notes.txt", "record.json", "report.md", "scores.csv",
+        "scores.json",
+    ]  # fmt: skip
+    (out / "errors/run").mkdir()
+    (out / "errors/run/a.png").write_text("mine")  # beside a record: found when results are moved in
+    with pytest.raises(OutputError, match=r"errors/run/a\.png would be replaced"):
+        evaluate([run], truth, out)
+    assert (out / "errors/other/a.png").is_file()
+    assert not list(out.glob(".partial*"))
+
+    monkeypatch.setattr("depthcli.commands._scoring.Scoring.results", None)  # nothing is computed from here on
+    for name in ("scores.csv", "report.md", "errors/run/deeper/a.png"):
+        place = tmp_path / "mine" / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text("mine")
+        assert main(["evaluate", str(run), "--truth", str(truth), "-o", str(tmp_path / "mine")]) == 2
+        assert f"{name} would be replaced, but no record" in capsys.readouterr().err
+        assert [p.read_text() for p in (tmp_path / "mine").rglob("*") if p.is_file()] == ["mine"]
+        shutil.rmtree(tmp_path / "mine")
+    write_record(run, Record("", "another", {}, {}, {}))
+    with pytest.raises(ConfigError, match="holds results of another command"):
+        evaluate([run], truth, run)
+
+
+def test_an_interrupted_evaluation_is_known_as_ours(tmp_path: Path, truth: Path, monkeypatch: pytest.MonkeyPatch):
+    """At every step in which earlier results make room for new ones, a kill leaves files that a record claims."""
+    run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
+    evaluate([run], truth, tmp_path / "whole")
+    whole = {p.relative_to(tmp_path / "whole"): p.read_bytes() for p in (tmp_path / "whole").rglob("*.*")}
+    original = os.replace
+    for step in range(20):
+        left = [step]
+
+        def killed(*arguments, left: list[int] = left) -> None:
+            left[0] -= 1
+            if left[0] < 0:
+                raise KeyboardInterrupt
+            original(*arguments)
+
+        monkeypatch.setattr("os.replace", killed)
+        with contextlib.suppress(KeyboardInterrupt):
+            evaluate([run], truth, tmp_path / "out")
+        monkeypatch.setattr("os.replace", original)
+        for name, data in whole.items():
+            assert not (place := tmp_path / "out" / name).exists() or place.read_bytes() == data
+        evaluate([run], truth, tmp_path / "out")
+        assert {p.relative_to(tmp_path / "out"): p.read_bytes() for p in (tmp_path / "out").rglob("*.*")} == whole
 
 
 def test_nothing_to_evaluate(tmp_path: Path, truth: Path):

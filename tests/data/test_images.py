@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import resource
 import struct
-import subprocess
-import sys
 import zlib
 from pathlib import Path
 
@@ -16,7 +13,7 @@ import pytest
 
 from depthcli.core.errors import InputError, OutputError
 from depthcli.data.formats.disparity import write_pfm
-from depthcli.data.formats.files import PARTIAL_SUFFIX, atomic_path, remove_leftovers, write_text
+from depthcli.data.formats.files import PARTIAL_SUFFIX, atomic_path, write_text
 from depthcli.data.formats.headers import image_size
 from depthcli.data.formats.images import read_grey, read_image, write_png
 from depthcli.data.formats.stereo_images import read_pair, sample_bits
@@ -282,18 +279,3 @@ def test_write_png_refuses_what_png_cannot_hold(tmp_path: Path):
             write_png(tmp_path / "a.png", array)
     write_png(tmp_path / "a.png", np.array([[True, False]]))
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), [[255, 0]])
-
-
-def test_leftovers_of_dead_processes_are_removed(tmp_path: Path):
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait()
-    inner = tmp_path / "a" / "b"
-    inner.mkdir(parents=True)
-    names = {
-        f".x.png.{process.pid}-1{PARTIAL_SUFFIX}": False, f".x.png.{os.getpid()}-1{PARTIAL_SUFFIX}": True,
-        f".mine{PARTIAL_SUFFIX}": True, ".x.png": True, f".{'9' * 30}-1{PARTIAL_SUFFIX}": True,
-    }  # fmt: skip
-    for name in names:
-        (inner / name).touch()
-    remove_leftovers(tmp_path)
-    assert {name: (inner / name).exists() for name in names} == names

@@ -196,19 +196,6 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         raise
 
 
-def remove_leftovers(folder: Path) -> None:
-    """Delete temporary files below ``folder`` whose process is gone: it was killed while it wrote them."""
-    for leftover in folder.rglob(f".*{PARTIAL_SUFFIX}"):
-        process = leftover.name.removesuffix(PARTIAL_SUFFIX).rpartition(".")[2].partition("-")[0]
-        try:
-            os.kill(int(process), 0)
-        except ProcessLookupError:
-            with contextlib.suppress(OSError):
-                leftover.unlink()
-        except (ValueError, OverflowError, OSError):  # no name of ours, or somebody else's process
-            continue
-
-
 def write_bytes(path: Path | str, data: bytes) -> None:
     """Write ``data`` to ``path``, atomically."""
     with atomic_path(path) as temporary:
