@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.protocols import AnyProtocol, Settings
-    from depthcli.evaluation.results import Result
+    from depthcli.evaluation.results import MapResult
     from depthcli.report.page import Page
 
 HTML = (
@@ -158,7 +158,7 @@ def _scored(scoring: Scoring, scenes: Sequence[Scene], reporter: Reporter) -> Ev
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.plots import cache_below
 
-    results: list[Result] = []
+    results: list[MapResult] = []
     with cache_below(scoring.output):
         with reporter:
             reporter.start(len(scenes), 0, "evaluate")
