@@ -1,7 +1,31 @@
-"""Confidence of the minimum of a cost curve. One file a measure, larger values are surer.
+"""Confidence of the best match of a cost curve: one file a measure, larger values are surer in every one.
 
-Costs -> :class:`CostCurves`, whose statistics one pass over all curves gives -> measures, computed from the statistics.
-Formulas: Hu and Mordohai, "A quantitative evaluation of confidence measures for stereo vision", TPAMI 2012.
+In: a cost volume (H, W, D) of stereo, to :func:`confidence_maps`; or curves over any search space, to
+:class:`CostCurves`, whose statistics one pass over all curves computes (``_curves``). Out: (H, W) float32 a measure.
+
+A curve has costs ``c``: ``c1`` is the smallest, at ``d1``; ``c2`` the next smallest anywhere; ``c2m`` the second
+smallest local minimum; ``s`` is the standard deviation of all costs of the volume. Ranges hold for costs >= 0. A
+trailing N ("naive") takes ``c2`` where the measure takes ``c2m``.
+
+| name | full name | formula | range |
+|---|---|---|---|
+| ``msm`` | matching score | -c1 | <= 0, costs |
+| ``cur`` | curvature | c(d1 - 1) + c(d1 + 1) - 2 c1 | >= 0, costs |
+| ``mm``, ``mmn`` | maximum margin | c2m - c1 | >= 0, costs |
+| ``pkr``, ``pkrn`` | peak ratio | c2m / c1 | >= 1 |
+| ``apkr`` | average peak ratio | mean of c(d2m) / c(d1) in 5 x 5 pixels | > 0 |
+| ``wmn``, ``wmnn`` | winner margin | (c2m - c1) / sum of c | 0 .. 1 |
+| ``mlm`` | maximum likelihood | 1 / sum of exp(-2 (c - c1) / s) | 0 .. 1 |
+| ``aml`` | attainable maximum likelihood | 1 / sum of exp(-8 ((c - c1) / s)^2) | 0 .. 1 |
+| ``nem`` | negative entropy | sum of p log p, p = softmax(-4 c / s) | -log D .. 0 |
+| ``noi`` | number of inflections | - local minima of the smoothed curve | <= -1 |
+| ``lrc`` | left-right consistency | -abs(d1 - disparity of its match in the right view) | <= 0, pixels |
+| ``lrd`` | left-right difference | (c2 - c1) / (c1 - smallest cost of the right pixel) | >= 0 |
+| ``da`` | disparity agreement | share of 25 x 25 pixels within 1 pixel of d1 | 0 .. 1 |
+| ``dap`` | disparity agreement and peak | agreement in both views, 13 x 13, times sqrt(1 - 1 / apkr) | 0 .. 1 |
+
+Sources: Hu and Mordohai, "A quantitative evaluation of confidence measures for stereo vision", TPAMI 2012; ``apkr``:
+Kim et al. 2014. Ratios of two costs get 1e-3 of the mean cost added to both, other denominators too: none is zero.
 """
 
 from __future__ import annotations
@@ -26,11 +50,7 @@ _FAMILY = Family.of("depthcli.methods.confidence")
 
 
 class ConfidenceMeasure(Method):
-    """Computes one number a cost curve, larger where its minimum is surer.
-
-    The first paragraph of a measure's docstring is its line in the documentation; there ``c1`` is the smallest cost, at
-    ``d1``, and ``c2`` the next smallest anywhere.
-    """
+    """One number a cost curve; the first paragraph of a measure's docstring is its line in the documentation."""
 
     @abstractmethod
     def __call__(self, curves: CostCurves) -> Map:

@@ -27,7 +27,7 @@ from depthcli.methods.transparent.modality import (
     learned_weights,
     mean_cost,
     mixed,
-)  # fmt: skip
+)
 
 _MAX_TILT = 0.3  # vertical over horizontal baseline, beyond which the rectified images would be turned too far
 _MIN_OVERLAP = 0.05  # share of the rectified image that both cameras have to see, to be matched at all
@@ -35,7 +35,7 @@ _SINGLE = {"r": (1.0, 0.0, 0.0), "g": (0.0, 1.0, 0.0), "b": (0.0, 0.0, 1.0), "gr
 
 
 def _structure_measures() -> Fusion:
-    """Return measures that do not depend on the sensor's response, weighted by consensus (section 6.4.9)."""
+    # Measures that do not depend on the sensor's response, weighted by consensus (section 6.4.9).
     return Fusion.model_validate({
         "measures": ["gradient", "rank", "census", "zncc"],
         "exponent": 6,
@@ -44,7 +44,7 @@ def _structure_measures() -> Fusion:
 
 
 def _planes() -> SegmentSteps:
-    """Return steps as of ``stereo segments``, but less smooth, and without cutting segments that lack structure."""
+    # Steps as of ``stereo segments``, but less smooth, and without cutting segments that lack structure.
     return SegmentSteps.model_validate({
         "window_radius": 0,
         "optimization": {"method": "scanline", "p1": 0.3, "p2": 1.2},
@@ -58,7 +58,7 @@ def _planes() -> SegmentSteps:
     })  # fmt: skip
 
 
-class Selection(BaseModel):
+class MatchSelection(BaseModel):
     """Selection of the matches that are reliable.
 
     A match that contradicts the sensor has to be cheaper by a margin than the sensor's disparity; where the sensor
@@ -80,9 +80,40 @@ class Selection(BaseModel):
     widening: int = Field(5, ge=0, le=64, description="distance by which stereo may widen a surface, pixels")
     tolerance: float = Field(1.5, ge=0, description="difference from the sensor that still confirms it, pixels")
 
+    def __call__(
+        self,
+        dense: NDArray[np.float32],
+        votes: NDArray[np.float32],
+        sensor: NDArray[np.float32],
+        volume: CostVolume,
+        image: NDArray[np.uint8],
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """Return the matches to keep, (H, W) bool, and by which share of the margin they are cheaper, 0 .. 1.
+
+        Parameters
+        ----------
+        dense, sensor : (H, W) disparities of the matches, and of the sensor, pixels, NaN = unknown
+        votes : (H, W) share of the votes around
+        volume : the costs
+        image : (H, W) uint8, left view
+        """
+        known, agrees = np.isfinite(sensor), np.abs(dense - sensor) <= self.tolerance
+        gain = np.where(known, cost_at(volume, sensor), mean_cost(volume)) - cost_at(volume, dense)
+        margin = np.where(known, self.margin, self.blind_margin)
+        confirmed = agrees & (votes >= self.consensus) & (deviation(image) >= self.texture)
+        # Widened: the sensor does not have the disparity there, but has it within ``widening`` pixels.
+        height, width = dense.shape
+        padded = np.pad(sensor, self.widening, constant_values=np.nan)
+        near = np.zeros(dense.shape, np.bool_)
+        for y in range(2 * self.widening + 1):
+            for x in range(2 * self.widening + 1):
+                near |= np.abs(padded[y : y + height, x : x + width] - dense) <= self.tolerance
+        keep = confirmed | (~agrees & (gain > margin) & ~near)
+        return keep, np.where(agrees, 0, np.clip(gain / np.maximum(margin, 1e-6), 0, 1)).astype(np.float32)
+
 
 @dataclass(frozen=True)
-class Matches:
+class CrossModalMatches:
     """Stereo of a rectified pair.
 
     Attributes
@@ -122,7 +153,7 @@ class CrossModal(BaseModel):
     planes: SegmentSteps = Field(
         default_factory=_planes, description="the matcher: planes over color segments, a config of stereo's segments"
     )
-    selection: Selection = Field(default_factory=Selection, description="which matches are kept")
+    selection: MatchSelection = Field(default_factory=MatchSelection, description="which matches are kept")
 
     def __call__(self, frame: RgbIrFrame, clock: Clock) -> tuple[SparseFrame, dict[str, float]]:
         """Return the frame with sparse depth in the color camera's pixels, and figures for the report.
@@ -160,7 +191,9 @@ class CrossModal(BaseModel):
                              dense=np.ascontiguousarray(dense, np.float32))  # fmt: skip
         return result, figures
 
-    def match(self, color: NDArray[np.uint8], infrared: NDArray[np.uint8], sensor: NDArray[np.float32]) -> Matches:
+    def match(
+        self, color: NDArray[np.uint8], infrared: NDArray[np.uint8], sensor: NDArray[np.float32]
+    ) -> CrossModalMatches:
         """Match a rectified pair.
 
         Parameters
@@ -187,19 +220,12 @@ class CrossModal(BaseModel):
         dense = self.planes.from_volume(color_pair, volume, top, Clock()).disparity.values
         votes = [part.ballot.shares(np.rint(dense).astype(np.int32)[None])[0] for part in fused]
         confidence = np.asarray(np.mean(votes, axis=0), np.float32)
-        rule = self.selection
-        known, agrees = np.isfinite(sensor), np.abs(dense - sensor) <= rule.tolerance
-        gain = np.where(known, cost_at(volume, sensor), mean_cost(volume)) - cost_at(volume, dense)
-        margin = np.where(known, rule.margin, rule.blind_margin)
-        confirmed = agrees & (confidence >= rule.consensus) & (deviation(mixes[0]) >= rule.texture)
-        keep = (confirmed | (~agrees & (gain > margin))) & ~self._widened(dense, sensor)
-        sure = np.where(agrees, 0, np.clip(gain / np.maximum(margin, 1e-6), 0, 1)).astype(np.float32)
-        status = np.zeros(dense.shape, np.uint8)
-        chosen = DisparityMap(np.where(keep, dense, np.float32(np.nan)), status)
-        if rule.speckle:
-            evidence = RefinementContext(pairs[0], volume, np.zeros(dense.shape, np.uint16))
-            chosen = SpeckleFilter(size=rule.speckle)(chosen, evidence)
-        return Matches(dense, chosen.values, np.maximum(confidence, sure), weights)
+        keep, margin_share = self.selection(dense, confidence, sensor, volume, mixes[0])
+        chosen = DisparityMap(np.where(keep, dense, np.float32(np.nan)), np.zeros(dense.shape, np.uint8))
+        if self.selection.speckle:
+            context = RefinementContext(pairs[0], volume, np.zeros(dense.shape, np.uint16))
+            chosen = SpeckleFilter(size=self.selection.speckle)(chosen, context)
+        return CrossModalMatches(dense, chosen.values, np.maximum(confidence, margin_share), weights)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
@@ -212,18 +238,6 @@ class CrossModal(BaseModel):
         known = sensor[np.isfinite(sensor)]
         largest = float(np.quantile(known, 0.999)) if known.size else 64.0
         return int(np.clip(np.ceil(1.25 * largest) + 2, 16, max(16, sensor.shape[1] // 2)))
-
-    def _widened(self, dense: NDArray[np.float32], sensor: NDArray[np.float32]) -> NDArray[np.bool_]:
-        # Pixels whose disparity the sensor does not have there, but has within ``widening`` pixels.
-        reach, tolerance = self.selection.widening, self.selection.tolerance
-        height, width = dense.shape
-        padded = np.pad(sensor, reach, constant_values=np.nan)
-        near = np.zeros(dense.shape, np.bool_)
-        for y in range(2 * reach + 1):
-            for x in range(2 * reach + 1):
-                near |= np.abs(padded[y : y + height, x : x + width] - dense) <= tolerance
-        widened: NDArray[np.bool_] = near & ~(np.abs(sensor - dense) <= tolerance)
-        return widened
 
 
 def _mean(volumes: list[CostVolume]) -> CostVolume:

@@ -88,10 +88,10 @@ def inverse_depth(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 def refined_depth(
     frame: SparseFrame,
     values: NDArray[np.floating[Any]],
-    sigma: NDArray[np.floating[Any]],
-    replaced: NDArray[np.bool_],
-    sampled: NDArray[np.bool_],
+    unreliable: NDArray[np.bool_],
     clock: Clock,
+    sigma: NDArray[np.floating[Any]] | float = np.nan,
+    sampled: NDArray[np.bool_] | None = None,
     figures: dict[str, float] | None = None,
 ) -> RefinedDepth:
     """Convert inverse depth to the result of a pipeline.
@@ -99,8 +99,8 @@ def refined_depth(
     Parameters
     ----------
     values, sigma : (H, W) inverse depths and their standard deviations, 1 / m
-    replaced : (H, W) bool, pixels where the sensor is unreliable
-    sampled : (H, W) bool, a sample at the pixel agrees
+    unreliable : (H, W) bool, pixels whose depth by the sensor was replaced
+    sampled : (H, W) bool, a sample at the pixel agrees; None: at all samples
     figures : numbers for the report
     """
     known = np.isfinite(frame.depth)
@@ -110,10 +110,11 @@ def refined_depth(
         deviation = (sigma * depth.astype(np.float64) ** 2).astype(np.float32)
     status = np.zeros(frame.shape, np.uint8)
     status[~known] = DepthStatus.GAP_FILLED
-    status[known & replaced] = DepthStatus.CORRECTED
+    status[known & unreliable] = DepthStatus.CORRECTED
+    sampled = np.isfinite(frame.sparse) if sampled is None else sampled
     status[(status != DepthStatus.KEPT) & sampled] |= np.uint8(DepthStatus.SAMPLED)
     status[np.isnan(depth)] = DepthStatus.EMPTY
-    pictures = {"unreliable": np.where(replaced & known, np.uint8(255), np.uint8(0))}
+    pictures = {"unreliable": np.where(unreliable & known, np.uint8(255), np.uint8(0))}
     return RefinedDepth(
         DepthMap(depth, status), deviation, seconds=clock.seconds, pictures=pictures, figures=figures or {}
     )

@@ -20,9 +20,7 @@ class Smoothing(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     reach: float = Field(
-        0.011,
-        ge=0,
-        description="distance from the nearest sample from which on values are smoothed, over the width",
+        0.011, ge=0, description="distance from the nearest sample from which on values are smoothed, over the width"
     )
     radius: int = Field(5, ge=0, le=50, description="half the side of the window, pixels")
     color_scale: float = Field(
@@ -30,11 +28,7 @@ class Smoothing(BaseModel):
     )
 
     def __call__(
-        self,
-        values: NDArray[np.float32],
-        samples: Samples,
-        image: NDArray[np.uint8],
-        wanted: NDArray[np.bool_],
+        self, values: NDArray[np.float32], samples: Samples, image: NDArray[np.uint8], wanted: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
         """Smooth a map.
 

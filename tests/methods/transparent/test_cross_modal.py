@@ -17,7 +17,7 @@ from depthcli.data.generated.arrays.transparent_scenes import glass_of_pair, mak
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
-from depthcli.methods.transparent.cross_modal import CrossModal, Selection
+from depthcli.methods.transparent.cross_modal import CrossModal, MatchSelection
 from depthcli.methods.transparent.modality import GREY, learned_weights, mixed, nonnegative_least_squares
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.scenes import DATA
@@ -127,7 +127,7 @@ def test_every_way_to_mix_the_channels_matches(channels):
 @pytest.mark.slow
 def test_kept_matches_are_right_and_widened_edges_are_not_among_them():
     scene = make_transparent_scene(4, 240, 180, 30)
-    rule = Selection(margin=0, blind_margin=0, widening=0, consensus=0, texture=0, speckle=0)
+    rule = MatchSelection(margin=0, blind_margin=0, widening=0, consensus=0, texture=0, speckle=0)
     without = CrossModal(max_disparity=30, selection=rule)
     kept, all_of = (
         stereo.match(scene.color, scene.infrared, scene.sensor).sparse

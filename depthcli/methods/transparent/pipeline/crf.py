@@ -18,7 +18,7 @@ from depthcli.methods.transparent.pipeline import TransparentPipeline
 from depthcli.methods.transparent.unreliable import UnreliableRegions
 
 
-class Crf(TransparentPipeline):
+class DenseCrf(TransparentPipeline):
     """Labels are steps of inverse depth, with costs from sensor, samples and fit, and a smoothness of similar pixels.
 
     With ``unreliable`` the sensor's costs are dropped where it is unreliable; only these pixels and its gaps are
@@ -65,7 +65,8 @@ class Crf(TransparentPipeline):
             region = np.ones(frame.shape, np.bool_)
         else:
             fitted = fit_frame(frame, self.fit, self.unreliable, clock)
-            region = self._around(fitted)
+            labelled = (fitted.unreliable | np.isnan(fitted.sensor)).astype(np.uint8)
+            region = cv2.dilate(labelled, np.ones((2 * self.band + 1,) * 2, np.uint8)) > 0
         values, sigma = fitted.sensor.astype(np.float64), np.full(frame.shape, fitted.noise)
         if region.any():
             means, deviation = self._label(frame, fitted, region, clock)
@@ -75,22 +76,17 @@ class Crf(TransparentPipeline):
             at = tuple(axis[chosen] for axis in np.nonzero(region))
             values[at], sigma[at] = means[chosen], deviation[chosen]
         figures = {"labelled": float(region.mean()), "samples": float(fitted.samples.values.size)}
-        replaced, sampled = region, np.isfinite(frame.sparse)
-        if self.unreliable is not None:
-            replaced, sampled = fitted.unreliable, fitted.sampled(values)
-        result = refined_depth(frame, values, sigma, replaced, sampled, clock, figures)
+        if self.unreliable is None:
+            result = refined_depth(frame, values, region, clock, sigma, figures=figures)
+        else:
+            result = refined_depth(frame, values, fitted.unreliable, clock, sigma, fitted.sampled(values), figures)
         clock.stop("decode")
         return result
-
-    def _around(self, fitted: FittedFrame) -> NDArray[np.bool_]:
-        wanted = (fitted.unreliable | np.isnan(fitted.sensor)).astype(np.uint8)
-        side = 2 * self.band + 1
-        return np.asarray(cv2.dilate(wanted, np.ones((side, side), np.uint8)) > 0, np.bool_)
 
     def _label(
         self, frame: SparseFrame, fitted: FittedFrame, region: NDArray[np.bool_], clock: Clock
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Compute posterior mean and standard deviation of the inverse depth at the region's pixels."""
+        # Posterior mean and standard deviation of the inverse depth at the region's pixels.
         samples = np.full(frame.shape, np.nan, np.float32)
         samples[fitted.samples.rows, fitted.samples.columns] = fitted.samples.values
         reliable = np.where(fitted.unreliable, np.float32(np.nan), fitted.sensor)
@@ -124,7 +120,7 @@ class Crf(TransparentPipeline):
         return first + step * mean, deviation
 
     def _scale(self, parts: list[NDArray[np.float32]]) -> tuple[float, float]:
-        """Return the inverse depth of the first label, and the step between labels."""
+        # The inverse depth of the first label, and the step between labels.
         evidence = np.concatenate([part[np.isfinite(part)] for part in parts])
         low, high = (float(value) for value in np.quantile(evidence, [0.005, 0.995]))
         margin = 0.05 * (high - low) or 0.05 * high
@@ -145,6 +141,6 @@ class Crf(TransparentPipeline):
         ]
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate energies, marginals and intermediate arrays of all labels; the lattices; the fit."""
+        # Energies, marginals and intermediate arrays of all labels; the lattices; the fit.
         pixels = shape[0] * shape[1]
         return pixels * (20 * self.labels + 4 * self.fit.neighbors + 1200) + (64 << 20)

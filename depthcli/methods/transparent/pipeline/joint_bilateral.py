@@ -11,10 +11,10 @@ from depthcli.core.method import Odd
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
 from depthcli.methods.transparent.pipeline import TransparentPipeline
-from depthcli.methods.transparent.pipeline.nearest import Nearest, nearest_depth
+from depthcli.methods.transparent.pipeline.nearest import NearestSample, nearest_depth
 
 
-class JointBilateral(TransparentPipeline):
+class JointBilateralFilling(TransparentPipeline):
     """Where the sensor is unknown or far from the nearest sample: a mean of values around, by distance and color."""
 
     window: Odd = Field(21, ge=3, le=101, description="side of the window, pixels, odd")
@@ -23,16 +23,13 @@ class JointBilateral(TransparentPipeline):
 
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
-        unreliable = Nearest().unreliable(frame, nearest_depth(frame))
+        unreliable = NearestSample().unreliable(frame, nearest_depth(frame))
         reliable = np.where(unreliable, np.float32(np.nan), frame.depth)
         known = inverse_depth(np.where(np.isfinite(reliable), reliable, frame.sparse))
         filled = joint_bilateral_fill(frame.color, known, self.window, self.sigma_space, self.sigma_color)
-        result = refined_depth(
-            frame, filled, np.full(frame.shape, np.nan), unreliable, np.isfinite(frame.sparse), clock
-        )
+        result = refined_depth(frame, filled, unreliable, clock)
         clock.stop("fill")
         return result
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate the memory of a few maps."""
         return 160 * shape[0] * shape[1] + (16 << 20)

@@ -14,7 +14,7 @@ from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_dep
 from depthcli.methods.transparent.pipeline import TransparentPipeline
 
 
-class Nearest(TransparentPipeline):
+class NearestSample(TransparentPipeline):
     """The sensor's depth where it is near the nearest sample's, or far from any sample; the sample's elsewhere."""
 
     tolerance: float = Field(0.015, ge=0, description="difference up to which the sensor is kept, meters")
@@ -29,9 +29,7 @@ class Nearest(TransparentPipeline):
         unreliable = self.unreliable(frame, dense)
         sensor = inverse_depth(frame.depth)
         values = np.where(np.isfinite(sensor) & ~unreliable, sensor, inverse_depth(dense))
-        result = refined_depth(
-            frame, values, np.full(frame.shape, np.nan), unreliable, np.isfinite(frame.sparse), clock
-        )
+        result = refined_depth(frame, values, unreliable, clock)
         clock.stop("fill")
         return result
 
@@ -45,7 +43,6 @@ class Nearest(TransparentPipeline):
         return unreliable
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate the memory of a few maps."""
         return 120 * shape[0] * shape[1] + (16 << 20)
 
 

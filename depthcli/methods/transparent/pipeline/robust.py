@@ -16,8 +16,8 @@ from depthcli.methods.transparent.smoothing import Smoothing
 from depthcli.methods.transparent.unreliable import UnreliableRegions
 
 
-class Robust(TransparentPipeline):
-    """Samples are cleaned by their neighbors and fitted; a cut finds where the sensor contradicts the fit."""
+class RobustPlanes(TransparentPipeline):
+    """Planes through cleaned samples replace the sensor where a graph cut finds that it contradicts them."""
 
     renamed: ClassVar[dict[str, str]] = {"suspicion": "unreliable"}
 
@@ -35,10 +35,10 @@ class Robust(TransparentPipeline):
         values = np.where(kept, fitted.sensor, smooth)
         sigma = np.where(kept, np.float32(fitted.noise), fitted.sigma)
         figures = {"samples": float(fitted.samples.values.size), "noise": fitted.noise}
-        result = refined_depth(frame, values, sigma, fitted.unreliable, fitted.sampled(values), clock, figures)
+        result = refined_depth(frame, values, fitted.unreliable, clock, sigma, fitted.sampled(values), figures)
         clock.stop("decode")
         return result
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate neighbors of every pixel, and the graph of the cut."""
+        # Neighbors of every pixel, and the graph of the cut.
         return shape[0] * shape[1] * (4 * self.fit.neighbors + 700) + (64 << 20)
