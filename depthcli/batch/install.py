@@ -23,7 +23,7 @@ from depthcli.batch.records import (
 )
 from depthcli.batch.sharing import FolderLock
 from depthcli.core.errors import ConfigError, OutputError
-from depthcli.data.formats.files import PARTIAL_SUFFIX
+from depthcli.data.formats.files import remove_temporaries
 
 OTHER_RUN = "holds a scene of another run; choose another --output or --name, or --overwrite it"
 PARTIAL_PREFIX = ".partial-"
@@ -146,12 +146,10 @@ def discard(folder: Path) -> None:
 
 def remove_leftovers(folder: Path) -> None:
     """Remove what killed processes left in a folder where no other process writes."""
-    for leftover in (*folder.glob(f"{PARTIAL_PREFIX}*"), *folder.glob(f".*{PARTIAL_SUFFIX}")):
-        if leftover.is_dir() and not leftover.is_symlink():
-            discard(leftover)
-        else:
-            with contextlib.suppress(OSError):
-                leftover.unlink(missing_ok=True)
+    for made in folder.glob(f"{PARTIAL_PREFIX}*"):
+        if not made.is_symlink():
+            discard(made)
+    remove_temporaries(folder)
 
 
 def _foreign_files(folder: Path, files: Mapping[str, str]) -> list[str]:

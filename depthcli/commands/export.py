@@ -5,8 +5,6 @@ All that is wrong with the maps is reported together, and nothing is written the
 
 from __future__ import annotations
 
-import contextlib
-import glob
 import math
 import os
 from collections.abc import Iterable, Sequence
@@ -56,7 +54,7 @@ class ExportCommand(Command):
         """
         from depthcli.batch.json_csv import to_json
         from depthcli.data.formats.disparity import read_disparity
-        from depthcli.data.formats.files import collected_warnings
+        from depthcli.data.formats.files import collected_warnings, remove_temporaries
         from depthcli.evaluation.benchmarks import Submission, benchmark
 
         target, bench = values["output"], benchmark(values["for_"])
@@ -90,9 +88,7 @@ class ExportCommand(Command):
         if unknown := [entry.scene for entry in entries if entry.size is None]:
             reporter.info(f"sizes not checked, as the images are not known: {_named(unknown)}")
         files = (bench.files(entry, read_disparity(entry.file), submission) for entry in entries)
-        for leftover in target.parent.glob(f".{glob.escape(target.name)}.*.partial~"):  # of an export that was killed
-            with contextlib.suppress(OSError):
-                leftover.unlink()
+        remove_temporaries(target.parent, target.name)
         names = _write_archive(target, files)
         counts = {split: sum(entry.split == split for entry in entries) for split in splits}
         parts = ", ".join(f"{n} {split}" for split, n in counts.items() if n)

@@ -201,6 +201,17 @@ def check_depth(scenes: Path, taken: Rig, tmp_path: Path, alpha: float = 0.0) ->
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("old", "new"), [("K2:", "K2"), ("!!opencv-matrix", "!!openc[v-matrix"), ("data: [", "data:!!binary |["), ("[", "")]
+)
+def test_a_damaged_file_of_opencv_is_told_in_a_line(tmp_path: Path, old: str, new: str):
+    """OpenCV's own reader never ends for the first of these, or ends the process."""
+    file = opencv(tmp_path / "a.yml", rig())
+    file.write_text(file.read_text().replace(old, new))
+    with pytest.raises(InputError, match=r"a\.yml: not a file of OpenCV's"):
+        read_rig([file])
+
+
 @pytest.mark.parametrize("kind", ["opencv", "ros", "kalibr", "kitti"])
 def test_a_rectified_pair_has_rows_that_correspond_and_the_right_depth(kind: str, pinhole: Shot, tmp_path: Path):
     taken = pinhole.rig

@@ -114,6 +114,7 @@ BAD_META = {
     "channels": ("NDims = 3", "NDims = 3\nElementNumberOfChannels = 100000"),
     "header size": ("NDims = 3", "NDims = 3\nHeaderSize = 99999999999999999999"),
     "twice": ("NDims = 3", "NDims = 3\nNDims = 30000"),
+    "long text": ("NDims = 3", "NDims = 3\nName = " + "x" * 300),  # which ends the process in MetaIO
     "long line": ("NDims = 3", "NDims = 3\nComment = " + "x" * 100_000),
 }
 BAD_NRRD = {
@@ -125,6 +126,8 @@ BAD_NRRD = {
     "encoding": ("encoding: raw", "encoding: zrl"),
     "skip": ("encoding: raw", "encoding: raw\nbyte skip: 99999999"),
     "twice": ("dimension: 3", "dimension: 3\ndimension: 4"),
+    "long units": ("dimension: 3", "dimension: 3\nspace units: " + "x" * 300),  # which end the process
+    "long numbers": ("dimension: 3", "dimension: 3\nkinds: " + "1 " * 300),
 }
 
 
@@ -253,6 +256,6 @@ print("whole")
 
 def test_a_transform_that_ends_the_process_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "a.tfm").write_text("#Insight Transform File V1.0\n")
-    monkeypatch.setattr(transforms, "_TRIAL", "import os; os.abort()")
+    monkeypatch.setattr(transforms, "_REWRITE", "import os; os.abort()")
     with pytest.raises(InputError, match="crashes"):
         transforms.read_transform(tmp_path / "a.tfm")

@@ -13,7 +13,7 @@ import pytest
 
 from depthcli.core.errors import InputError, OutputError
 from depthcli.data.formats.disparity import write_pfm
-from depthcli.data.formats.files import PARTIAL_SUFFIX, atomic_path, write_text
+from depthcli.data.formats.files import PARTIAL_SUFFIX, atomic_path, remove_temporaries, write_text
 from depthcli.data.formats.headers import image_size
 from depthcli.data.formats.images import read_grey, read_image, write_png
 from depthcli.data.formats.stereo_images import read_pair, sample_bits
@@ -279,3 +279,12 @@ def test_write_png_refuses_what_png_cannot_hold(tmp_path: Path):
             write_png(tmp_path / "a.png", array)
     write_png(tmp_path / "a.png", np.array([[True, False]]))
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), [[255, 0]])
+
+
+def test_leftovers_of_one_file_are_removed(tmp_path: Path):
+    wanted = "a[1]" + "x" * 50
+    names = {f".{wanted[:40]}.7-1{PARTIAL_SUFFIX}": False, f".b.7-1{PARTIAL_SUFFIX}": True, ".b": True}
+    for name in names:
+        (tmp_path / name).touch()
+    remove_temporaries(tmp_path, wanted)
+    assert {name: (tmp_path / name).exists() for name in names} == names

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import hashlib
 import logging
 import os
@@ -24,6 +25,7 @@ PARTIAL_SUFFIX = ".partial~"
 
 _MAX_NAME_BYTES = 255  # of one part of a path, by nearly all file systems
 _END_BYTES = 40  # of a longer name that stay
+_MAX_START = 40  # characters of a name that its temporary one begins with; all may be too long for a file system
 _MAX_SHOWN = 400  # characters of a path in a message; the longest path has 4096
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -180,8 +182,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         The folder cannot be made, or the file cannot be written or renamed.
     """
     path = Path(path)
-    # The start of the name: all of it and the rest may be too long for a file system.
-    temporary = path.with_name(f".{path.name[:40]}.{os.getpid()}-{threading.get_ident()}{PARTIAL_SUFFIX}")
+    temporary = path.with_name(f".{path.name[:_MAX_START]}.{os.getpid()}-{threading.get_ident()}{PARTIAL_SUFFIX}")
     try:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -194,6 +195,17 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         with contextlib.suppress(OSError, UnicodeError):
             temporary.unlink(missing_ok=True)
         raise
+
+
+def remove_temporaries(folder: Path, name: str = "") -> None:
+    """Delete the temporary files in ``folder`` that killed processes left, of the file ``name`` alone where it is given.
+
+    Nothing else may write there.
+    """
+    start = f"{glob.escape(name[:_MAX_START])}." if name else ""
+    for leftover in folder.glob(f".{start}*{PARTIAL_SUFFIX}"):
+        with contextlib.suppress(OSError):
+            leftover.unlink()
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
@@ -137,45 +138,58 @@ def _json_camera(fields: dict[str, Any], name: str, image_size: tuple[int, int])
     return Camera(matrix, tuple(_listed(camera, "distortion", (-1,), name).tolist()))
 
 
+class _OpenCvLoader(yaml.SafeLoader):
+    """YAML as OpenCV writes it, with its own tags for matrices."""
+
+
+_OpenCvLoader.add_multi_constructor(
+    "tag:yaml.org,2002:opencv-", lambda loader, _, node: loader.construct_mapping(node, deep=True)
+)
+
+
+def _opencv_fields(text: str) -> dict[str, Any]:
+    """Contents of a ``FileStorage``. OpenCV's own reader is not used: it never ends for some damaged files."""
+    text = text.lstrip()
+    try:
+        if text.startswith("{"):
+            fields = json.loads(text)
+        elif text.startswith("<"):
+            parts = ElementTree.fromstring(text)
+            fields = {part.tag: {each.tag: each.text or "" for each in part} or part.text or "" for part in parts}
+        else:
+            fields = yaml.load(re.sub(r"\A%YAML.*", "", text), _OpenCvLoader)  # a safe loader
+    except (ValueError, RecursionError, yaml.YAMLError, ElementTree.ParseError) as error:
+        raise InputError("not a file of OpenCV's FileStorage") from error
+    if not isinstance(fields, dict):
+        raise InputError("not a file of OpenCV's FileStorage")
+    return fields
+
+
 def _opencv(texts: Sequence[str], meters: float, fisheye: bool) -> Rig:
-    parts: dict[str, NDArray[np.float64]] = {}
-    size = None
+    fields: dict[str, Any] = {}
     for text in texts:
-        try:
-            storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-            for part, names in _NAMES.items():
-                for name in names:
-                    value = storage.getNode(name).mat()
-                    if value is not None:
-                        parts.setdefault(part, np.asarray(value, np.float64))
-            size = size or _opencv_size(storage)
-            model = storage.getNode("model").string() + storage.getNode("distortion_model").string()
-        except (cv2.error, SystemError) as error:
-            raise InputError("not a file of OpenCV's FileStorage") from error
-        fisheye = fisheye or any(word in model.lower() for word in ("fisheye", "equidistant"))
-    missing = [part for part in _NAMES if part not in parts]
-    if missing:
+        fields = _opencv_fields(text) | fields
+        model = f"{fields.get('model')} {fields.get('distortion_model')}".lower()
+        fisheye = fisheye or "fisheye" in model or "equidistant" in model
+    names = {part: next((name for name in known if name in fields), "") for part, known in _NAMES.items()}
+    if missing := [part for part, name in names.items() if not name]:
         raise InputError(f"no {', '.join(missing)}; want K1 D1 K2 D2 R T (or M1 ..., cameraMatrix1 ...)")
+    parts = {part: _data(fields, name, (-1,)) for part, name in names.items()}
+    size = None
+    if {"image_width", "image_height"} <= set(fields) or "imageSize" in fields:
+        keys = ("image_width", "image_height") if "image_width" in fields else ("imageSize",)
+        size = _sides(np.concatenate([_listed(fields, key, (-1,)) for key in keys]), "imageSize")
     left, right = (
-        Camera(_shaped(parts[f"K{n}"], f"K{n}", (3, 3)), tuple(parts[f"D{n}"].ravel().tolist()), size, fisheye)
-        for n in (1, 2)
+        Camera(_shaped(parts[f"K{n}"], f"K{n}", (3, 3)), tuple(parts[f"D{n}"].tolist()), size, fisheye) for n in (1, 2)
     )
     rotation = parts["R"] if parts["R"].size == 9 else cv2.Rodrigues(_shaped(parts["R"], "R", (3,)))[0]
     translation = _shaped(parts["T"], "T", (3,)) * meters
     return Rig(left, right, np.asarray(rotation, np.float64).reshape(3, 3), translation)
 
 
-def _opencv_size(storage: Any) -> tuple[int, int] | None:
-    pair = [storage.getNode(name).real() for name in ("image_width", "image_height")]
-    node = storage.getNode("imageSize")
-    if min(pair) <= 0 and node.isSeq() and node.size() == 2:
-        pair = [node.at(k).real() for k in (0, 1)]
-    return _sides(np.array(pair), "imageSize") if min(pair) > 0 else None
-
-
 def _sides(size: NDArray[np.float64], name: str) -> tuple[int, int]:
-    if not (size >= 1).all() or not (size <= _MAX_SIDE).all():
-        raise InputError(f"{name}: want the size of an image (got {size[0]:g} x {size[1]:g})")
+    if size.size != 2 or not (size >= 1).all() or not (size <= _MAX_SIDE).all():
+        raise InputError(f"{name}: want the size of an image (got {' x '.join(f'{side:g}' for side in size[:3])})")
     return int(size[0]), int(size[1])
 
 
@@ -257,14 +271,19 @@ def _ros(left: dict[str, Any], right: dict[str, Any]) -> Rig:
     return Rig(calibrated[0], calibrated[1], rotations[1].T @ rotations[0], rotations[1].T @ shift)
 
 
-def _data(camera: dict[str, Any], key: str, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+def _data(camera: dict[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
     part = camera.get(key)
-    return _listed(part if isinstance(part, dict) else {"data": part}, "data", shape, f"{name}: {key}")
+    mapping = {key: part.get("data") if isinstance(part, dict) else part}
+    return _listed(mapping, key, shape, name)
 
 
 def _listed(mapping: dict[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
+    """Finite numbers of a field: a single one, words of a text, a list, or a list of rows."""
+    value = mapping.get(key)
+    value = value.split() if isinstance(value, str) else value if isinstance(value, list) else [value]
     try:
-        values = np.asarray(mapping.get(key), np.float64).ravel()
+        rows = [row if isinstance(row, list) else [row] for row in value]
+        values = np.array([float(number) for row in rows for number in row])
     except (TypeError, ValueError, OverflowError):
         values = np.zeros(0)
     return _shaped(values, f"{name}: {key}" if name else key, shape)

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,8 @@ from depthcli.data.formats.volumes import library_errors, place, simple_itk, suf
 
 TRANSFORM_SUFFIXES = (".tfm", ".txt", ".h5", ".hdf5", ".mat", ".xfm")
 _MAX_BYTES = 1 << 30  # a text of B-spline parameters may be long
-_TRIAL = "import sys, SimpleITK; SimpleITK.ReadTransform(sys.argv[1])"
-_TRIAL_SECONDS = 300  # a large field of displacements takes some seconds
+_REWRITE = "import sys, SimpleITK as s; s.WriteTransform(s.ReadTransform(sys.argv[1]), sys.argv[2])"
+_MAX_SECONDS = 300  # for that; a large field of displacements takes some seconds
 _INITIAL = re.compile(r'^\s*\(InitialTransformParameters?FileName\s+("[^"\n]*"|[^\s)]+)', re.MULTILINE)
 _SPLINE_ORDERS = (1, 2, 3)  # those of elastix
 _MAX_CHAIN = 100  # transforms of elastix that begin with one another; a registration has two or three
@@ -45,25 +46,25 @@ def read_transform(path: Path) -> Any:
         with open_regular(path) as stream:
             if os.fstat(stream.fileno()).st_size > _MAX_BYTES:
                 raise InputError(f"larger than {_MAX_BYTES >> 20} MiB: no transform")
-        _try_elsewhere(path)
-        try:
-            with library_errors():
-                return sitk.ReadTransform(str(path))
-        except InputError:
-            raise InputError("not a transform that ITK can read") from None
+        with tempfile.TemporaryDirectory() as folder, library_errors():
+            return sitk.ReadTransform(str(_rewritten(path, Path(folder))))
 
 
-def _try_elsewhere(path: Path) -> None:
-    """Read a transform in a process of its own first: damage makes ITK and HDF5 end the process that reads it."""
-    command = [sys.executable, "-W", "ignore", "-c", _TRIAL, str(path.absolute())]
+def _rewritten(path: Path, folder: Path) -> Path:
+    """The transform as a process of its own reads and writes it: damage makes ITK and HDF5 end the one that reads."""
+    target = folder / "transform.h5"
+    command = [sys.executable, "-W", "ignore", "-c", _REWRITE, str(path.absolute()), str(target)]
     try:
-        done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=_TRIAL_SECONDS)
-        if done.returncode < 0:
-            raise InputError("damaged: ITK crashes when it reads the transform")
+        done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=_MAX_SECONDS)
     except subprocess.TimeoutExpired:
-        raise InputError(f"ITK does not read the transform within {_TRIAL_SECONDS} s") from None
-    except (OSError, ValueError):
-        return  # no process can be started; a name that no command can have is refused by what reads it
+        raise InputError(f"ITK does not read the transform within {_MAX_SECONDS} s") from None
+    except (OSError, ValueError) as error:  # no process can be started; a name that no command can have
+        raise InputError(f"no process can be started to read it ({error})") from None
+    if done.returncode < 0:
+        raise InputError("damaged: ITK crashes when it reads the transform")
+    if done.returncode:
+        raise InputError("not a transform that ITK can read")
+    return target
 
 
 def _elastix_chain(path: Path, text: str, before: tuple[Path, ...]) -> list[Any]:

@@ -20,7 +20,13 @@ from depthcli.data.formats.nifti import MAX_VOLUME_BYTES
 META_SUFFIXES, NRRD_SUFFIXES = (".mha", ".mhd"), (".nrrd", ".nhdr")
 
 _HEADER_BYTES = 1 << 20  # first part of a file that is searched for its header
-_MAX_LINE = 2000  # characters; MetaIO copies lines into arrays of a fixed size
+_MAX_LINE = 2000  # characters
+# MetaIO copies texts into arrays of 255 characters, and NRRD's library into those of its messages, without a check.
+_MAX_TEXT = 250
+_LONG = {"TransformMatrix", "Rotation", "Orientation", "spacedirections", "measurementframe"}  # with many numbers
+_NUMBER = r"[-+]?[0-9.]{1,25}(?:[eE][-+]?[0-9]{1,3})?"
+_VECTOR = rf"(?:none|\({_NUMBER}(?:,{_NUMBER})*\))"
+_NUMBERS = re.compile(rf"{_NUMBER}(?: +{_NUMBER})*|{_VECTOR}(?: +{_VECTOR})*")
 _MAX_DIMENSIONS = 5  # three of space, one of time, one of components
 _MAX_FILES = 1 << 16  # of one volume
 # Bytes of a volume a stored byte: deflate's limit is 1032, bzip2's about a million.
@@ -128,10 +134,7 @@ def _meta(data: bytes, folder: Path) -> _Header:
             if start >= len(data):
                 raise InputError("no ElementDataFile in its header: cut off, or no MetaImage file")
             continue
-        key, value = found[1].strip(), found[2].strip()
-        if key in fields:
-            raise InputError(f"{key} stands twice in its header")
-        fields[key] = value
+        _add(fields, found[1].strip(), found[2].strip())
     (dimensions,) = _counts(fields, "NDims", 1)
     sizes = _counts(fields, "DimSize", dimensions)
     channels = _counts(fields, "ElementNumberOfChannels", 1) if "ElementNumberOfChannels" in fields else ()
@@ -164,9 +167,7 @@ def _nrrd(data: bytes, folder: Path) -> _Header:
         if line.startswith("#") or not separator or value.startswith("="):
             continue
         key = key.strip().lower().replace(" ", "")
-        if key in fields:
-            raise InputError(f"{key} stands twice in its header")
-        fields[key] = value.strip()
+        _add(fields, key, value.strip())
         if key == "datafile" and value.split()[:1] == ["LIST"]:
             break  # the names follow up to the end
     (dimensions,) = _counts(fields, "dimension", 1)
@@ -183,6 +184,14 @@ def _nrrd(data: bytes, folder: Path) -> _Header:
         return _Header(sizes, _NRRD_BYTES[kind], encoding, (), start + skipped)
     files = _named(named.split(), named, data[start:], folder)
     return _Header(sizes, _NRRD_BYTES[kind], encoding, files, skipped * len(files))
+
+
+def _add(fields: dict[str, str], key: str, value: str) -> None:
+    if key in fields:
+        raise InputError(f"{key[:40]} stands twice in its header")
+    if len(key) > _MAX_TEXT or (len(value) > _MAX_TEXT and not (key in _LONG and _NUMBERS.fullmatch(value))):
+        raise InputError(f"{key[:40]}: more than {_MAX_TEXT} characters in its header")
+    fields[key] = value
 
 
 def _line(data: bytes, start: int) -> tuple[str, int]:
