@@ -198,7 +198,7 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
 
 
 def remove_temporaries(folder: Path, name: str = "") -> None:
-    """Delete the temporary files in ``folder`` that killed processes left, of the file ``name`` alone where it is given.
+    """Delete the temporary files in ``folder`` that killed processes left, of the file ``name`` alone where given.
 
     Nothing else may write there.
     """
