@@ -114,7 +114,8 @@ class MiddleburyV3Benchmark(Benchmark):
         TEST: ("Australia", "AustraliaP", "Bicycle2", "Classroom2", "Classroom2E", "Computer", "Crusade", "CrusadeP",
                "Djembe", "DjembeL", "Hoops", "Livingroom", "Newkuba", "Plants", "Staircase"),
     }  # fmt: skip
-    # Typical width of the full images; these three come from older sets.
+    factors: ClassVar[Mapping[str, int]] = {"F": 1, "H": 2, "Q": 4}  # size of the full images / that of a resolution
+    # Those of 2014 are 2632 to 2964 pixels wide; three come from older sets.
     width = 2800
     others: ClassVar[Mapping[str, int]] = {"ArtL": 1388, "Computer": 1328, "Teddy": 1800}
 
@@ -135,20 +136,21 @@ class MiddleburyV3Benchmark(Benchmark):
     def whole(self, submission: Submission) -> list[str]:
         """Return a reason where the maps have several resolutions."""
         found: dict[str, list[str]] = {}
-        for scene in submission.sizes:
-            found.setdefault(self.resolution(scene, submission), []).append(scene)
+        for scene, (width, _) in submission.sizes.items():
+            found.setdefault(self.resolution(scene, width), []).append(scene)
         if len(found) < 2:
             return []
         return ["maps of several resolutions: " + "; ".join(f"{r}: {', '.join(s)}" for r, s in sorted(found.items()))]
 
-    def resolution(self, scene: str, submission: Submission) -> str:
-        """Return F, H or Q, by the width of a map."""
-        full, width = self.others.get(scene, self.width), submission.sizes[scene][0]
-        return min(("F", 1), ("H", 2), ("Q", 4), key=lambda each: abs(math.log(full / each[1] / width)))[0]
+    @classmethod
+    def resolution(cls, scene: str, width: int) -> str:
+        """Return F, H or Q, by the width of a map of the benchmark's scene."""
+        full = cls.others.get(scene, cls.width)
+        return min(cls.factors, key=lambda name: abs(math.log(full / cls.factors[name] / width)))
 
     def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
         """Return ``disp0METHOD.pfm``, or ``disp0METHOD_s.pfm``, and ``timeMETHOD.txt``."""
-        folder = f"{entry.split}{self.resolution(entry.scene, submission)}/{entry.scene}"
+        folder = f"{entry.split}{self.resolution(entry.scene, submission.sizes[entry.scene][0])}/{entry.scene}"
         kind = "_s" if submission.sparse else ""
         return {
             f"{folder}/disp0{submission.method}{kind}.pfm": encode_pfm(values),

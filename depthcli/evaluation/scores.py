@@ -139,23 +139,6 @@ class Tally:
         ]
 
 
-def bad_rate(
-    estimate: NDArray[np.floating[Any]],
-    truth: NDArray[np.floating[Any]],
-    region: NDArray[np.bool_],
-    threshold: float = 1.0,
-) -> float:
-    """Return the percentage of a region's pixels whose value is missing or off by more than ``threshold``.
-
-    Parameters
-    ----------
-    estimate, truth : same shape and unit, NaN = none; pixels without known truth do not count
-    region : bool, True = evaluate
-    """
-    inside = region & ~np.isnan(truth)
-    return percent(int(np.count_nonzero(~(np.abs(estimate[inside] - truth[inside]) <= threshold))), int(inside.sum()))
-
-
 def pooled_density(scores: Sequence[Score]) -> float:
     """Return the density over the regions' pixels of several scenes together; NaN where there is no pixel."""
     sizes = [s.region_pixels for s in scores]

@@ -21,7 +21,7 @@ from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, scale_warning
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
 from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, bad_rate, find_score
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, find_score
 from tests.naive import metrics as naive
 from tests.scenes import DATA, needs_data
 
@@ -150,7 +150,6 @@ def test_v2_agrees_with_the_naive_one(seed):
         wrong, pixels = naive.bad_v2(estimate, truth, mask, t)
         assert (score.wrong, score.pixels) == (wrong, pixels)
         assert score.value == pytest.approx(100 * wrong / pixels)
-    assert bad_rate(estimate, truth, mask) == pick(scores, "bad", 1.0).value
 
 
 def test_an_error_of_exactly_the_threshold_is_right():

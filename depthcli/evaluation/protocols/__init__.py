@@ -137,8 +137,7 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
         """Return True where the error is above the headline's threshold; False where there is no estimate."""
         if self.headline.threshold is None:
             raise NotImplementedError(f"{self.name} has no headline threshold: override wrong")
-        wrong: NDArray[np.bool_] = self.error(estimate, truth) > self.headline.threshold
-        return wrong
+        return self.error(estimate, truth) > self.headline.threshold
 
     def values(self, estimate: Estimate, truth: Truth) -> NDArray[np.floating[Any]] | None:
         """Return the values that are compared, NaN = none; None where no single number stands for a pixel."""

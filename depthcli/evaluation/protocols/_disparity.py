@@ -18,7 +18,7 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.evaluation.map_files import DisparityFiles
 from depthcli.evaluation.presentation import Presentation
-from depthcli.evaluation.protocols import Protocol
+from depthcli.evaluation.protocols import Protocol, Settings
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally
 
 Disparity = NDArray[np.float32]
@@ -63,11 +63,15 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     files = DisparityFiles()
     curve_regions: ClassVar[tuple[str, ...]] = ("nonocc", "all")
     thresholds: ClassVar[tuple[float, ...]]
-    """Thresholds of the tables, pixels; that of the settings is added."""
+    """Thresholds of the tables, pixels; with that of the settings they are ``all_thresholds``, ascending."""
     default_threshold: ClassVar[float]
     """Threshold of the headline, pixels."""
     thresholded_metric: ClassVar[Metric] = Metric("bad", "%", convention=MISSING_IS_BAD, worst=100.0)
     """The headline without its threshold."""
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        super().__init__(settings)
+        self.all_thresholds = sorted({*self.thresholds, *filter(None, [self.settings.threshold])})
 
     @property
     def headline(self) -> Metric:
@@ -77,17 +81,6 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     def at(self, threshold: float) -> Metric:
         """Return the headline's metric at another threshold."""
         return replace(self.thresholded_metric, threshold=threshold)
-
-    plot_thresholds: tuple[float, ...] | None = None
-    """Thresholds to take instead of ``thresholds``, set on the copy that computes a plot."""
-
-    @property
-    def all_thresholds(self) -> list[float]:
-        """The benchmark's thresholds and the user's, ascending."""
-        if self.plot_thresholds is not None:
-            return list(self.plot_thresholds)
-        own = [] if self.settings.threshold is None else [self.settings.threshold]
-        return sorted({*self.thresholds, *own})
 
     def masks(self, stored: StereoTruth) -> Masks:
         """Return name -> mask of every region, from what the files give."""
@@ -163,12 +156,10 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
 
     def threshold_curve(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute the headline's metric at its thresholds and at others up to 6 px, or twice the user's."""
-        many, main = copy(self), next(iter(self.regions(truth)))
+        dense, main = copy(self), next(iter(self.regions(truth)))
         top = max(_MAX_DENSE_PX, 2 * (self.settings.threshold or 0.0))
-        many.plot_thresholds = tuple(
-            sorted({*self.all_thresholds, *(top * k / _N_DENSE for k in range(1, _N_DENSE + 1))})
-        )
-        scores = many.scores(estimate, replace(truth, masks={main: truth.masks[main]}))
+        dense.all_thresholds = sorted({*self.all_thresholds, *(top * k / _N_DENSE for k in range(1, _N_DENSE + 1))})
+        scores = dense.scores(estimate, replace(truth, masks={main: truth.masks[main]}))
         return [s for s in scores if s.metric.threshold is not None and s.metric == self.at(s.metric.threshold)]
 
     def warnings(self, estimate: Disparity, truth: DisparityTruth) -> list[str]:
@@ -180,8 +171,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
 def difference(estimate: Disparity, truth: Disparity) -> Disparity:
     """Return the absolute difference in single precision; NaN where one of the two has no value."""
     with np.errstate(over="ignore", invalid="ignore"):
-        error: Disparity = np.abs(estimate - truth)
-    return error
+        return abs(estimate - truth)
 
 
 def size(array: NDArray[Any]) -> str:

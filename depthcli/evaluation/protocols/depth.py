@@ -114,8 +114,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     def _resized(self, array: NDArray[Any]) -> NDArray[Any]:
         if self.settings.resize is None:
             return array
-        resized: NDArray[Any] = cv2.resize(array, self.settings.resize, interpolation=cv2.INTER_NEAREST)
-        return resized
+        return cv2.resize(array, self.settings.resize, interpolation=cv2.INTER_NEAREST)
 
     def regions(self, truth: DepthTruth) -> dict[str, NDArray[np.bool_]]:
         """Return the masks, where the truth is known."""
@@ -136,10 +135,8 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     def wrong(self, estimate: Depth, truth: DepthTruth) -> NDArray[np.bool_]:
         """Return True for pixels off by 5 % and more, or by more than the settings' threshold in mm."""
         if self.settings.threshold is not None:
-            far: NDArray[np.bool_] = self.error(estimate, truth) > self.settings.threshold
-            return far
-        wrong: NDArray[np.bool_] = _ratio(estimate, truth.depth) >= _WRONG_RATIO
-        return wrong
+            return self.error(estimate, truth) > self.settings.threshold
+        return _ratio(estimate, truth.depth) >= _WRONG_RATIO
 
     def threshold_curve(self, estimate: Depth, truth: DepthTruth) -> list[Score]:
         """Compute delta at ratios up to 1.5."""

@@ -108,8 +108,7 @@ class Kitti2012Protocol(DisparityProtocol):
 def known_kitti(disparity: Disparity) -> NDArray[np.bool_]:
     """Return True for pixels with a value, which negative ones are not."""
     with np.errstate(invalid="ignore"):
-        known: NDArray[np.bool_] = disparity >= 0
-    return known
+        return disparity >= 0
 
 
 def interpolate_background(disparity: Disparity) -> Disparity:

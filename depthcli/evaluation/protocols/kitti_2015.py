@@ -77,8 +77,7 @@ class Kitti2015Protocol(Kitti2012Protocol):
 def is_d1(error: Disparity, truth: Disparity) -> NDArray[np.bool_]:
     """Return True where an error is above 3 px and at least 5 % of the truth, which may be 0; False for NaN."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        wrong: NDArray[np.bool_] = (error > 3) & ((error / np.abs(truth)).astype(np.float64) > 0.05)
-    return wrong
+        return (error > 3) & ((error / np.abs(truth)).astype(np.float64) > 0.05)
 
 
 def _d1(convention: str) -> Metric:

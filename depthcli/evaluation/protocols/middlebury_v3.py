@@ -11,15 +11,11 @@ from numpy.typing import NDArray
 
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.scenes import Scene
+from depthcli.evaluation.benchmarks import TRAINING, MiddleburyV3Benchmark
 from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, size
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Metric, Score, Tally, float_sum
 
 QUANTILES = (50, 90, 95, 99)  # percent, as printed by the SDK
-_FACTORS = {"F": 1, "H": 2, "Q": 4}  # full size / size of a resolution
-# Full-size widths of the training scenes; those of 2014 lie between 2632 and 2964 pixels.
-_FULL_WIDTHS = {"ArtL": 1388, "Teddy": 1800}
-_SCENES = ("Adirondack", "ArtL", "Jadeplant", "Motorcycle", "MotorcycleE", "Piano", "PianoL", "Pipes", "Playroom",
-           "Playtable", "PlaytableP", "Recycle", "Shelves", "Teddy", "Vintage")  # fmt: skip
 # The site's average weighs the hard scenes with 4 % and the other ten with 8 %.
 _HARD = ("PianoL", "Playroom", "Playtable", "Shelves", "Vintage")
 _MAX_RANGES = 1000  # a value beyond so many search ranges is no value, as the SDK's "infinite" ones
@@ -62,14 +58,10 @@ class MiddleburyV3Protocol(DisparityProtocol):
         benchmark. Other scenes are taken for full size.
         """
         truth = super().truth(scene)
-        width = truth.disparity.shape[1]
-        name, factor = scene.name.rpartition("/")[2], 1
-        if self.settings.resolution is not None:
-            factor = _FACTORS[self.settings.resolution]
-        elif name in _SCENES:
-            full = _FULL_WIDTHS.get(name, 2800)
-            factor = min(_FACTORS.values(), key=lambda f: abs(math.log(full / f / width)))
-        return replace(truth, factor=factor)
+        name, resolution = scene.name.rpartition("/")[2], self.settings.resolution or "F"
+        if self.settings.resolution is None and name in MiddleburyV3Benchmark.scenes[TRAINING]:
+            resolution = MiddleburyV3Benchmark.resolution(name, truth.disparity.shape[1])
+        return replace(truth, factor=MiddleburyV3Benchmark.factors[resolution])
 
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
         """Return the map in pixels; -inf of a PFM stays, which the SDK clips to the search range like any number."""
@@ -105,8 +97,7 @@ class MiddleburyV3Protocol(DisparityProtocol):
     def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:
         """Return True where the error is above the headline's threshold at this size."""
         assert self.headline.threshold is not None
-        wrong: NDArray[np.bool_] = self.error(estimate, truth) > np.float32(self.headline.threshold / truth.factor)
-        return wrong
+        return self.error(estimate, truth) > np.float32(self.headline.threshold / truth.factor)
 
     def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
         """Compute ``bad`` and ``totbad`` at four thresholds, ``invalid``, ``avgerr``, ``rms`` and quantiles."""

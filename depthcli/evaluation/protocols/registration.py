@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -55,23 +54,6 @@ class PreparedTruth:
         """Name of the one region."""
         return "landmarks" if self.inside is None else "voxels"
 
-    @cached_property
-    def balls(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Flat indices of the voxels in small balls around the landmarks, and the landmark of each; for pictures."""
-        assert self.landmarks is not None
-        shape, spacing = np.array(self.truth.grid.shape), np.array(self.truth.grid.spacing[::-1])
-        radius = float(max((shape * spacing).max() * _LANDMARK_RADIUS, spacing.min()))
-        reach = [np.arange(-n, n + 1) for n in (radius / spacing).astype(int)]
-        ball = np.stack(np.meshgrid(*reach, indexing="ij"), -1).reshape(-1, 3)
-        ball = ball[np.linalg.norm(ball * spacing, axis=1) <= radius]
-        cells = np.rint(self.landmarks).astype(np.intp)[:, None] + ball
-        in_volume = np.all((cells >= 0) & (cells < shape), axis=2)
-        owner = np.broadcast_to(np.arange(len(cells))[:, None], in_volume.shape)[in_volume]
-        flat = np.ravel_multi_index(tuple(cells[in_volume].T), tuple(shape))
-        # Where balls meet, the voxel is the last one's.
-        chosen, first = np.unique(flat[::-1], return_index=True)
-        return chosen, owner[::-1][first]
-
 
 class ExpectedErrorFiles(MapFiles):
     """Volumes of expected errors, with one confidence volume beside each."""
@@ -87,12 +69,20 @@ class RegistrationPresentation(Presentation):
 
     def on_grid(self, points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any]:
         """Return a (Z, Y, X) volume, in which a landmark is a small ball."""
-        volume = np.full(truth.truth.grid.shape, False if points.dtype == np.bool_ else np.nan, points.dtype)
+        grid = truth.truth.grid
+        volume = np.full(grid.shape, False if points.dtype == np.bool_ else np.nan, points.dtype)
         if truth.inside is not None:
             volume[truth.inside] = points
-        else:
-            cells, owner = truth.balls
-            volume.ravel()[cells] = points[owner]
+            return volume
+        assert truth.landmarks is not None
+        shape, spacing = np.array(grid.shape), np.array(self.spacing(truth))
+        radius = float(max((shape * spacing).max() * _LANDMARK_RADIUS, spacing.min()))
+        reach = [np.arange(-n, n + 1) for n in (radius / spacing).astype(int)]
+        ball = np.stack(np.meshgrid(*reach, indexing="ij"), -1).reshape(-1, 3)
+        ball = ball[np.linalg.norm(ball * spacing, axis=1) <= radius]
+        for place, value in zip(np.rint(truth.landmarks).astype(np.intp), points, strict=True):
+            cells = place + ball
+            volume[tuple(cells[np.all((cells >= 0) & (cells < shape), axis=1)].T)] = value
         return volume
 
     def spacing(self, truth: PreparedTruth) -> tuple[float, ...]:
@@ -182,13 +172,11 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
 
     def error(self, estimate: Errors, truth: PreparedTruth) -> NDArray[np.floating[Any]]:
         """Return (N,) |expected - true|, mm."""
-        error: NDArray[np.floating[Any]] = np.abs(estimate - truth.error)
-        return error
+        return abs(estimate - truth.error)
 
     def wrong(self, estimate: Errors, truth: PreparedTruth) -> NDArray[np.bool_]:
         """Return True for points whose true error is above 3 mm."""
-        wrong: NDArray[np.bool_] = truth.error > LIMITS_MM[0]
-        return wrong
+        return truth.error > LIMITS_MM[0]
 
     def values(self, estimate: Errors, truth: PreparedTruth) -> Errors:
         """Return (N,) expected errors, mm."""
