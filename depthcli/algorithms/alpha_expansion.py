@@ -1,8 +1,6 @@
-"""Alpha-expansion for Potts energies on arbitrary graphs."""
+"""Alpha-expansion: labels of small Potts energy on any graph, one minimum cut a label."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,22 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 from depthcli.algorithms.graph_cut import binary_cut
 from depthcli.algorithms.regions import adjacency
 from depthcli.kernels.jit import jit
-
-
-@dataclass(frozen=True)
-class Labelling:
-    """Result of :func:`alpha_expansion`.
-
-    Attributes
-    ----------
-    labels : (N,) int32
-    energy_before : energy of the initial labels
-    energy : energy of ``labels``; never above ``energy_before``
-    """
-
-    labels: NDArray[np.int32]
-    energy_before: float
-    energy: float
 
 
 def potts_energy(labels: ArrayLike, unary: ArrayLike, edges: ArrayLike, weights: ArrayLike) -> float:
@@ -42,7 +24,7 @@ def alpha_expansion(
     weights: ArrayLike,
     initial: ArrayLike | None = None,
     max_sweeps: int = 20,
-) -> Labelling:
+) -> tuple[NDArray[np.int32], float]:
     """Minimize a Potts energy over a graph (Boykov, Veksler and Zabih, PAMI 2001).
 
     Parameters
@@ -55,8 +37,8 @@ def alpha_expansion(
 
     Returns
     -------
-    Labelling
-        Deterministic: the same input gives the same labels.
+    labels : (N,) int32; the same input gives the same labels
+    energy : of these labels; never above that of ``initial``
 
     Raises
     ------
@@ -73,7 +55,7 @@ def alpha_expansion(
     if labels.shape != (nodes,) or (nodes and not 0 <= labels.min() <= labels.max() < label_count):
         raise ValueError(f"want {nodes} initial labels in [0, {label_count})")
 
-    energy = energy_before = potts_energy(labels, costs, ends, strength)
+    energy = potts_energy(labels, costs, ends, strength)
     starts, other, weight = adjacency(nodes, ends, strength)
     total = np.bincount(ends.T.ravel(), np.tile(strength, 2), nodes)
     by_label = np.ascontiguousarray(costs.T)  # a column of a large matrix misses the cache at every node
@@ -95,7 +77,7 @@ def alpha_expansion(
             if moved_energy < energy - 1e-9 * max(1.0, abs(energy)):
                 labels, energy, since_change = moved, moved_energy, 0
                 keep = costs[np.arange(nodes), labels]
-    return Labelling(labels, energy_before, energy)
+    return labels, energy
 
 
 def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArray[np.float64]) -> None:

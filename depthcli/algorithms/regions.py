@@ -1,4 +1,4 @@
-"""Label maps as graphs of regions: connected components, merging, adjacency."""
+"""Regions of a label map: connected components, their pixels, their graph, and merging along it."""
 
 from __future__ import annotations
 
@@ -65,10 +65,56 @@ def consecutive(parent):  # type: ignore[no-untyped-def]
     return labels
 
 
+@dataclass(frozen=True)
+class Members:
+    """The pixels of every region of a label map.
+
+    Attributes
+    ----------
+    order : (P,) int64 flat pixel indices, region by region, raster order inside
+    starts : (n + 1,) int64 where each region begins in ``order``
+    """
+
+    order: NDArray[np.int64]
+    starts: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls, labels: NDArray[np.int32], chosen: NDArray[np.bool_] | None = None, count: int | None = None
+    ) -> Members:
+        """Sort the pixels of an (H, W) map by label, all of them or only the ``chosen`` ones."""
+        count = int(labels.max()) + 1 if count is None else count
+        chosen = np.ones(labels.shape, np.bool_) if chosen is None else chosen
+        return cls(*_counting_sort(np.ascontiguousarray(labels).ravel(), np.ascontiguousarray(chosen).ravel(), count))
+
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """Number of pixels of every region, (n,)."""
+        return np.diff(self.starts)
+
+
 @jit
-def _join_all(parent, first, second):  # type: ignore[no-untyped-def]
-    for i in range(first.size):
-        join(parent, first[i], second[i])
+def _counting_sort(labels, chosen, count):  # type: ignore[no-untyped-def]
+    starts = np.zeros(count + 1, np.int64)
+    for p in range(labels.size):
+        if chosen[p]:
+            starts[labels[p] + 1] += 1
+    for s in range(count):
+        starts[s + 1] += starts[s]
+    order = np.empty(starts[count], np.int64)
+    free = starts[:count].copy()
+    for p in range(labels.size):
+        if chosen[p]:
+            s = labels[p]
+            order[free[s]] = p
+            free[s] += 1
+    return order, starts
+
+
+@jit
+def _join_all(parent, edges):  # type: ignore[no-untyped-def]
+    for e in range(len(edges)):
+        join(parent, edges[e, 0], edges[e, 1])
 
 
 @jit
@@ -173,9 +219,7 @@ def _graph(
 
 def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> tuple[RegionGraph, NDArray[np.int32]]:
     # The graph after the regions ``source`` have joined ``target``, and the new number of every region.
-    parent = np.arange(len(graph.sizes), dtype=np.int32)
-    _join_all(parent, source.astype(np.int32), target.astype(np.int32))
-    group: NDArray[np.int32] = consecutive(parent)
+    group = joined_regions(len(graph.sizes), np.stack([source, target], axis=1).astype(np.int32))
     count = int(group.max()) + 1
     sizes = np.bincount(group, graph.sizes, count).astype(np.int64)
     sums = np.stack([np.bincount(group, column, count) for column in graph.sums.T], axis=1).astype(np.float64)
@@ -221,7 +265,7 @@ def _merge_small(
 def joined_regions(count: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
     """Return the (count,) int32 groups of regions joined by ``edges`` (E, 2), numbered by their first members."""
     parent = np.arange(count, dtype=np.int32)
-    _join_all(parent, np.ascontiguousarray(edges[:, 0]), np.ascontiguousarray(edges[:, 1]))
+    _join_all(parent, edges)
     return np.asarray(consecutive(parent), np.int32)
 
 

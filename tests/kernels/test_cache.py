@@ -139,7 +139,8 @@ def test_a_full_disk_only_means_that_nothing_is_kept(tmp_path: Path):
 SUMS = """
 import hashlib, numpy as np
 from depthcli.methods.stereo.segments import energy
-from depthcli.algorithms.plane_fitting.segment_planes import Members, Planes
+from depthcli.algorithms.plane_fitting.segment_planes import Planes
+from depthcli.algorithms.regions import Members
 rng = np.random.default_rng(0)
 labels = np.arange(100, dtype=np.int32).reshape(10, 10).repeat(10, 0).repeat(10, 1)
 values = (rng.random((100, 100)) * 50).astype(np.float32)

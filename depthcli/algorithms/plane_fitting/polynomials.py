@@ -14,7 +14,7 @@ from depthcli.algorithms.plane_fitting.least_squares import (
     smallest,
     solve_cholesky,
 )
-from depthcli.algorithms.plane_fitting.segment_planes import Members
+from depthcli.algorithms.regions import Members
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Values that refine-kinect dsrm was published with; nothing in the repository varies them.

@@ -7,42 +7,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
+from depthcli.algorithms.regions import Members
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Choices of this program; nothing in the repository varies them.
 _SAMPLED_PIXELS = 2000  # RANSAC planes of larger segments are judged by about so many pixels
 _MIN_CROSS = 0.5  # three pixels that span less than this many square pixels determine no plane
 _REFITS = 5  # largest number of least squares after RANSAC
-
-
-@dataclass(frozen=True)
-class Members:
-    """Pixels sorted by segment.
-
-    Attributes
-    ----------
-    order : (P,) int64 flat pixel indices, segment by segment, raster order inside
-    starts : (n + 1,) int64 where each segment begins in ``order``
-    """
-
-    order: NDArray[np.int64]
-    starts: NDArray[np.int64]
-
-    @classmethod
-    def of(
-        cls, labels: NDArray[np.int32], chosen: NDArray[np.bool_] | None = None, count: int | None = None
-    ) -> Members:
-        """Sort the pixels of an (H, W) map by label, all of them or only the ``chosen`` ones."""
-        count = int(labels.max()) + 1 if count is None else count
-        chosen = np.ones(labels.shape, np.bool_) if chosen is None else chosen
-        return cls(*_counting_sort(np.ascontiguousarray(labels).ravel(), np.ascontiguousarray(chosen).ravel(), count))
-
-    @property
-    def sizes(self) -> NDArray[np.int64]:
-        """Number of pixels of every segment, (n,)."""
-        return np.diff(self.starts)
 
 
 @dataclass(frozen=True)
@@ -69,61 +43,49 @@ class Planes:
     @classmethod
     def joined(cls, *sets: Planes) -> Planes:
         """Return all planes of several sets, in order."""
-        return cls(
-            np.concatenate([s.coefficients for s in sets]),
-            np.concatenate([s.support for s in sets]),
-            np.concatenate([s.center for s in sets]),
-        )
+        columns = ((planes.coefficients, planes.support, planes.center) for planes in sets)
+        return cls(*(np.concatenate(parts) for parts in zip(*columns, strict=True)))
 
 
-@jit
-def _counting_sort(labels, chosen, count):  # type: ignore[no-untyped-def]
-    starts = np.zeros(count + 1, np.int64)
-    for p in range(labels.size):
-        if chosen[p]:
-            starts[labels[p] + 1] += 1
-    for s in range(count):
-        starts[s + 1] += starts[s]
-    order = np.empty(starts[count], np.int64)
-    free = starts[:count].copy()
-    for p in range(labels.size):
-        if chosen[p]:
-            s = labels[p]
-            order[free[s]] = p
-            free[s] += 1
-    return order, starts
+class PlaneFit(BaseModel):
+    """RANSAC planes through the disparities of segments, refined by least squares over their inliers."""
 
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-def fit_segment_planes(
-    values: NDArray[np.float32],
-    members: Members,
-    chosen: NDArray[np.int64],
-    tolerance: float,
-    trials: int,
-    max_slope: float,
-    flatness: float,
-    seed: int,
-) -> Planes:
-    """Fit one plane to each of the segments ``chosen`` (K,), none of them empty.
-
-    Where no three pixels span a plane of an allowed slope, it is the flat one of the median disparity.
-
-    Parameters
-    ----------
-    values : (H, W) float32 disparities, pixels
-    members : the pixels to fit, by segment
-    tolerance : distance of an inlier from the plane, pixels
-    trials : RANSAC samples a segment
-    max_slope : steepest plane, along either axis, pixels of disparity a pixel
-    flatness : a sloping plane must bring the misfit below this part of a flat one's
-    seed : of the samples; every segment has its own sequence, in any order of work
-    """
-    planes = Planes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
-    _fit(
-        values.ravel(), values.shape[1], members.order, members.starts, np.asarray(chosen, np.int64),
-        tolerance, trials, max_slope, flatness, seed, planes.coefficients, planes.support, planes.center,
+    tolerance: float = Field(0.5, gt=0, le=16384, description="distance of a RANSAC inlier from the plane, pixels")
+    trials: int = Field(200, ge=1, le=100_000, description="RANSAC samples a segment")
+    max_slope: float = Field(1.0, ge=0, le=16, description="steepest plane, pixels of disparity a pixel")
+    flatness: float = Field(
+        1.0, ge=0, le=1, description="a sloping plane must bring the misfit below this part of a flat one's; 1: always"
     )  # fmt: skip
-    return planes
+    seed: int = Field(0, ge=0, le=2**31 - 1, description="of the RANSAC samples, with the number of the segment")
+
+    def __call__(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> Planes:
+        """Fit one plane to each of the segments ``chosen`` (K,), none of them empty.
+
+        Where no three pixels span a plane of an allowed slope, it is the flat one of the median disparity.
+
+        Parameters
+        ----------
+        values : (H, W) float32 disparities, pixels
+        members : the pixels to fit, by segment
+        """
+        return self._planes(values, members, chosen, self.trials, self.max_slope, self.flatness)
+
+    def constant(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> Planes:
+        """Return the plane of constant disparity, the median, of each of the segments ``chosen``."""
+        return self._planes(values, members, chosen, 0, 0.0, 0.0)
+
+    def _planes(
+        self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64],
+        trials: int, max_slope: float, flatness: float,
+    ) -> Planes:  # fmt: skip
+        planes = Planes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
+        _fit(
+            values.ravel(), values.shape[1], members.order, members.starts, np.asarray(chosen, np.int64),
+            self.tolerance, trials, max_slope, flatness, self.seed, planes.coefficients, planes.support, planes.center,
+        )  # fmt: skip
+        return planes
 
 
 @parallel_jit

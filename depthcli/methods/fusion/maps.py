@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from depthcli.algorithms.plane_fitting.segment_planes import Members, evaluate
+from depthcli.algorithms.plane_fitting.segment_planes import PlaneFit, evaluate
+from depthcli.algorithms.regions import Members
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
@@ -20,7 +21,6 @@ from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.pipeline import Pipeline
 from depthcli.methods.stereo.refinement import RefinementStep
 from depthcli.methods.stereo.refinement.background_fill import fill_background
-from depthcli.methods.stereo.segments.planes import PlaneFit
 from depthcli.methods.stereo.stages import refined
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 

@@ -7,8 +7,8 @@ import numba
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.segment_planes import Members, Planes, distinct, evaluate
-from depthcli.algorithms.regions import region_graph
+from depthcli.algorithms.plane_fitting.segment_planes import PlaneFit, Planes, distinct, evaluate
+from depthcli.algorithms.regions import Members, region_graph
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
@@ -19,7 +19,6 @@ from depthcli.methods.stereo.keypoint_matching import Matches, consistent
 from depthcli.methods.stereo.pipeline.segments import Segments
 from depthcli.methods.stereo.segments import energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, segment_window
-from depthcli.methods.stereo.segments.planes import PlaneFit
 from depthcli.methods.stereo.segments.ranges import Ranges, SearchRanges, search_ranges, search_zones
 from depthcli.methods.stereo.segments.segmented_image import Split
 from depthcli.methods.stereo.volume import CostVolume

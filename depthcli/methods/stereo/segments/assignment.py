@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.alpha_expansion import alpha_expansion, potts_energy
-from depthcli.algorithms.plane_fitting.segment_planes import Members, Planes, distinct
-from depthcli.algorithms.regions import joined_regions
+from depthcli.algorithms.plane_fitting.segment_planes import PlaneFit, Planes, distinct
+from depthcli.algorithms.regions import Members, joined_regions
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.segments.energy import Energy, smoothness
-from depthcli.methods.stereo.segments.planes import PlaneFit
 from depthcli.methods.stereo.segments.segmented_image import SegmentedImage
 from depthcli.methods.stereo.volume import CostVolume
 
@@ -98,13 +97,13 @@ def assign(
         initial = cheapest if initial is None else np.where(initial < 0, cheapest, initial)
         clock.stop("data_term")
         last = k + 1 == rounds
-        solved = alpha_expansion(
+        labels, lowest = alpha_expansion(
             unary, segments.graph.edges, weights, initial, max_sweeps=sweeps if last else min(max(sweeps // 2, 1), 2)
         )
-        initial = solved.labels
+        initial = labels
         clock.stop("expansion")
     energy_before = potts_energy(cheapest, unary, segments.graph.edges, weights)
-    return Assignment(planes, solved.labels, energy_before, solved.energy)
+    return Assignment(planes, labels, energy_before, lowest)
 
 
 def regrouped(segments: SegmentedImage, labels: NDArray[np.int32], fit: PlaneFit) -> tuple[Planes, NDArray[np.int64]]:

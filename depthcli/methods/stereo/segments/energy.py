@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
-from depthcli.algorithms.plane_fitting.segment_planes import Members, Planes
-from depthcli.algorithms.regions import RegionGraph
+from depthcli.algorithms.plane_fitting.segment_planes import Planes
+from depthcli.algorithms.regions import Members, RegionGraph
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.segments import Step
 from depthcli.methods.stereo.segments.segmented_image import SegmentedImage

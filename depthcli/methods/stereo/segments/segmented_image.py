@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.segment_planes import Members
-from depthcli.algorithms.regions import RegionGraph, connected_components_of_labels, merge_small_labels
+from depthcli.algorithms.plane_fitting.segment_planes import PlaneFit
+from depthcli.algorithms.regions import Members, RegionGraph, connected_components_of_labels, merge_small_labels
 from depthcli.methods.stereo.segments import Step
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate
-from depthcli.methods.stereo.segments.planes import PlaneFit
 
 
 def grid_cells(shape: tuple[int, ...], cell: int) -> tuple[NDArray[np.int64], int]:
