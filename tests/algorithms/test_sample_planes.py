@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.sample_planes import RobustFit, Samples, nearest_samples
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
+from depthcli.algorithms.plane_fitting.samples import Samples
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import transparent as naive
 
@@ -30,7 +31,7 @@ def _scattered(seed, shape, count):
 def test_neighbors_are_the_nearest(shape, count, neighbors, skip_own):
     samples = _scattered(1, shape, count)
     rows, columns = _pixels(shape)
-    found = nearest_samples(samples.rows, samples.columns, shape, (rows, columns), neighbors, skip_own)
+    found = samples.nearest((rows, columns), neighbors, shape, skip_own)
     for p in range(rows.size):
         expected = naive.nearest(samples.rows, samples.columns, rows[p], columns[p], neighbors, skip_own)
         np.testing.assert_array_equal(found[p, : len(expected)], expected)
@@ -40,12 +41,13 @@ def test_neighbors_are_the_nearest(shape, count, neighbors, skip_own):
 def test_neighbors_far_from_a_cluster_are_found():
     rows, columns = np.array([90, 91, 91], np.int32), np.array([90, 90, 91], np.int32)
     at = np.array([0], np.int32), np.array([0], np.int32)
-    np.testing.assert_array_equal(nearest_samples(rows, columns, (100, 100), at, 2), [[0, 1]])
+    samples = Samples(rows, columns, np.zeros(3, np.float32))
+    np.testing.assert_array_equal(samples.nearest(at, 2, (100, 100)), [[0, 1]])
 
 
 def test_without_samples_there_is_no_value():
     none = Samples.of(np.full((4, 5), np.nan, np.float32))
-    fit = RobustFit()(none, texture((4, 5, 3)), 0.01, _pixels((4, 5)))
+    fit = SamplePlaneFit()(none, texture((4, 5, 3)), 0.01, _pixels((4, 5)))
     assert np.isnan(fit.values).all()
     assert not fit.confidence.any()
 
@@ -54,7 +56,7 @@ def test_without_samples_there_is_no_value():
 def test_the_fit_agrees_with_the_reference(leave_own):
     shape = (24, 31)
     samples, image = _scattered(3, shape, 90), texture((*shape, 3), 4)
-    fit = RobustFit(neighbors=12, color_scale=80, steps=4)
+    fit = SamplePlaneFit(neighbors=12, color_scale=80, steps=4)
     at = (samples.rows, samples.columns)
     ours = fit(samples, image, 0.01, at, leave_own)
     expected = np.array([
@@ -70,7 +72,7 @@ def test_a_plane_is_found_among_outliers():
     shape = (60, 80)
     samples = _scattered(5, shape, 600)
     rows, columns = _pixels(shape)
-    ours = RobustFit()(samples, np.full((*shape, 3), 90, np.uint8), 0.01, (rows, columns))
+    ours = SamplePlaneFit()(samples, np.full((*shape, 3), 90, np.uint8), 0.01, (rows, columns))
     error = np.abs(ours.values - (1.5 + 0.001 * columns - 0.0008 * rows))
     assert np.median(error) < 0.004
     assert np.mean(error > 0.03) < 0.01
@@ -85,14 +87,14 @@ def test_color_keeps_two_surfaces_apart():
     rows, columns = (axis.astype(np.int32) for axis in np.divmod(rng.choice(2400, 200, replace=False), 60))
     samples = Samples(rows, columns, np.where(columns < 30, 1.0, 2.0).astype(np.float32))
     at = _pixels(shape)
-    ours = RobustFit()(samples, image, 0.01, at)
+    ours = SamplePlaneFit()(samples, image, 0.01, at)
     np.testing.assert_allclose(ours.values, np.where(at[1] < 30, 1.0, 2.0), atol=0.02)
 
 
 def test_sigma_grows_far_from_samples():
     samples = Samples.of(np.where(np.arange(90)[None, :] < 30, np.float32(1.5), np.float32(np.nan)).repeat(20, axis=0))
     at = np.array([10, 10, 10], np.int32), np.array([15, 40, 80], np.int32)
-    sigma = RobustFit()(samples, np.full((20, 90, 3), 50, np.uint8), 0.01, at).sigma
+    sigma = SamplePlaneFit()(samples, np.full((20, 90, 3), 50, np.uint8), 0.01, at).sigma
     assert sigma[0] < sigma[1] < sigma[2]
 
 
@@ -100,5 +102,5 @@ def test_same_bytes_at_any_thread_count_and_inputs_untouched():
     shape = (50, 70)
     samples, image, at = _scattered(7, shape, 400), texture((*shape, 3), 8), _pixels(shape)
     inputs = (samples.rows, samples.columns, samples.values, image)
-    assert_pure(lambda: RobustFit()(samples, image, 0.01, at).values, *inputs)
-    assert_pure(lambda: RobustFit()(samples, image, 0.01, at).sigma, *inputs)
+    assert_pure(lambda: SamplePlaneFit()(samples, image, 0.01, at).values, *inputs)
+    assert_pure(lambda: SamplePlaneFit()(samples, image, 0.01, at).sigma, *inputs)

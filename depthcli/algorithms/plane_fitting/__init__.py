@@ -8,5 +8,6 @@
 | ``segment_planes`` | every segment | RANSAC, least squares over the inliers |
 | ``polynomials`` | every segment, up to degree 2 | Huber's weights until it settles |
 
-What they share - weights, moments, solvers - is in ``least_squares``, for other kernels as well.
+What they share - weights, moments, solvers - is in ``least_squares``, for other kernels as well; ``samples`` finds the
+samples that are nearest to a pixel.
 """

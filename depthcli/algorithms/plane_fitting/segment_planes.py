@@ -47,7 +47,7 @@ class Planes:
         return cls(*(np.concatenate(parts) for parts in zip(*columns, strict=True)))
 
 
-class PlaneFit(BaseModel):
+class SegmentPlaneFit(BaseModel):
     """RANSAC planes through the disparities of segments, refined by least squares over their inliers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

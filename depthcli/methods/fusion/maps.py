@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from depthcli.algorithms.plane_fitting.segment_planes import PlaneFit, evaluate
+from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, evaluate
 from depthcli.algorithms.regions import Members
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.core.frames import StereoPair
@@ -65,8 +65,9 @@ class MapFusion(BaseModel):
     matchers: tuple[PipelineMap, ...] = Field((), max_length=16, description="other methods")
     optimizations: tuple[OptimizedMap, ...] = Field((), max_length=16, description="further maps of the fused costs")
     segmentations: tuple[PlaneMap, ...] = Field((), max_length=16, description="maps of planes")
-    planes: PlaneFit = Field(
-        default_factory=lambda: PlaneFit(tolerance=1.0, trials=100, flatness=0.9), description="how planes are fitted"
+    planes: SegmentPlaneFit = Field(
+        default_factory=lambda: SegmentPlaneFit(tolerance=1.0, trials=100, flatness=0.9),
+        description="how planes are fitted",
     )
     choice: Choice = Field(default_factory=Energy, description="which map is taken where")
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the mix, in order")

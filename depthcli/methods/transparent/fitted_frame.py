@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.plane_fitting.sample_planes import RobustFit, Samples
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
+from depthcli.algorithms.plane_fitting.samples import Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, RefinedDepth
@@ -47,7 +48,7 @@ class FittedFrame:
         return agrees
 
 
-def fit_frame(frame: SparseFrame, fit: RobustFit, rule: UnreliableRegions, clock: Clock) -> FittedFrame:
+def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, rule: UnreliableRegions, clock: Clock) -> FittedFrame:
     """Return the frame with outliers removed from its samples, planes through the others, and unreliable regions.
 
     A sample is an outlier where it agrees neither with the sensor nor with a plane through the samples around it.

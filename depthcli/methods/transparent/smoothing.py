@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from depthcli.algorithms.plane_fitting.sample_planes import Samples
+from depthcli.algorithms.plane_fitting.samples import Samples
 from depthcli.kernels.jit import parallel_jit, prange
 
 

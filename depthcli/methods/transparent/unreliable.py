@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
-from depthcli.algorithms.plane_fitting.sample_planes import Samples
+from depthcli.algorithms.plane_fitting.samples import Samples
 
 # The first three are those of the figures of scripts/transparent_experiments.py, which varies none of them.
 _MAX_SAMPLE_EVIDENCE = 4.0  # of one sample for a region, standard deviations

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.segment_planes import PlaneFit, Planes, distinct, evaluate
+from depthcli.algorithms.plane_fitting.segment_planes import Planes, SegmentPlaneFit, distinct, evaluate
 from depthcli.algorithms.regions import Members, region_graph
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
@@ -24,7 +24,7 @@ from depthcli.methods.stereo.segments.segmented_image import Split
 from depthcli.methods.stereo.volume import CostVolume
 from tests.naive import segments as naive
 
-FIT = PlaneFit(tolerance=0.5, trials=200, max_slope=1.0, flatness=1.0, seed=0)
+FIT = SegmentPlaneFit(tolerance=0.5, trials=200, max_slope=1.0, flatness=1.0, seed=0)
 
 
 def _preset(name="segments", **changes):

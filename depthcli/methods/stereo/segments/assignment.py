@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.alpha_expansion import alpha_expansion, potts_energy
-from depthcli.algorithms.plane_fitting.segment_planes import PlaneFit, Planes, distinct
+from depthcli.algorithms.plane_fitting.segment_planes import Planes, SegmentPlaneFit, distinct
 from depthcli.algorithms.regions import Members, joined_regions
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.segments.energy import Energy, smoothness
@@ -20,7 +20,7 @@ from depthcli.methods.stereo.volume import CostVolume
 _MIN_GROUP_SIZE = 30  # trusted pixels of connected segments that a plane is fitted to again; choice of this program
 
 
-class Candidates(PlaneFit):
+class Candidates(SegmentPlaneFit):
     """Fit the planes that segments may lie on, and drop near-duplicates."""
 
     renamed: ClassVar[dict[str, str]] = {"most": "max_planes"}
@@ -106,7 +106,9 @@ def assign(
     return Assignment(planes, labels, energy_before, lowest)
 
 
-def regrouped(segments: SegmentedImage, labels: NDArray[np.int32], fit: PlaneFit) -> tuple[Planes, NDArray[np.int64]]:
+def regrouped(
+    segments: SegmentedImage, labels: NDArray[np.int32], fit: SegmentPlaneFit
+) -> tuple[Planes, NDArray[np.int64]]:
     """Return planes fitted to groups of connected segments that share a label.
 
     Returns

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.segment_planes import PlaneFit
+from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import Members, RegionGraph, connected_components_of_labels, merge_small_labels
 from depthcli.methods.stereo.segments import Step
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate
@@ -35,7 +35,7 @@ class Split(Step):
     tolerance: float = Field(1.0, gt=0, le=16384, description="largest distance of a pixel that fits the plane, pixels")
     misfits: float = Field(0.1, ge=0, le=1, description="part of trusted pixels off the plane above which it is cut")
 
-    def __call__(self, labels: NDArray[np.int32], first: FirstEstimate, fit: PlaneFit) -> NDArray[np.int32]:
+    def __call__(self, labels: NDArray[np.int32], first: FirstEstimate, fit: SegmentPlaneFit) -> NDArray[np.int32]:
         """Return (H, W) int32 connected segments: ``labels``, or pieces of them.
 
         Parameters

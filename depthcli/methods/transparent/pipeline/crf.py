@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.dense_crf import GaussianKernel, mean_field
-from depthcli.algorithms.plane_fitting.sample_planes import RobustFit, Samples
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
+from depthcli.algorithms.plane_fitting.samples import Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.fitted_frame import FittedFrame, fit_frame, inverse_depth, refined_depth
@@ -28,7 +29,7 @@ class DenseCrf(TransparentPipeline):
 
     renamed: ClassVar[dict[str, str]] = {"suspicion": "unreliable", "flag": "separation"}
 
-    fit: RobustFit = Field(default_factory=RobustFit, description="planes through the samples")
+    fit: SamplePlaneFit = Field(default_factory=SamplePlaneFit, description="planes through the samples")
     unreliable: UnreliableRegions | None = Field(
         default_factory=UnreliableRegions, description="where the sensor is unreliable; null: nowhere"
     )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.sample_planes import Samples, nearest_samples
+from depthcli.algorithms.plane_fitting.samples import Samples
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.fitted_frame import inverse_depth, refined_depth
@@ -52,6 +52,6 @@ def nearest_depth(frame: SparseFrame) -> NDArray[np.float32]:
     if samples.values.size == 0:
         return np.full(frame.shape, np.nan, np.float32)
     rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: frame.shape[0], : frame.shape[1]])
-    nearest = nearest_samples(samples.rows, samples.columns, frame.shape, (rows, columns), 1)
+    nearest = samples.nearest((rows, columns), 1, frame.shape)
     dense: NDArray[np.float32] = samples.values[nearest[:, 0]].reshape(frame.shape)
     return np.asarray(cv2.medianBlur(dense, 5), np.float32)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.sample_planes import RobustFit
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlaneFit
 from depthcli.core.frames import SparseFrame
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.transparent.fitted_frame import fit_frame, refined_depth
@@ -21,7 +21,7 @@ class RobustPlanes(TransparentPipeline):
 
     renamed: ClassVar[dict[str, str]] = {"suspicion": "unreliable"}
 
-    fit: RobustFit = Field(default_factory=RobustFit, description="planes through the samples")
+    fit: SamplePlaneFit = Field(default_factory=SamplePlaneFit, description="planes through the samples")
     unreliable: UnreliableRegions = Field(
         default_factory=UnreliableRegions, description="where the sensor is unreliable"
     )
