@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,83 +68,66 @@ def mean_field(
     for kernel in kernels:
         if kernel.features.ndim != 2 or len(kernel.features) != count or kernel.features.dtype != np.float32:
             raise ValueError(f"want features ({count}, d) float32, got {kernel.features.shape} {kernel.features.dtype}")
-    q: NDArray[np.float32] = memory.empty((count, labels), np.float32)
-    field = _Field.of([kernel for kernel in kernels if kernel.weight > 0 and iterations], count, labels)
-    energies, marginals = np.ascontiguousarray(unary).reshape(-1), q.reshape(-1)
-    finite = np.ones(len(field.bands), np.bool_)
-    start(
-        energies, marginals, labels, field.slots, field.weights, field.corners, field.bands, field.width,
-        field.partial, finite,
-    )  # fmt: skip
-    if not finite.all():
+    if not (np.isfinite(unary.min(initial=0)) and np.isfinite(unary.max(initial=0))):
         raise ValueError("unary energies must be finite")
-    if field.corners == 0:
-        return q
-    for step in range(iterations):
-        field.blur()
+    q: NDArray[np.float32] = memory.empty((count, labels), np.float32)
+    joined = _JoinedLattices.of([kernel for kernel in kernels if kernel.weight > 0 and iterations], count)
+    corners, slots, weights = joined.slots.shape[1], joined.slots.reshape(-1), joined.weights.reshape(-1)
+    width = -(-labels // LANES) * LANES
+    n_rows = sum(lattice.vertices + 1 for lattice in joined.lattices)
+    partial, near, far = (_aligned(rows * width) for rows in (joined.vertex.size, n_rows, n_rows))
+    energies, marginals = np.ascontiguousarray(unary).reshape(-1), q.reshape(-1)
+    start(energies, marginals, labels, slots, weights, corners, joined.bands, width, partial)
+    for step in range(iterations if corners else 0):
+        slot = row = 0
+        for lattice in joined.lattices:
+            blur(lattice, width, partial[slot * width :], near[row * width :], far[row * width :])
+            slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
         update(
-            energies, marginals, labels, field.near, field.slots, field.vertex, field.weights, field.corners,
-            field.own, min(truncation, labels), field.bands, field.width, step + 1 < iterations, field.partial,
+            energies, marginals, labels, near, slots, joined.vertex, weights, corners, joined.own,
+            min(truncation, labels), joined.bands, width, step + 1 < iterations, partial,
         )  # fmt: skip
     return q
 
 
 @dataclass(frozen=True)
-class _Field:
-    # The lattices of all kernels side by side: columns of ``slots`` and ``weights`` are the corners of all lattices.
-    # Weights include the normalization and the square root of the kernel's weight, so that spreading and reading with
-    # the same weights and adding all columns gives the message. ``own`` (N,) is a point's message to itself. ``near``
-    # and ``far`` hold the vertices of all lattices, each followed by a row of zeros. Lattice k has the slots
-    # ``first_slot[k] .. first_slot[k + 1] - 1`` of all, and the rows of ``near`` and ``far`` by ``first_vertex``.
+class _JoinedLattices:
+    # The lattices of all kernels side by side, for one pass over the points.
+    #
+    # slots, weights: (N, C), columns are the corners of all lattices. The weights include the normalization and the
+    #     square root of the kernel's weight, so that spreading and reading with the same weights and adding all
+    #     columns gives the message
+    # own: (N,), a point's message to itself
+    # vertex: (T,) row of every slot in arrays of all vertices, where each lattice is followed by a row of zeros
+    # bands: (B, 2 K), row b holds the slots of band b in each of the K lattices, as first and last + 1
 
     lattices: tuple[Lattice, ...]
-    first_slot: list[int]
-    first_vertex: list[int]
-    corners: int
-    width: int
     slots: NDArray[np.int32]
-    vertex: NDArray[np.int32]
     weights: NDArray[np.float32]
     own: NDArray[np.float32]
+    vertex: NDArray[np.int32]
     bands: NDArray[np.int64]
-    partial: NDArray[np.float32]
-    near: NDArray[np.float32]
-    far: NDArray[np.float32]
 
     @classmethod
-    def of(cls, kernels: Sequence[GaussianKernel], count: int, labels: int) -> _Field:
+    def of(cls, kernels: Sequence[GaussianKernel], count: int) -> _JoinedLattices:
         lattices = tuple(Lattice.of(kernel.features) for kernel in kernels)
         corners = sum(lattice.slots.shape[1] for lattice in lattices)
         slots: NDArray[np.int32] = memory.empty((count, corners), np.int32)
         weights: NDArray[np.float32] = memory.empty((count, corners), np.float32)
         own = np.zeros(count, np.float32)
-        first_slot = list(accumulate((lattice.vertex.size for lattice in lattices), initial=0))
-        first_vertex = list(accumulate((lattice.vertices + 1 for lattice in lattices), initial=0))
-        column = 0
-        vertices, bands = [np.zeros(0, np.int32)], []
-        for k, (kernel, lattice) in enumerate(zip(kernels, lattices, strict=True)):
+        vertex, bands = [np.zeros(0, np.int32)], [np.zeros((-(-count // BAND), 0), np.int64)]
+        slot = row = column = 0
+        for kernel, lattice in zip(kernels, lattices, strict=True):
             density = lattice.filter(np.ones((count, 1), np.float32))[:, 0]
-            share = lattice.own_share(density)
             join_lattices(
-                lattice.slots, lattice.weights, density, share, np.float32(kernel.weight), np.int32(first_slot[k]),
-                column, slots, weights, own,
+                lattice.slots, lattice.weights, density, lattice.own_share(density), np.float32(kernel.weight),
+                np.int32(slot), column, slots, weights, own,
             )  # fmt: skip
+            vertex.append(lattice.vertex + np.int32(row))
+            bands.append(np.stack([lattice.first_slot[:-1], lattice.first_slot[1:]], axis=1) + slot)
+            slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
             column += lattice.slots.shape[1]
-            vertices.append(lattice.vertex + np.int32(first_vertex[k]))
-            # Row b of `bands`: the slots of band b in every lattice, as (first, last + 1) pairs.
-            bands += [lattice.first_slot[:-1] + first_slot[k], lattice.first_slot[1:] + first_slot[k]]
-        width = -(-labels // LANES) * LANES
-        return cls(
-            lattices, first_slot, first_vertex, corners, width, slots.reshape(-1), np.concatenate(vertices),
-            weights.reshape(-1), own, np.stack(bands, axis=1) if bands else np.zeros((-(-count // BAND), 0), np.int64),
-            *(_aligned(rows * width) for rows in (first_slot[-1], first_vertex[-1], first_vertex[-1])),
-        )  # fmt: skip
-
-    def blur(self) -> None:
-        for k, lattice in enumerate(self.lattices):
-            slots, rows = (slice(first[k] * self.width, first[k + 1] * self.width)
-                           for first in (self.first_slot, self.first_vertex))  # fmt: skip
-            blur(lattice, self.width, self.partial[slots], self.near[rows], self.far[rows])
+        return cls(lattices, slots, weights, own, np.concatenate(vertex), np.concatenate(bands, axis=1))
 
 
 def _aligned(size: int) -> NDArray[np.float32]:

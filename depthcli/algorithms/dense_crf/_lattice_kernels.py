@@ -21,22 +21,6 @@ def _find(table, place, key):  # type: ignore[no-untyped-def]
     return np.int64(at)
 
 
-@parallel_jit
-def find_extremes(features, band, ends):  # type: ignore[no-untyped-def]
-    """Write the smallest and largest features of bands to ``ends`` (2, B, d); NaN where any is not finite."""
-    count, d = features.shape
-    for b in prange(ends.shape[1]):
-        for i in range(d):
-            low = high = features[b * band, i]
-            invalid = False
-            for n in range(b * band, min(count, (b + 1) * band)):
-                f = features[n, i]
-                invalid |= not abs(f) < np.float32(np.inf)
-                low, high = min(low, f), max(high, f)
-            ends[0, b, i] = np.float32(np.nan) if invalid else low
-            ends[1, b, i] = high
-
-
 @jit
 def _steps(shifts):  # type: ignore[no-untyped-def]
     # What a key changes by along every axis, and in addition where the last coordinate wraps around.
@@ -165,15 +149,6 @@ def merge_vertices(keys, sizes, vertex, own, first_slot):  # type: ignore[no-unt
                 n_vertices += 1
             vertex[first_slot[b] + k] = place[at]
     return table, place, n_vertices
-
-
-@parallel_jit
-def renumber_slots(slots, first_slot, band):  # type: ignore[no-untyped-def]
-    """Turn slot numbers within a band into slot numbers over all bands, in place."""
-    for b in prange(first_slot.size - 1):
-        for n in range(b * band, min(slots.shape[0], (b + 1) * band)):
-            for r in range(slots.shape[1]):
-                slots[n, r] += np.int32(first_slot[b])
 
 
 @parallel_jit

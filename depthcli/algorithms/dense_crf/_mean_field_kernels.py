@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from depthcli.algorithms.dense_crf.permutohedral import BAND
-from depthcli.kernels.exponential import float_bits
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import LANES, exp_minus, lane_min, lane_sum, load, minimum, splat, store
 
@@ -25,29 +24,21 @@ def join_lattices(slots, weights, density, share, weight, offset, column, all_sl
 
 
 @parallel_jit
-def start(unary, q, labels, slots, weights, corners, bands, width, partial, finite):  # type: ignore[no-untyped-def]
-    """Write the initial marginals, softmax(-unary), to ``q`` and spread them over the lattices.
-
-    ``finite`` becomes False for bands that have an energy that is not finite.
-    """
+def start(unary, q, labels, slots, weights, corners, bands, width, partial):  # type: ignore[no-untyped-def]
+    """Write the initial marginals, softmax(-unary), to ``q`` and spread them over the lattices."""
     count = q.size // labels
-    for b in prange(finite.size):
+    for b in prange(bands.shape[0]):
         _clear(partial, bands, b, width)
         tile, total = np.zeros(_TILE * width, np.float32), np.ones(_TILE, np.float32)
-        largest = np.int32(0)
         stop = min(count, (b + 1) * BAND)
         for first in range(b * BAND, stop, _TILE):
             size = min(_TILE, stop - first)
-            for k in range(first * labels, (first + size) * labels):
-                largest = max(largest, np.int32(float_bits(unary[np.uint64(k)]) & np.int32(0x7FFFFFFF)))
             for p in range(size):
                 for k in range(labels):
                     tile[np.uint64(p * width + k)] = unary[np.uint64((first + p) * labels + k)]
             _softmax(tile, width, labels, width, size, total)
             _write(tile, width, total, q, first, labels, size)
             _spread(tile, width, total, slots, weights, corners, first, size, width, partial)
-        # A number that is not finite has larger bits than all others.
-        finite[b] = largest < np.int32(0x7F800000)
 
 
 @parallel_jit

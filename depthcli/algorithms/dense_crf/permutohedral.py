@@ -16,12 +16,10 @@ from depthcli.algorithms.dense_crf._lattice_kernels import (
     blur_axis,
     compute_own_share,
     embed,
-    find_extremes,
     find_neighbors,
     gather_vertices,
     merge_vertices,
     read,
-    renumber_slots,
     spread,
 )  # fmt: skip
 from depthcli.core import memory
@@ -74,11 +72,9 @@ class Lattice:
         if not 1 <= d <= _MAX_DIMENSIONS:
             raise ValueError(f"want 1 to {_MAX_DIMENSIONS} features a point, got {d}")
         bands = -(-count // BAND)
-        ends = np.zeros((2, bands, d), np.float32)
-        find_extremes(features, BAND, ends)
-        if not np.isfinite(ends).all():
+        low, high = (features.min(axis=0), features.max(axis=0)) if count else np.zeros((2, d), np.float32)
+        if not (np.isfinite(low) & np.isfinite(high)).all():
             raise ValueError("features must be finite")
-        low, high = (ends[0].min(axis=0), ends[1].max(axis=0)) if count else np.zeros((2, d), np.float32)
         shifts = _bits(low.astype(np.float64), high.astype(np.float64))
         slots: NDArray[np.int32] = memory.empty((count, d + 1), np.int32)
         weights: NDArray[np.float32] = memory.empty((count, d + 1), np.float32)
@@ -93,7 +89,7 @@ class Lattice:
         first_slot = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         vertex, own = np.empty(int(first_slot[-1]), np.int32), np.empty(int(first_slot[-1]), np.uint64)
         table, place, n_vertices = merge_vertices(keys, sizes, vertex, own, first_slot)
-        renumber_slots(slots, first_slot, BAND)
+        slots += np.repeat(first_slot[:-1], BAND)[:count, None].astype(np.int32)
         counts = np.bincount(vertex, minlength=n_vertices)
         order = np.argsort(vertex, kind="stable").astype(np.int32)
         first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -140,8 +136,8 @@ def blur(
     """Sum the T slots by vertex and blur, into the V + 1 rows of ``near``, the last one 0; ``width`` in full lanes."""
     steps = len(lattice.neighbors)
     source, target = (near, far) if steps % 2 == 0 else (far, near)
-    source[-width:] = 0
-    target[-width:] = 0
+    end = lattice.vertices * width
+    source[end : end + width] = target[end : end + width] = 0
     gather_vertices(partial, lattice.order, lattice.first, source, width)
     for axis in range(steps):
         blur_axis(source, lattice.neighbors[axis, 0], lattice.neighbors[axis, 1], target, width)
