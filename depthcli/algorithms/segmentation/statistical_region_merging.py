@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -53,10 +53,8 @@ class StatisticalRegionMerging(Segmenter):
         smooth = cv2.GaussianBlur(image, (3, 3), self.smoothing) if self.smoothing else image
         guide = _depth_levels(depth) if depth is not None and self.depth_guidance else np.empty((0, 0), np.int16)
         labels = np.empty((len(complexities), *image.shape[:2]), np.int32)
-        _merge(
-            np.ascontiguousarray(smooth, dtype=np.uint8), guide, np.array(complexities), self.depth_guidance,
-            self.min_size, labels,
-        )  # fmt: skip
+        pairs, sums = _sorted_pairs(smooth, guide), _pixel_sums(smooth, guide)
+        _merge(pairs, sums, guide.size > 0, np.array(complexities), self.depth_guidance, self.min_size, labels)
         return list(labels)
 
 
@@ -68,6 +66,30 @@ def _depth_levels(depth: NDArray[np.float32]) -> NDArray[np.int16]:
         return np.full(depth.shape, -1, np.int16)
     share = np.clip((depth - np.float32(low)) / np.float32(high - low), 0, 1)
     return np.where(np.isnan(share), np.float32(-1), np.rint(share * _DEPTH_LEVELS)).astype(np.int16)
+
+
+def _sorted_pairs(image: NDArray[np.uint8], depth: NDArray[np.int16]) -> NDArray[np.int32]:
+    # 4-neighbor pairs by difference: 2 p for (p, right of p), 2 p + 1 for (p, below p).
+    keys = np.full((*image.shape[:2], 2), -1, np.int16)  # -1: the neighbor is outside of the image
+    for step, (first, second) in enumerate(((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))):
+        change = np.maximum(image[first], image[second]) - np.minimum(image[first], image[second])
+        key = np.maximum(np.maximum(change[..., 0], change[..., 1]), change[..., 2]).astype(np.int16)
+        if depth.size:
+            one, other = depth[first], depth[second]
+            jump = 255 * np.abs(one - other).astype(np.int32) // _DEPTH_LEVELS
+            key = np.maximum(key, np.where((one >= 0) & (other >= 0), jump, 0).astype(np.int16))
+        keys[first][..., step] = key
+    order = np.argsort(keys.ravel(), kind="stable").astype(np.int32)
+    return order[sum(image.shape[:2]) :]
+
+
+def _pixel_sums(image: NDArray[np.uint8], depth: NDArray[np.int16]) -> NDArray[np.int32]:
+    sums = np.zeros((*image.shape[:2], 8), np.int32)  # a region's sums share a cache line
+    sums[..., _SIZE] = 1
+    sums[..., _COLOR : _COLOR + 3] = image
+    if depth.size:
+        sums[..., _KNOWN], sums[..., _DEPTH] = depth >= 0, np.maximum(depth, 0)
+    return sums.reshape(-1, 8)
 
 
 @jit
@@ -91,65 +113,12 @@ def _look_up(table, size, log_pixels, complexity, levels):  # type: ignore[no-un
 
 
 @jit
-def _sorted_pairs(image, depth):  # type: ignore[no-untyped-def]
-    # 4-neighbor pairs by difference: 2 p for (p, right of p), 2 p + 1 for (p, below p).
-    height, width, _ = image.shape
-    guided = depth.size > 0
-    keys = np.empty(2 * height * width, np.uint8)
-    starts = np.zeros(_LEVELS + 1, np.int64)
-    for y in range(height):
-        for x in range(width):
-            for step in range(2):
-                y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
-                if y2 == height or x2 == width:
-                    continue
-                key: Any = 0
-                for c in range(3):
-                    key = max(key, abs(np.int64(image[y, x, c]) - np.int64(image[y2, x2, c])))
-                if guided and depth[y, x] >= 0 and depth[y2, x2] >= 0:
-                    difference = abs(np.int64(depth[y, x]) - np.int64(depth[y2, x2]))
-                    key = max(key, 255 * difference // _DEPTH_LEVELS)
-                keys[2 * (y * width + x) + step] = key
-                starts[key + 1] += 1
-    for key in range(_LEVELS):
-        starts[key + 1] += starts[key]
-    order = np.empty(starts[_LEVELS], np.int32)
-    for y in range(height):
-        for x in range(width):
-            p = y * width + x
-            for step in range(2):
-                if (x + 1 < width) if step == 0 else (y + 1 < height):
-                    key = keys[2 * p + step]
-                    order[starts[key]] = 2 * p + step
-                    starts[key] += 1
-    return order
-
-
-@jit
-def _pixel_sums(image, depth):  # type: ignore[no-untyped-def]
-    height, width, _ = image.shape
-    sums = np.zeros((height * width, 8), np.int32)  # a region's sums share a cache line
-    for p in range(height * width):
-        y, x = p // width, p % width
-        sums[p, _SIZE] = 1
-        for c in range(3):
-            sums[p, _COLOR + c] = image[y, x, c]
-        if depth.size > 0 and depth[y, x] >= 0:
-            sums[p, _KNOWN] = 1
-            sums[p, _DEPTH] = depth[y, x]
-    return sums
-
-
-@jit
-def _merge(image, depth, complexities, guidance, min_size, labels):  # type: ignore[no-untyped-def]
-    height, width, _ = image.shape
+def _merge(pairs, sums, guided, complexities, guidance, min_size, labels):  # type: ignore[no-untyped-def]
+    _, height, width = labels.shape
     pixels = height * width
-    guided = depth.size > 0
     log_pixels = np.log(float(pixels))
-    pairs = _sorted_pairs(image, depth)
     n_left = pairs.size  # pairs that no layer has joined yet
     parent = np.arange(pixels).astype(np.int32)
-    sums = _pixel_sums(image, depth)
     bound = np.empty((pixels, 2), np.float32)
     depth_table = _bounds(log_pixels, guidance, _DEPTH_LEVELS) if guided else np.empty(0, np.float32)
     for layer in range(complexities.size):
