@@ -97,8 +97,7 @@ def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArra
 def _candidates(labels, alpha, rise, starts, other, weight, total):  # type: ignore[no-untyped-def]
     # The (K,) int64 nodes, in order, that can be in a set whose switch lowers the energy. In the best case all
     # neighbors of a node that may switch do, which saves all its edges to them and to ``alpha``. Where that does not
-    # outweigh ``rise``, the node stays, which raises the cost of switching for its neighbors, and so on. Of the rest, a
-    # connected part stays where no node's rise is below its edges that are cut now: these bound the part's saving.
+    # outweigh ``rise``, the node stays, which raises the cost of switching for its neighbors, and so on.
     nodes = labels.size
     may = labels != alpha
     slack = rise - total
@@ -120,31 +119,6 @@ def _candidates(labels, alpha, rise, starts, other, weight, total):  # type: ign
                     may[m] = False
                     stack[top] = m
                     top += 1
-    visited = np.zeros(nodes, np.bool_)
-    for seed in range(nodes):
-        if not may[seed] or visited[seed]:
-            continue
-        visited[seed] = True
-        stack[0] = seed
-        count = 1
-        done = 0
-        lowers = False
-        while done < count:
-            n = stack[done]
-            done += 1
-            saved = 0.0
-            for e in range(starts[n], starts[n + 1]):
-                m = other[e]
-                if labels[m] != labels[n]:
-                    saved += weight[e]
-                if may[m] and not visited[m]:
-                    visited[m] = True
-                    stack[count] = m
-                    count += 1
-            lowers = lowers or rise[n] < saved
-        if not lowers:
-            for i in range(count):
-                may[stack[i]] = False
     return np.flatnonzero(may)
 
 

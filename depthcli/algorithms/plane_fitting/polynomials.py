@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,7 +87,7 @@ def _evaluate(labels, coefficients, center, bounds, unit, values):  # type: igno
 def fit_polynomials(
     values: NDArray[np.float32],
     labels: NDArray[np.int32],
-    start: Surfaces,
+    start: Surfaces | None,
     degree: int,
     huber: float,
     iterations: int,
@@ -100,16 +101,14 @@ def fit_polynomials(
     ----------
     values : (H, W) float32, NaN = unknown
     labels : (H, W) int32, 0 .. n - 1; -1: in no segment
-    start : n surfaces to begin at; one that is fitted stays as it is where fewer than 30 pixels are known
+    start : n surfaces to begin at, or None; one that is fitted stays as it is where fewer than 30 pixels are known
     degree : at most 1 below 100 known pixels, 0 below 30
     huber : residuals of u > huber scales have weight huber / u; inf: plain least squares
     iterations, warm_iterations : largest number of reweightings, from nothing and from a fitted surface
     samples : largest number of pixels a segment that are used, evenly spread
     floor : smallest scale of residuals: what the sensor resolves
     """
-    fitted = Surfaces(
-        start.coefficients.copy(), start.center.copy(), start.bounds.copy(), start.scale.copy(), start.unit
-    )
+    fitted = Surfaces.unfitted(labels) if start is None else copy.deepcopy(start)
     known = Members.of(labels, (labels >= 0) & ~np.isnan(values), len(fitted.scale))
     _fit(
         known.order, known.starts, values, fitted.coefficients, fitted.center, fitted.bounds, fitted.scale, fitted.unit,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -71,7 +71,8 @@ def _depth_levels(depth: NDArray[np.float32]) -> NDArray[np.int16]:
 def _sorted_pairs(image: NDArray[np.uint8], depth: NDArray[np.int16]) -> NDArray[np.int32]:
     # 4-neighbor pairs by difference: 2 p for (p, right of p), 2 p + 1 for (p, below p).
     keys = np.full((*image.shape[:2], 2), -1, np.int16)  # -1: the neighbor is outside of the image
-    for step, (first, second) in enumerate(((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))):
+    neighbors: Any = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))
+    for step, (first, second) in enumerate(neighbors):
         change = np.maximum(image[first], image[second]) - np.minimum(image[first], image[second])
         key = np.maximum(np.maximum(change[..., 0], change[..., 1]), change[..., 2]).astype(np.int16)
         if depth.size:
