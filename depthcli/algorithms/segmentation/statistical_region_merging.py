@@ -50,7 +50,7 @@ class StatisticalRegionMerging(Segmenter):
     def _merged(
         self, image: NDArray[np.uint8], depth: NDArray[np.float32] | None, complexities: tuple[float, ...]
     ) -> list[NDArray[np.int32]]:
-        smooth = cv2.GaussianBlur(image, (3, 3), self.smoothing) if self.smoothing else image
+        smooth = np.asarray(cv2.GaussianBlur(image, (3, 3), self.smoothing) if self.smoothing else image, np.uint8)
         guide = _depth_levels(depth) if depth is not None and self.depth_guidance else np.empty((0, 0), np.int16)
         labels = np.empty((len(complexities), *image.shape[:2]), np.int32)
         pairs, sums = _sorted_pairs(smooth, guide), _pixel_sums(smooth, guide)
