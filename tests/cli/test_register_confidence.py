@@ -170,13 +170,35 @@ def test_bad_input_is_one_line_and_spoils_no_other(pairs, tmp_path, capsys, what
 
 
 @pytest.mark.slow
-def test_a_mask_leaves_nan_out(pairs, tmp_path):
+def test_nan_outside_of_the_mask_is_accepted(pairs, tmp_path):
     shutil.copytree(pairs, tmp_path / "pairs")
     fixed = read_volume(tmp_path / "pairs" / "pair_0" / "fixed.nii.gz")
     fixed.values[0, 0, 0] = np.nan  # a corner, outside the body
     write_array(tmp_path / "pairs" / "pair_0" / "fixed.nii.gz", fixed.grid, fixed.values)
     command = ["register-confidence", "mind", "-i", str(tmp_path / "pairs"), "-o", str(tmp_path / "run"), *SMALL]
     assert main(command) == 0
+
+
+@pytest.mark.parametrize("special", [np.inf, 3e38, 1e20, 1e-40])
+def test_special_values_cause_no_warning(tmp_path, special):
+    """Values outside of the mask that are no numbers, and finite ones whose squares are none."""
+    rng = np.random.default_rng(0)
+    grid = Grid((16, 14, 12), (1.0, 1.0, 1.0))
+    inside = np.ones(grid.shape, np.uint8)
+    for name in ("fixed", "moving_warped"):
+        values = rng.standard_normal(grid.shape).astype(np.float32)
+        if special < 1:
+            values *= np.float32(special)
+        else:
+            values[1, 1, :2] = special, -special if np.isinf(special) else special  # a value below -500 means CT
+            values[2, 2, 2] = np.nan
+        inside[~np.isfinite(values)] = 0
+        write_array(tmp_path / "pair" / f"{name}.mha", grid, values)
+    write_array(tmp_path / "pair" / "mask.mha", grid, inside)
+    command = ["register-confidence", "axes", "-i", str(tmp_path / "pair"), "-o", str(tmp_path / "run"), *SMALL]
+    assert main(command) == 0
+    for name in ("confidence", "expected_error", "shift"):
+        assert np.isfinite(read_volume(tmp_path / "run" / "pair" / f"{name}.mha", vector=name == "shift").values).all()
 
 
 @pytest.mark.parametrize(
@@ -187,7 +209,7 @@ def test_a_mask_leaves_nan_out(pairs, tmp_path):
         (["--fixed", "a.nii", "--warped", "b.nii", "--field", "spm"], "field"),
     ],
 )
-def test_options_that_do_not_fit(tmp_path, capsys, options, said):
+def test_incomplete_options_are_refused(tmp_path, capsys, options, said):
     assert main(["register-confidence", "mind", *options, "-o", str(tmp_path / "run")]) == 2
     assert said in capsys.readouterr().err
 
@@ -215,7 +237,7 @@ def test_large_volumes_are_read_as_means_of_blocks(pairs, tmp_path):
     assert np.corrcoef(whole.values[inside], blocks.values[inside])[0, 1] > 0.4
 
 
-def test_a_dry_run_says_the_memory_that_a_run_is_refused_under(pairs, tmp_path, capsys):
+def test_dry_run_reports_the_memory_below_which_a_run_is_refused(pairs, tmp_path, capsys):
     command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(tmp_path / "run")]
     assert main([*command, "--dry-run", "--json"]) == 0
     scenes = json.loads(capsys.readouterr().out)["scenes"]
@@ -225,7 +247,7 @@ def test_a_dry_run_says_the_memory_that_a_run_is_refused_under(pairs, tmp_path, 
     assert f"needs about {need / 2**20:.0f} MiB" in capsys.readouterr().err
 
 
-def test_too_little_memory_is_said(pairs, tmp_path, capsys):
+def test_pair_that_needs_more_than_max_memory_is_refused(pairs, tmp_path, capsys):
     command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(tmp_path / "run"), "--max-memory", "20MiB"]
     assert main([*command, "-q"]) == 3
     assert "of memory" in capsys.readouterr().err

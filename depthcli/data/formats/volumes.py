@@ -35,6 +35,8 @@ _ITK_READERS = {
     **dict.fromkeys(NRRD_SUFFIXES, "NrrdImageIO"),
 }
 
+_MAX_SPACING = 1e12  # mm; 1e-12 is the smallest: squares of both are well within the range of 32 bit
+
 Slab = Callable[[int, int], NDArray[np.float32]]
 """Slices ``first`` up to ``last`` of a volume, (n, Y, X), or (n, Y, X, 3) of a vector field."""
 
@@ -93,7 +95,7 @@ def read_grid(path: Path) -> Grid:
         with library_errors():
             reader.ReadImageInformation()
         size, spacing = reader.GetSize()[:3], reader.GetSpacing()[:3]
-        if not 2 <= reader.GetDimension() <= 4 or not all(np.isfinite(s) and s > 0 for s in spacing):
+        if not 2 <= reader.GetDimension() <= 4 or not all(1 / _MAX_SPACING <= s <= _MAX_SPACING for s in spacing):
             raise InputError(f"{reader.GetDimension()}-D, with a spacing of {spacing}")
         size, spacing = (*size, 1)[:3], (*spacing, 1.0)[:3]
         return Grid((size[0], size[1], size[2]), (spacing[0], spacing[1], spacing[2]))
@@ -168,7 +170,7 @@ def _volume(image: Any, vector: bool) -> Volume:
     if values.size == 0:
         raise InputError("no voxels")
     spacing = image.GetSpacing()
-    if not all(np.isfinite(s) and s > 0 for s in spacing):
+    if not all(1 / _MAX_SPACING <= s <= _MAX_SPACING for s in spacing):
         raise InputError(f"a spacing of {spacing}")
     grid = Grid(tuple(image.GetSize()), tuple(spacing), tuple(image.GetOrigin()), tuple(image.GetDirection()))
     with np.errstate(over="ignore"):  # beyond the range of 32 bit they are no numbers

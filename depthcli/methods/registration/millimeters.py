@@ -11,22 +11,19 @@ from numpy.typing import NDArray
 from depthcli.methods.registration.search import Curves
 from depthcli.methods.registration.smoothing import gaussian
 
-_N_SAMPLES = 20_000  # voxels that millimeters are fitted at; more change the second digit at most
 _STRUCTURED_QUANTILE = 0.8  # of the gradient, above which a voxel counts as structured; chosen by hand
 _N_BINS, _MIN_PER_BIN = 200, 20  # of the isotonic regression; chosen by hand
 
 
-def structured_voxels(volume: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return flat indices of some 20 000 evenly spread voxels of interest with much gradient."""
+def structured_voxels(volume: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Select the fifth of the voxels ``inside`` with the largest gradients: (Z, Y, X) bool, as both arguments."""
     smooth = gaussian(volume, 1.0)
     square = np.zeros_like(smooth)
     for axis in range(3):
         if smooth.shape[axis] > 1:
             square += np.gradient(smooth, axis=axis).astype(np.float32) ** 2
-    places = np.flatnonzero(inside)
-    strength = square.ravel()[places]
-    chosen = places[strength >= np.quantile(strength, _STRUCTURED_QUANTILE)]
-    return chosen[:: max(1, len(chosen) // _N_SAMPLES)]
+    structured: NDArray[np.bool_] = inside & (square >= np.quantile(square[inside], _STRUCTURED_QUANTILE))
+    return structured
 
 
 def expected_error(searches: list[Curves], measure: str, iso: float, sigma: float) -> NDArray[np.float32]:
@@ -51,14 +48,20 @@ def expected_error(searches: list[Curves], measure: str, iso: float, sigma: floa
     return error / total
 
 
-def monotone(score: NDArray[np.float32], error: NDArray[np.float32], places: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Return the mean of ``error`` given ``score``, never falling: pooled over the places, then interpolated.
+def monotone(score: NDArray[np.float32], error: NDArray[np.float32], fitted: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the mean of ``error`` given ``score``, which never falls as the score rises: (Z, Y, X) float32, mm.
 
-    Means of at most 200 bins of equally many places, pooled where they fall (isotonic regression by
+    Means of at most 200 bins of equally many ``fitted`` voxels, pooled where they fall (isotonic regression by
     pool-adjacent-violators). Between bins the result rises strictly wherever the score does, so that no order is
     lost; below the first bin it falls to 0 and above the last it goes on at the mean slope.
+
+    Parameters
+    ----------
+    score : (Z, Y, X) float32, larger where an error is more likely, any unit
+    error : (Z, Y, X) float32, mm
+    fitted : (Z, Y, X) bool, the voxels that the means are taken over
     """
-    x, y = score.ravel()[places].astype(np.float64), error.ravel()[places].astype(np.float64)
+    x, y = score[fitted].astype(np.float64), error[fitted].astype(np.float64)
     order = np.argsort(x, kind="stable")
     groups = np.array_split(order, min(_N_BINS, max(1, len(order) // _MIN_PER_BIN)))
     centers = np.array([x[group].mean() for group in groups])
@@ -74,7 +77,7 @@ def monotone(score: NDArray[np.float32], error: NDArray[np.float32], places: NDA
         means = np.insert(means, 0, max(0.0, means[0] - slope * (centers[1] - low)))
     rise = 1e-3 * max(float(means[-1] - means[0]), 1e-3) / max(high - low, 1e-9)
     mapped = np.interp(score, centers, means + rise * (centers - centers[0]))
-    result: NDArray[np.float32] = np.maximum(mapped, 0).astype(np.float32, copy=False)
+    result: NDArray[np.float32] = np.maximum(mapped, 0).astype(np.float32)
     return result
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ from depthcli.methods.registration.smoothing import gaussian
 _LENGTHS = ("eshift", "vshift", "shift")  # measures in mm
 _CERTAINTY_MM = 3.0  # expected error of which the certainty is 1/e
 _CT_BELOW, _CT_RANGE = -500.0, (-1000.0, 400.0)  # volumes with values below are CT, in Hounsfield units: air to bone
+_MAX_EXPONENT = 40  # intensities up to 2^40 stay as they are: their squares, 2^80, are well within float32 (2^128)
 _PYRAMID_SIGMA = 0.8  # of the Gaussian before a volume is halved, voxels
 # Where coarse searches take over: errors as shares of the reach of the search, by the coarse one and by the finer one.
 _COARSE_SHARE, _FINE_SHARE = (0.6, 1.2), (0.8, 1.1)
@@ -124,13 +126,7 @@ class RegistrationConfidence(BaseModel):
         clock = Clock()
         grid = self.grid(pair.shape, pair.spacing)
         iso = grid.step[2] * pair.spacing[2]
-        bounds = self.intensity_range
-        if bounds is None and min(pair.fixed.min(), pair.warped.min()) < _CT_BELOW:
-            bounds = _CT_RANGE
-        fixed, warped = (
-            resample(volume if bounds is None else np.clip(volume, np.float32(bounds[0]), np.float32(bounds[1])), *grid)
-            for volume in (pair.fixed, pair.warped)
-        )
+        fixed, warped = (resample(volume, *grid) for volume in self._intensities(pair))
         inside = np.ones(fixed.shape, np.bool_)
         if pair.mask is not None:
             inside = resample(pair.mask.astype(np.float32), *grid) >= 0.5
@@ -138,8 +134,12 @@ class RegistrationConfidence(BaseModel):
         fine, coarse = self._searches(fixed, warped, iso, clock)
         measured = _every_nth(inside, self.stride)
         measured = measured if measured.any() else np.ones_like(measured)
-        structure = structured_voxels(_every_nth(fixed, self.stride), measured)
-        error, displacement = self._error(fine, coarse, structure, iso)
+        error, displacement = self._error(fine, coarse, iso)
+        if self.measure not in _LENGTHS:
+            sign = np.float32(-1 if self.measure in SURER_IF_LARGER else 1)
+            score = np.mean([sign * curves.maps[self.measure] for curves in fine], axis=0)
+            structured = structured_voxels(_every_nth(fixed, self.stride), measured)
+            error = monotone(gaussian(score, self.smoothing / self.stride), error, structured)
         clock.stop("calibration")
         figures = {
             "iso": round(float(iso), 6),
@@ -151,6 +151,16 @@ class RegistrationConfidence(BaseModel):
             expected_error=error, certainty=np.exp(-error / np.float32(_CERTAINTY_MM)), shift=displacement,
             measures=fine[0].maps, step=(z, y, x), start=grid.start, seconds=clock.seconds, figures=figures,
         )  # fmt: skip
+
+    def _intensities(self, pair: RegisteredPair) -> Iterator[NDArray[np.float32]]:
+        # Both volumes, clamped. Features do not depend on the unit of intensities, but the squares of very large or
+        # very small ones leave the range of float32: these are scaled, by a power of two, which rounds nothing.
+        extremes = np.array([extreme(volume) for volume in (pair.fixed, pair.warped) for extreme in (np.min, np.max)])
+        bounds = self.intensity_range or (_CT_RANGE if extremes.min() < _CT_BELOW else None)
+        exponent = math.frexp(np.abs(extremes if bounds is None else extremes.clip(*bounds)).max())[1]
+        for volume in (pair.fixed, pair.warped):
+            clamped = volume if bounds is None else np.clip(volume, np.float32(bounds[0]), np.float32(bounds[1]))
+            yield clamped if abs(exponent) <= _MAX_EXPONENT else np.ldexp(clamped, -exponent)
 
     def _searches(
         self, fixed: NDArray[np.float32], warped: NDArray[np.float32], iso: float, clock: Clock
@@ -200,12 +210,11 @@ class RegistrationConfidence(BaseModel):
         return 8 * voxels + max(making, searching + 2 * channels * voxels) + kept
 
     def _error(
-        self, fine: list[Curves], coarse: list[Curves], structure: NDArray[np.int64], iso: float
+        self, fine: list[Curves], coarse: list[Curves], iso: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         # Expected error and displacement, mm: of coarse searches where the error is beyond the fine one.
         length = self.measure if self.measure in _LENGTHS else "eshift"
-        sigma = self.smoothing / self.stride
-        error = expected_error(fine, length, iso, sigma)
+        error = expected_error(fine, length, iso, self.smoothing / self.stride)
         displacement = np.mean([curves.displacement for curves in fine], axis=0)
         for k, curves in enumerate(coarse):
             far = curves.maps[length]
@@ -213,10 +222,6 @@ class RegistrationConfidence(BaseModel):
             share = _ramp(far / np.float32(reach), *_COARSE_SHARE) * _ramp(error / np.float32(reach), *_FINE_SHARE)
             error = error + share * (far - error)
             displacement = displacement + share * (curves.displacement - displacement)
-        if self.measure not in _LENGTHS:
-            sign = np.float32(-1 if self.measure in SURER_IF_LARGER else 1)
-            score = gaussian(np.mean([sign * curves.maps[self.measure] for curves in fine], axis=0), sigma)
-            return monotone(score, error, structure), displacement
         return error, displacement
 
 

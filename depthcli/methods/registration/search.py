@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from depthcli.core import memory
 from depthcli.kernels.jit import threads
-from depthcli.methods.registration._search import PLANES, search_tiles
+from depthcli.methods.registration._search_kernels import PLANES, search_tiles
 
 Span = Literal["cube", "planes", "axes"]
 

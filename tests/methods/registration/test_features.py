@@ -39,14 +39,14 @@ class TestFeature:
         assert np.array_equal(fixed, before[0]) and np.array_equal(warped, before[1])
 
     @pytest.mark.parametrize("shape", [(1, 9, 7), (3, 1, 5), (2, 2, 2)])
-    def test_small_and_flat(self, name, shape):
+    def test_equal_volumes_have_equal_channels(self, name, shape):
         for volume in (np.zeros(shape, np.float32), texture(3, shape)):
             one, other = FAMILY.load(name)()(volume, volume)
             assert one.shape[1:] == shape and np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("name", ["mind", "mind_ssc", "local_ncc"])
-def test_blind_to_a_linear_change_of_contrast(name):
+def test_channels_are_the_same_at_any_contrast(name):
     volume = texture(4)
     feature = FAMILY.load(name)()
     one, other = feature(volume, 3 * volume + np.float32(50))

@@ -31,21 +31,21 @@ def deformed():
     return RegisteredPair(pair.fixed, pair.warped, (1.0, 1.0, 1.0), pair.mask), true
 
 
-def test_identical_volumes_are_certain_inside():
+def test_certainty_of_identical_volumes_is_high():
     volume = texture((20, 24, 24))
     result = config()(RegisteredPair(volume, volume.copy(), (1.5, 1.5, 1.5)))
     assert result.certainty[5:-5, 5:-5, 5:-5].min() > 0.95
     assert result.figures["border"] == 0
 
 
-def test_where_identical_volumes_have_no_texture_nothing_is_in_doubt():
+def test_certainty_of_identical_volumes_without_texture_is_high():
     volume = texture((24, 28, 28)) * (np.arange(28) < 14) + np.float32(1e-3) * texture((24, 28, 28), 1)
     result = config()(RegisteredPair(volume, volume.copy(), (1.5, 1.5, 1.5)))
     assert result.measures["eshift"].max() > 1.5  # flat curves: by themselves they say nothing
     assert result.certainty.min() > 0.95
 
 
-def test_confidence_falls_and_error_follows_a_uniform_shift():
+def test_expected_error_of_a_uniform_shift_is_its_length():
     wide = texture((24, 24, 32))
     means, inner = [], (slice(6, -6),) * 3
     for shift in range(4):
@@ -58,7 +58,7 @@ def test_confidence_falls_and_error_follows_a_uniform_shift():
 
 
 @pytest.mark.slow
-def test_orders_a_smooth_error(deformed):
+def test_expected_error_ranks_voxels_as_the_true_error_does(deformed):
     pair, true = deformed
     result = config(levels=2, stride=2)(pair)
     every = (slice(None, None, 2),) * 3
@@ -69,7 +69,7 @@ def test_orders_a_smooth_error(deformed):
 
 
 @pytest.mark.slow
-def test_an_error_is_averaged_with_its_surroundings_by_how_sure_they_are(deformed):
+def test_expected_error_is_a_mean_weighted_by_inverse_variance(deformed):
     """Gaussian mean of eshift, weights 1 / (variance + iso^2 / 2), over features and places."""
     pair, _ = deformed
     features = ("mind", "local_ncc")
@@ -86,7 +86,7 @@ def test_an_error_is_averaged_with_its_surroundings_by_how_sure_they_are(deforme
 
 
 @pytest.mark.slow
-def test_stride_only_leaves_places_out(deformed):
+def test_maps_at_a_stride_are_every_nth_voxel_of_the_full_ones(deformed):
     pair, _ = deformed
     every, some = (config(stride=stride, smoothing=0)(pair) for stride in (1, 3))
     assert np.array_equal(some.expected_error, every.expected_error[::3, ::3, ::3])
@@ -94,7 +94,7 @@ def test_stride_only_leaves_places_out(deformed):
 
 
 @pytest.mark.slow
-def test_a_coarser_level_sees_beyond_the_radius():
+def test_coarse_level_finds_errors_beyond_the_radius():
     wide = texture((28, 40, 52), sigma=2.5)
     pair = RegisteredPair(wide[:, :, 6:46].copy(), wide[:, :, :40].copy(), (1.0, 1.0, 1.0))
     inner = (slice(10, -10),) * 3
@@ -104,7 +104,7 @@ def test_a_coarser_level_sees_beyond_the_radius():
     assert abs(far.expected_error[inner].mean() - 6) < abs(near.expected_error[inner].mean() - 6)
 
 
-def test_a_plane_is_searched_in_its_plane():
+def test_shift_of_a_single_slice_lies_in_its_plane():
     wide = texture((9, 40, 48))[4:5]
     pair = RegisteredPair(wide[:, :, 2:46].copy(), wide[:, :, :44].copy(), (1.0, 0.8, 0.8))
     result = config()(pair)  # fixed(x) = wide(x + 2) = warped(x + 2): the match lies 2 voxels of 0.8 mm up x
@@ -113,7 +113,7 @@ def test_a_plane_is_searched_in_its_plane():
     assert np.median(result.shift[2][:, 8:-8, 8:-8]) == pytest.approx(1.6, abs=0.3)
 
 
-def test_anisotropic_voxels_become_cubes():
+def test_working_grid_has_cubic_voxels():
     method = config()
     shape, step, start = method.grid((10, 40, 60), (4.0, 1.0, 1.0))
     side = 4 ** (1 / 3)
@@ -124,7 +124,7 @@ def test_anisotropic_voxels_become_cubes():
 
 
 @pytest.mark.slow
-def test_inputs_are_left_alone_and_the_result_is_the_same(deformed):
+def test_inputs_are_not_modified_and_results_are_repeatable(deformed):
     pair, _ = deformed
     before = pair.fixed.copy(), pair.warped.copy()
     one, other = (config(stride=3)(pair) for _ in range(2))
@@ -137,6 +137,6 @@ def test_inputs_are_left_alone_and_the_result_is_the_same(deformed):
     [({"measure": "nothing"}, "no measure"), ({"intensity_range": (5, 5)}, "below the second"),
      ({"calibration": "self"}, "Extra inputs are not permitted"), ({"field": "spm"}, "pattern")],
 )  # fmt: skip
-def test_wrong_configs(fields, match):
+def test_invalid_configs_are_refused(fields, match):
     with pytest.raises(ValidationError, match=match):
         config(**fields)

@@ -1,4 +1,4 @@
-"""The search against its naive twin, and what must hold for any volume."""
+"""The search against a naive reference, and properties that hold for any volume."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def channels(seed, shape, count=2, top=MAX_SMALL_VALUE):
 @pytest.mark.parametrize(
     ("shape", "count", "half", "top"), [((4, 5, 6), 2, 1, 85), ((1, 6, 5), 4, 2, 255), ((3, 3, 3), 1, 0, 255)]
 )
-def test_as_the_naive_twin(span, power, shape, count, half, top):
+def test_measures_agree_with_the_naive_reference(span, power, shape, count, half, top):
     fixed, warped = channels(0, shape, count, top), channels(1, shape, count, top)
     fixed[0, 0, 0, 0] = top
     found = search(fixed, warped, 1.5, 2, half, power, span, costly=True)
@@ -37,7 +37,7 @@ def test_as_the_naive_twin(span, power, shape, count, half, top):
         np.testing.assert_allclose(found.maps[name] * units, values, rtol=2e-3, atol=slack, err_msg=name)
 
 
-def test_on_one_line_the_stereo_set_is_stereos():
+def test_stereo_measures_of_a_line_equal_those_of_a_stereo_pair():
     fixed, warped = channels(9, (1, 1, 40), 3), channels(10, (1, 1, 40), 3)
     found = search(fixed, warped, 1.0, 6, 2, costly=True)
     offsets = np.array(naive.displacements((1, 1, 40), 6, "cube"))[:, 2]
@@ -67,7 +67,7 @@ def test_same_bytes_at_any_tile_and_thread_count():
 
 @pytest.mark.parametrize("stride", [2, 3, 5])
 @pytest.mark.parametrize("shape", [(9, 11, 13), (1, 8, 7)])
-def test_every_other_voxel_is_measured_as_if_all_were(stride, shape):
+def test_measures_at_a_stride_equal_those_at_every_voxel(stride, shape):
     fixed, warped = channels(7, shape, 4), channels(8, shape, 4)
     every, some = (search(fixed, warped, 1.0, 2, 2, costly=True, stride=step) for step in (1, stride))
     chosen = tuple(slice(None, None, stride) for _ in shape)
@@ -79,7 +79,7 @@ def test_every_other_voxel_is_measured_as_if_all_were(stride, shape):
 
 
 @pytest.mark.parametrize("offset", [(0, 0, 0), (2, 0, 0), (0, -1, 0), (1, 2, -2)])
-def test_finds_a_shift(offset):
+def test_expected_displacement_of_a_shifted_volume_is_the_shift(offset):
     wide = channels(4, (18, 18, 18), 3)
     inner = tuple(slice(3, 15) for _ in range(3))
     moved = tuple(slice(3 - d, 15 - d) for d in offset)
@@ -92,14 +92,14 @@ def test_finds_a_shift(offset):
     assert np.allclose(found.maps["shift"][middle], 2 * np.linalg.norm(offset))
 
 
-def test_flat_volumes_say_nothing_against_zero():
+def test_flat_volumes_have_no_expected_displacement():
     flat = np.full((6, 5, 5, 5), 40, np.uint8)
     found = search(flat, flat.copy(), 1.0, 2, 1, costly=True)
     assert not found.maps["eshift"].any() and not found.border.any()
     assert (found.maps["mlm0"] == 1).all() and (found.maps["aml0"] == 1).all()
 
 
-def test_inputs_are_left_alone_and_must_fit():
+def test_inputs_are_not_modified_and_of_one_shape():
     fixed, warped = channels(5, (4, 4, 4)), channels(6, (4, 4, 4))
     before = fixed.copy(), warped.copy()
     search(fixed, warped, 1.0, 1, 1)

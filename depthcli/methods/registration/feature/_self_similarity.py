@@ -25,8 +25,11 @@ def steps(shape: tuple[int, ...], distance: int) -> list[tuple[int, ...]]:
 def descriptor(
     volume: NDArray[np.float32], pairs: Sequence[tuple[tuple[int, ...], tuple[int, ...]]], sigma: float
 ) -> NDArray[np.uint8]:
-    """Compute exp(-(D_r - min D) / V) of the patch distance D_r of every pair of places; (C, Z, Y, X) uint8."""
-    distances = np.empty((len(pairs), *volume.shape), np.float32)
+    """Compute exp(-(D_r - min D) / V) of the patch distance D_r of every pair of places; (C, Z, Y, X) uint8.
+
+    Without any pair, in a volume of one voxel, one channel without content.
+    """
+    distances = np.zeros((max(1, len(pairs)), *volume.shape), np.float32)
     for r, (one, other) in enumerate(pairs):
         difference = shifted(volume, one) - shifted(volume, other)
         distances[r] = gaussian(difference * difference, sigma)

@@ -30,5 +30,6 @@ class LocalNcc(VolumeFeature):
         mean = gaussian(centered, self.sigma)
         variance = gaussian(centered * centered, self.sigma) - mean * mean
         min_variance = (self.floor * float(centered.std(dtype=np.float64))) ** 2 or 1.0
+        min_variance = max(min_variance, float(np.finfo(np.float32).tiny))
         normalized = (centered - mean) / np.sqrt(np.maximum(variance, np.float32(min_variance)))
         return normalized.astype(np.float32, copy=False)

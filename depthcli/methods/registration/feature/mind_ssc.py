@@ -20,7 +20,7 @@ class MindSsc(VolumeFeature):
 
     def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
         around = steps(fixed.shape, self.distance)
-        # Opposite neighbors are left out: their patches are the least alike, and say the least.
-        both = ((a, b) for k, a in enumerate(around) for b in around[:k])
-        pairs = [(a, b) for a, b in both if any(p + q for p, q in zip(a, b, strict=True))]
+        both = [(a, b) for k, a in enumerate(around) for b in around[:k]]
+        # Opposite neighbors are left out: their patches are the least alike, and say the least. A line has no others.
+        pairs = [(a, b) for a, b in both if any(p + q for p, q in zip(a, b, strict=True))] or both
         return descriptor(fixed, pairs, self.sigma), descriptor(warped, pairs, self.sigma)

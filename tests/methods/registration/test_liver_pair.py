@@ -44,8 +44,8 @@ def figures(pair, transform):
 
 
 @pytest.mark.slow
-def test_registered_by_splines_stopped_early(liver):
-    """SPEC 7.4: Spearman of eshift .78 to .86 on this set, .70 at least, and above cost0's."""
+def test_expected_error_after_a_registration_stopped_early(liver):
+    """Spearman of eshift is .78 to .86 on this set, and above that of cost0."""
     from scripts.register_pairs import EARLY, THREADS, register
 
     before = sitk.ProcessObject.GetGlobalDefaultNumberOfThreads()
@@ -61,7 +61,7 @@ def test_registered_by_splines_stopped_early(liver):
 
 
 @pytest.mark.slow
-def test_not_registered_at_all(liver):
+def test_expected_error_without_a_registration(liver):
     """Errors of 6 mm, up to 10 mm, just what the search reaches; a cost without a search knows little of them."""
     true, spearman, cost0, off = figures(liver, sitk.Transform(3, sitk.sitkIdentity))
     assert true == pytest.approx(6.14, abs=0.01)
