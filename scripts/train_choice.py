@@ -42,8 +42,8 @@ from depthcli.data.generated.arrays.stereo_scenes import KINDS, Radiometry, make
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
-from depthcli.methods.fusion.choice import Chooser, Chosen, Proposals
-from depthcli.methods.fusion.choice._inputs import Inputs, input_names
+from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
+from depthcli.methods.fusion.choice._inputs import NetworkInputs, input_names
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.pipeline import Fusion
 
@@ -159,10 +159,10 @@ def propose(fusion: Fusion, pair: StereoPair, max_disparity: int) -> Proposals:
     """Return the proposals of a fusion, which is run with a choice that records them."""
     recorded: list[Proposals] = []
 
-    class Recorder(Chooser):
-        def __call__(self, proposals: Proposals) -> Chosen:
+    class Recorder(ChoiceMethod):
+        def __call__(self, proposals: Proposals) -> ChosenMap:
             recorded.append(proposals)
-            return Chosen(proposals.values[0])
+            return ChosenMap(proposals.values[0])
 
     assert fusion.maps is not None
     maps = fusion.maps.model_copy(update={"choice": Recorder(), "refinement": ()})
@@ -193,7 +193,7 @@ class Samples:
         known = np.flatnonzero(weights.ravel() > 0)
         pixels = np.sort(np.random.default_rng(5).choice(known, known.size // part, replace=False))
         errors = np.abs(proposals.values.reshape(len(proposals.values), -1)[:, pixels] - truth.ravel()[pixels]).T
-        rows = Inputs.of(proposals).rows(pixels).astype(np.float16)
+        rows = NetworkInputs.of(proposals).rows(pixels).astype(np.float16)
         return cls(rows, errors.astype(np.float32), weights.ravel()[pixels])
 
 

@@ -17,28 +17,31 @@ def curve(costs, value):
 
 
 def pointwise(maps, costs, scale, right, left_image, right_image):
-    """Inputs that look at one row only: name -> (N, H, W)."""
+    """NetworkInputs that look at one row only: name -> (N, H, W)."""
     width = maps.shape[2]
-    found = {name: np.zeros(maps.shape) for name in ("raw", "right_difference", "from_left", "overtaken", "color")}
+    found = {
+        name: np.zeros(maps.shape)
+        for name in ("excess_cost", "right_view_difference", "match_column", "self_occlusion", "color_difference")
+    }
     for n, y, x in np.ndindex(maps.shape):
         d = float(maps[n, y, x])
-        found["raw"][n, y, x] = (curve(costs[y, x], d) - costs[y, x].min()) / scale
-        found["from_left"][n, y, x] = clip(x - d, -20, 20)
+        found["excess_cost"][n, y, x] = (curve(costs[y, x], d) - costs[y, x].min()) / scale
+        found["match_column"][n, y, x] = clip(x - d, -20, 20)
         u = int(np.floor(np.float32(x) - maps[n, y, x] + np.float32(0.5)))
         if u < 0:
-            found["right_difference"][n, y, x] = -6
+            found["right_view_difference"][n, y, x] = -6
         else:
-            found["right_difference"][n, y, x] = clip(d - float(right[y, u]), -5, 5)
-            there = [
+            found["right_view_difference"][n, y, x] = clip(d - float(right[y, u]), -5, 5)
+            nearest = [
                 float(maps[n, y, v])
                 for v in range(width)
                 if int(np.floor(np.float32(v) - maps[n, y, v] + np.float32(0.5))) == u
             ]
-            found["overtaken"][n, y, x] = min(max(there) - d, 6)
+            found["self_occlusion"][n, y, x] = min(max(nearest) - d, 6)
         at = clip(x - d, 0, width - 1)
         low, high = int(at), min(int(at) + 1, width - 1)
         seen = right_image[y, low] + (at - int(at)) * (right_image[y, high].astype(float) - right_image[y, low])
-        found["color"][n, y, x] = min(np.abs(left_image[y, x] - seen).max(), 40)
+        found["color_difference"][n, y, x] = min(np.abs(left_image[y, x] - seen).max(), 40)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Costs of several measures on one scale, and their weighted mean."""
+"""Costs of several measures on one scale, the weights of the measures at every pixel, and their weighted mean."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from depthcli.core import memory
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.fusion.votes import Ballot
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
 UNIT = 255
 """Stored value of the cost 1."""
+_MIN_SCORE = np.float32(1e-4)  # changes no weight visibly, and gives pixels without any vote equal weights
 
 
 def squash(volume: CostVolume, scale: float | None, outside: float | None = None) -> CostVolume:
@@ -35,7 +37,8 @@ def squash(volume: CostVolume, scale: float | None, outside: float | None = None
     out: NDArray[np.uint8] = memory.empty(costs.shape, np.uint8)
     if costs.dtype == np.float32:
         offset = min(0.0, float(costs.min()))
-        sample = _sample(costs) - np.float32(offset)
+        inside = np.arange(costs.shape[2])[None, :] <= np.arange(costs.shape[1])[:, None]
+        sample = costs[::4][:, inside] - np.float32(offset)  # every fourth row: enough for a median
         middle = float(np.median(sample)) if scale is None else scale * volume.scale
         rate = 1.0 / middle if middle > 0 else 1.0
         _squash(costs, np.float32(offset), np.float32(rate), out)
@@ -52,11 +55,37 @@ def squash(volume: CostVolume, scale: float | None, outside: float | None = None
     return CostVolume(out, float(UNIT))
 
 
-def _sample(costs: NDArray[np.float32]) -> NDArray[np.float32]:
-    # The cells inside the right image, of every fourth row: enough for a median.
-    width, depth = costs.shape[1:]
-    inside = np.arange(depth)[None, :] <= np.arange(width)[:, None]
-    return costs[::4][:, inside]
+def comparable(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32]:
+    """Bring confidences of several measures to one scale in [0, 1].
+
+    ``lrc`` is in pixels for every measure and becomes 1 / (1 + |difference|). Any other becomes its rank
+    among all measures and pixels together: ranks within a measure would lose which measure is better.
+
+    Parameters
+    ----------
+    confidence : (M, H, W) float32
+    """
+    if name == "lrc":
+        trust: NDArray[np.float32] = (1.0 / (1.0 - confidence)).astype(np.float32)
+        return trust
+    ordered = np.sort(confidence, axis=None)
+    first = np.searchsorted(ordered, confidence, "left")
+    last = np.searchsorted(ordered, confidence, "right")
+    return ((first + last) / (2.0 * ordered.size)).astype(np.float32)
+
+
+def measure_weights(mode: str, ballot: Ballot, exponent: float) -> NDArray[np.float32]:
+    """Compute (M, H, W) float32 weights that sum to 1 over the measures; ``mode`` as in the config of fusion."""
+    if mode in ("equal", "vote"):
+        return np.full(ballot.weights.shape, 1.0 / ballot.weights.shape[0], np.float32)
+    if mode == "select":
+        best = ballot.weights.argmax(axis=0)
+        chosen: NDArray[np.bool_] = np.arange(ballot.weights.shape[0])[:, None, None] == best
+        return chosen.astype(np.float32)
+    score = ballot.shares(ballot.disparities) if mode == "consensus" else ballot.weights
+    powered = np.maximum(score, _MIN_SCORE) ** exponent
+    weights: NDArray[np.float32] = (powered / powered.sum(axis=0, keepdims=True)).astype(np.float32, copy=False)
+    return weights
 
 
 def blend(volumes: list[CostVolume], weights: NDArray[np.float32]) -> CostVolume:

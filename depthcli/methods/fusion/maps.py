@@ -15,8 +15,8 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice import Choice, Proposals
-from depthcli.methods.fusion.choice.energy import Energy
-from depthcli.methods.fusion.surfaces import agreement
+from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
+from depthcli.methods.fusion.map_costs import agreement
 from depthcli.methods.stereo.optimization import Optimization
 from depthcli.methods.stereo.pipeline import Pipeline
 from depthcli.methods.stereo.refinement import RefinementStep
@@ -69,7 +69,7 @@ class MapFusion(BaseModel):
         default_factory=lambda: SegmentPlaneFit(tolerance=1.0, trials=100, flatness=0.9),
         description="how planes are fitted",
     )
-    choice: Choice = Field(default_factory=Energy, description="which map is taken where")
+    choice: Choice = Field(default_factory=LeastEnergyChoice, description="which map is taken where")
     refinement: tuple[RefinementStep, ...] = Field((), description="steps on the mix, in order")
 
     @property

@@ -1,4 +1,4 @@
-"""The measures that are fused, and their weights at every pixel."""
+"""The measures that are fused: cost measures of stereo, and cost volumes made elsewhere."""
 
 from __future__ import annotations
 
@@ -11,14 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.methods.fusion.votes import Ballot
 from depthcli.methods.stereo.cost import PartCost
 from depthcli.methods.stereo.volume import CostVolume
 
-_MIN_SCORE = np.float32(1e-4)  # changes no weight visibly, and gives pixels without any vote equal weights
 
-
-class Measure(BaseModel):
+class FusedMeasure(BaseModel):
     """One of the measures to fuse: a cost measure, or a cost volume read from a file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -46,7 +43,7 @@ class Measure(BaseModel):
         return value
 
     @model_validator(mode="after")
-    def _one_source(self) -> Measure:
+    def _one_source(self) -> FusedMeasure:
         if (self.cost is None) == (self.volume is None):
             raise ValueError("want either cost or volume")
         return self
@@ -70,36 +67,3 @@ class Measure(BaseModel):
             if not np.isfinite(costs[:, :, :depth]).all():
                 raise InputError(f"{self.volume}: holds NaN or infinite costs")
         return CostVolume(np.ascontiguousarray(costs[:, :, :depth]))
-
-
-def comparable(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32]:
-    """Bring confidences of several measures to one scale in [0, 1].
-
-    ``lrc`` is in pixels for every measure and becomes 1 / (1 + |difference|). Any other becomes its rank
-    among all measures and pixels together: ranks within a measure would lose which measure is better.
-
-    Parameters
-    ----------
-    confidence : (M, H, W) float32
-    """
-    if name == "lrc":
-        trust: NDArray[np.float32] = (1.0 / (1.0 - confidence)).astype(np.float32)
-        return trust
-    ordered = np.sort(confidence, axis=None)
-    first = np.searchsorted(ordered, confidence, "left")
-    last = np.searchsorted(ordered, confidence, "right")
-    return ((first + last) / (2.0 * ordered.size)).astype(np.float32)
-
-
-def measure_weights(mode: str, ballot: Ballot, exponent: float) -> NDArray[np.float32]:
-    """Compute (M, H, W) float32 weights that sum to 1 over the measures; ``mode`` as in the config of fusion."""
-    if mode in ("equal", "vote"):
-        return np.full(ballot.weights.shape, 1.0 / ballot.weights.shape[0], np.float32)
-    if mode == "select":
-        best = ballot.weights.argmax(axis=0)
-        chosen: NDArray[np.bool_] = np.arange(ballot.weights.shape[0])[:, None, None] == best
-        return chosen.astype(np.float32)
-    score = ballot.shares(ballot.disparities) if mode == "consensus" else ballot.weights
-    powered = np.maximum(score, _MIN_SCORE) ** exponent
-    weights: NDArray[np.float32] = (powered / powered.sum(axis=0, keepdims=True)).astype(np.float32, copy=False)
-    return weights

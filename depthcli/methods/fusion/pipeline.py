@@ -16,9 +16,9 @@ from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import MeasureName, confidence_maps, measure_name
-from depthcli.methods.fusion.blend import UNIT, add_weighted, blend, squash
+from depthcli.methods.fusion.blend import UNIT, add_weighted, blend, comparable, measure_weights, squash
 from depthcli.methods.fusion.maps import MapFusion
-from depthcli.methods.fusion.measures import Measure, comparable, measure_weights
+from depthcli.methods.fusion.measures import FusedMeasure
 from depthcli.methods.fusion.votes import Ballot, Consensus
 from depthcli.methods.stereo.adjustment import AdjustingMatcher, adjusted
 from depthcli.methods.stereo.aggregation import Aggregation
@@ -44,7 +44,7 @@ class Fusion(AdjustingMatcher):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    measures: tuple[Measure, ...] = Field(min_length=1, max_length=16, description="measures to fuse")
+    measures: tuple[FusedMeasure, ...] = Field(min_length=1, max_length=16, description="measures to fuse")
     weights: Literal["consensus", "confidence", "equal", "select", "vote"] = Field(
         "consensus",
         description="consensus: by the votes for a measure's disparity; confidence: by its confidence alone; equal; "
@@ -165,7 +165,7 @@ class Fusion(AdjustingMatcher):
 
     def fuse(
         self, pair: StereoPair, max_disparity: int, volumes: Mapping[str, NDArray[Any]], clock: Clock | None = None
-    ) -> Fused:
+    ) -> FusedCosts:
         """Compute the fused cost volume.
 
         Costs of every measure -> its disparities, which vote -> its weight at every pixel -> weighted mean of the costs
@@ -200,7 +200,7 @@ class Fusion(AdjustingMatcher):
             ballot = Ballot(disparities, trust, depth, tolerance, ballot.support)
             volume = ballot.costs(blended, self.consensus.map_vote_cost, _MAX_VOTED_COST)
         clock.stop("votes")
-        return Fused(volume, weights, ballot)
+        return FusedCosts(volume, weights, ballot)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the peak working memory for images of ``shape``, in bytes."""
@@ -242,7 +242,7 @@ class Fusion(AdjustingMatcher):
 
 
 @dataclass(frozen=True)
-class Fused:
+class FusedCosts:
     """The fused costs, and how they were made.
 
     Attributes

@@ -74,12 +74,11 @@ class WindowSupport(Support):
     """
 
     def __init__(self, shape: tuple[int, int], window: int) -> None:
-        self._radius = window // 2
+        self._size = (window, window)
         self._normalize(shape)
 
     def sum(self, block: NDArray[np.float32]) -> None:
-        _slide_rows(block, self._radius)
-        _slide_columns(block, self._radius)
+        cv2.boxFilter(block, -1, self._size, dst=block, normalize=False, borderType=cv2.BORDER_CONSTANT)
 
 
 def _decay(step: NDArray[np.int16], reach: float, softness: float) -> NDArray[np.float32]:
@@ -140,44 +139,3 @@ def _recurse_columns(block: Any, decay: Any) -> None:
         for y in range(height):
             target = block[y, left : left + columns].reshape(columns * 16)
             target[:] = cells[y * 128 : y * 128 + columns * 16]
-
-
-@jit
-def _slide(cells: Any, radius: int, sums: Any) -> None:
-    # (N, 16) in place: running sum over a window clipped at the ends.
-    count = cells.shape[0]
-    running = sums[count]
-    for k in range(16):
-        running[k] = np.float32(0.0)
-    for i in range(min(radius, count)):
-        for k in range(16):
-            running[k] += cells[i, k]
-    for i in range(count):
-        if i + radius < count:
-            for k in range(16):
-                running[k] += cells[i + radius, k]
-        if i - radius - 1 >= 0:
-            for k in range(16):
-                running[k] -= cells[i - radius - 1, k]
-        for k in range(16):
-            sums[i, k] = running[k]
-    cells[:] = sums[:count]
-
-
-@parallel_jit
-def _slide_rows(block: Any, radius: int) -> None:
-    height, width, _ = block.shape
-    for y in prange(height):
-        sums = np.empty((width + 1, 16), np.float32)
-        _slide(block[y], radius, sums)
-
-
-@parallel_jit
-def _slide_columns(block: Any, radius: int) -> None:
-    height, width, _ = block.shape
-    for x in prange(width):
-        cells = np.empty((height, 16), np.float32)
-        sums = np.empty((height + 1, 16), np.float32)
-        cells[:] = block[:, x]
-        _slide(cells, radius, sums)
-        block[:, x] = cells

@@ -20,11 +20,11 @@ from depthcli.data.formats.networks import network_path, read_network, write_net
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.evaluation.curves import sparsification
 from depthcli.methods.fusion.choice import Proposals
-from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE, SHARED, Inputs, input_names
-from depthcli.methods.fusion.choice.network import Network, log_odds_of
+from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE, SHARED, NetworkInputs, input_names
+from depthcli.methods.fusion.choice.network import NetworkChoice, log_odds_of
 from depthcli.methods.fusion.config import FuseConfig
+from depthcli.methods.fusion.map_costs import matching_costs
 from depthcli.methods.fusion.support import ColorSupport
-from depthcli.methods.fusion.surfaces import matching_costs
 from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
 from tests.naive import choice as naive
 
@@ -64,7 +64,7 @@ def random_network(kinds, units=(8, 4), seed=0):
 def test_inputs_agree_with_the_reference():
     given = proposals()
     count, height, width = given.values.shape
-    inputs = Inputs.of(given)
+    inputs = NetworkInputs.of(given)
     own = dict(zip(OWN, inputs.own.reshape(len(OWN), count, height, width), strict=True))
     left, right = given.pair.color8
     expected = naive.pointwise(
@@ -73,22 +73,22 @@ def test_inputs_agree_with_the_reference():
     for name, plane in expected.items():
         np.testing.assert_allclose(own[name], plane, atol=2e-3, err_msg=name)
     for k, values in enumerate(given.values):
-        np.testing.assert_allclose(own["rough"][k], naive.roughness(values, slopes(values, left)), atol=1e-4)
+        np.testing.assert_allclose(own["roughness"][k], naive.roughness(values, slopes(values, left)), atol=1e-4)
     far = matching_costs(given.values, given.volume, 0.7, ColorSupport(left, 8.0, 15.0))
-    np.testing.assert_array_equal(own["cost_far"], far)
+    np.testing.assert_array_equal(own["cost_wide"], far)
     np.testing.assert_array_equal(own["filled"], given.filled)
     shared = dict(zip(SHARED, inputs.shared.reshape(len(SHARED), height, width), strict=True))
-    np.testing.assert_allclose(shared["least_raw"], given.volume.costs.min(axis=2) / given.volume.scale, rtol=1e-5)
+    np.testing.assert_allclose(shared["min_cost"], given.volume.costs.min(axis=2) / given.volume.scale, rtol=1e-5)
     np.testing.assert_allclose(shared["filled_share"], (given.filled > 0).mean(axis=0))
     assert (shared["light_trust"] == 1).all()
     trust = texture((height, width), 5)
-    dim = Inputs.of(replace(given, pair=replace(given.pair, light_trust=trust)))
+    dim = NetworkInputs.of(replace(given, pair=replace(given.pair, light_trust=trust)))
     np.testing.assert_allclose(dim.shared[SHARED.index("light_trust")], trust.ravel() / 255, rtol=1e-6)
 
 
 def test_rows_hold_the_planes_in_the_order_of_their_names():
     given = proposals()
-    inputs = Inputs.of(given)
+    inputs = NetworkInputs.of(given)
     names = input_names(given.kinds)
     pixels = np.array([0, 5, 188], np.int64)
     rows = inputs.rows(pixels)
@@ -101,7 +101,7 @@ def test_rows_hold_the_planes_in_the_order_of_their_names():
         np.testing.assert_allclose(column[f"{name}_relative"], plane - plane.min(axis=1, keepdims=True), atol=1e-6)
     flat = given.values.reshape(4, -1)[:, pixels].T
     for k, kind in enumerate(given.kinds):
-        np.testing.assert_array_equal(column[f"from_{k}_{kind}"], np.minimum(np.abs(flat - flat[:, k : k + 1]), 4))
+        np.testing.assert_array_equal(column[f"distance_{k}_{kind}"], np.minimum(np.abs(flat - flat[:, k : k + 1]), 4))
     for k, name in enumerate(SHARED):
         np.testing.assert_array_equal(column[name], np.repeat(inputs.shared[k, pixels][:, None], 4, axis=1))
 
@@ -110,7 +110,7 @@ def test_rows_hold_the_planes_in_the_order_of_their_names():
 def test_the_kernel_agrees_with_the_reference(height, width, count):
     given = proposals(height, width, 12, count)
     weights = random_network(given.kinds)
-    inputs = Inputs.of(given)
+    inputs = NetworkInputs.of(given)
     rows = inputs.rows(np.arange(height * width, dtype=np.int64))
     expected = naive.answers(rows.astype(float), weights.mean, weights.scale, weights.layers)
     np.testing.assert_allclose(log_odds_of(weights, inputs), expected.T, atol=1e-3)
@@ -119,12 +119,12 @@ def test_the_kernel_agrees_with_the_reference(height, width, count):
 def test_the_likeliest_proposal_is_taken_with_its_probability():
     given = proposals()
     trained = random_network(given.kinds)
-    method = Network().with_network(trained, given.kinds)
+    method = NetworkChoice().with_network(trained, given.kinds)
     chosen = method(given)
     assert chosen.probability is not None
     picked = chosen.values[None] == given.values
     assert picked.any(axis=0).all()
-    odds = log_odds_of(trained, Inputs.of(given)).reshape(given.values.shape)
+    odds = log_odds_of(trained, NetworkInputs.of(given)).reshape(given.values.shape)
     at = picked.argmax(axis=0)[None]
     expected = 1 / (1 + np.exp(-np.take_along_axis(odds, at, axis=0)[0]))
     single = picked.sum(axis=0) == 1
@@ -181,11 +181,22 @@ def test_a_network_takes_only_the_inputs_it_was_trained_for():
     trained = random_network(KINDS)
     other = replace(trained, inputs=("cost", *trained.inputs[1:]))
     with pytest.raises(InputError, match="another version"):
-        Network().with_network(other, KINDS)
+        NetworkChoice().with_network(other, KINDS)
     with pytest.raises(InputError, match="another version"):
-        Network().with_network(random_network(KINDS, units=(6, 4)), KINDS)
+        NetworkChoice().with_network(random_network(KINDS, units=(6, 4)), KINDS)
     with pytest.raises(ValueError, match="with_network first"):
-        Network()(proposals())
+        NetworkChoice()(proposals())
+
+
+def test_networks_with_the_input_names_of_version_0_1_0_are_taken():
+    trained = random_network(KINDS)
+    former = {"cost_wide_relative": "cost_far_relative", "self_occlusion": "overtaken", "distance_1_own": "from_1_own"}
+    assert set(former) < set(trained.inputs)
+    old = replace(trained, inputs=tuple(former.get(name, name) for name in trained.inputs))
+    np.testing.assert_array_equal(
+        NetworkChoice().with_network(old, KINDS)(proposals()).values,
+        NetworkChoice().with_network(trained, KINDS)(proposals()).values,
+    )
 
 
 def test_a_network_takes_only_the_maps_it_was_trained_for():

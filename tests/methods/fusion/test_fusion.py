@@ -11,8 +11,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.fusion import Fusion
-from depthcli.methods.fusion.blend import add_weighted, blend, squash
-from depthcli.methods.fusion.measures import comparable, measure_weights
+from depthcli.methods.fusion.blend import add_weighted, blend, comparable, measure_weights, squash
 from depthcli.methods.fusion.support import ColorSupport, WindowSupport
 from depthcli.methods.fusion.votes import Ballot
 from depthcli.methods.stereo.cost.census import Census

@@ -13,15 +13,9 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.fusion import Fusion
+from depthcli.methods.fusion.choice.energy import ScoredMap, Smoothness
+from depthcli.methods.fusion.map_costs import agreement, contradictions, disagreements, matching_costs
 from depthcli.methods.fusion.maps import _largest_agreement
-from depthcli.methods.fusion.surfaces import (
-    Smoothness,
-    Surface,
-    agreement,
-    contradictions,
-    disagreements,
-    matching_costs,
-)
 from depthcli.methods.stereo.volume import CostVolume
 from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
 from tests.naive import maps as naive
@@ -59,42 +53,40 @@ def test_costs_of_maps_are_those_of_the_twins(count, height, width, depth):
     assert not disagreements(maps[:1], weights[:1], support).any() or count == 1
 
 
-def random_surface(height, width, seed, cost_scale=1.0):
+def random_scored_map(height, width, seed, cost_scale=1.0):
     rng = np.random.default_rng(seed)
     values = rng.uniform(0, 4, (height, width)).astype(np.float32)
     gradient = rng.uniform(-0.5, 0.5, (2, height, width)).astype(np.float32)
-    return Surface(values, gradient, rng.uniform(0, cost_scale, (height, width)).astype(np.float32))
+    return ScoredMap(values, gradient, rng.uniform(0, cost_scale, (height, width)).astype(np.float32))
 
 
 def test_energy_is_that_of_the_twin():
-    surface = random_surface(7, 9, 3)
+    scored = random_scored_map(7, 9, 3)
     smoothness = Smoothness.of(texture((7, 9, 3), 2), 2.0, 10.0, 0.1, 1.5)
-    expected = naive.energy(surface.values, surface.slopes, surface.cost, smoothness.weights, 1.5)
-    assert smoothness.energy(surface) == pytest.approx(expected, rel=1e-5)
+    expected = naive.energy(scored.values, scored.slopes, scored.cost, smoothness.weights, 1.5)
+    assert smoothness.energy(scored) == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_moves_are_the_best_mix(seed):
     """Among all 2^9 mixes; with pairs that a cut cannot represent a move still never costs anything."""
-    a, b = random_surface(3, 3, seed), random_surface(3, 3, seed + 100)
+    a, b = random_scored_map(3, 3, seed), random_scored_map(3, 3, seed + 100)
     smoothness = Smoothness.of(texture((3, 3, 3), seed), 1.0, 20.0, 0.2, 2.0)
     mixes = [np.array(bits, bool).reshape(3, 3) for bits in itertools.product((False, True), repeat=9)]
     energies = [smoothness.energy(a.mixed(b, mix)) for mix in mixes]
-    chosen = smoothness.move(a, b, 0.0)
-    reached = energies[0] if chosen is None else smoothness.energy(a.mixed(b, chosen))
-    assert reached <= energies[0]
+    assert smoothness.energy(smoothness.move(a, b, 0.0)) <= energies[0]
     weak = Smoothness(tuple(weights * np.float32(0.02) for weights in smoothness.weights), 2.0)
-    chosen = weak.move(a, b, 0.0)
     best = min(weak.energy(a.mixed(b, mix)) for mix in mixes)
-    assert chosen is not None
-    assert weak.energy(a.mixed(b, chosen)) <= best + 0.02
+    moved = weak.move(a, b, 0.0)
+    assert moved is not a
+    assert weak.energy(moved) <= best + 0.02
 
 
 def test_what_is_near_stays():
-    surface = random_surface(6, 6, 0)
-    near = Surface(surface.values + np.float32(0.1), surface.slopes, surface.cost - np.float32(5))
-    assert Smoothness.of(texture((6, 6, 3), 2), 1.0, 10.0, 0.1, 2.0).move(surface, near, 0.25) is None
+    scored = random_scored_map(6, 6, 0)
+    near = ScoredMap(scored.values + np.float32(0.1), scored.slopes, scored.cost - np.float32(5))
+    assert Smoothness.of(texture((6, 6, 3), 2), 1.0, 10.0, 0.1, 2.0).move(scored, near, 0.25) is scored
 
 
 def test_a_slope_costs_nothing_and_a_step_does():
@@ -105,8 +97,8 @@ def test_a_slope_costs_nothing_and_a_step_does():
     plane = (5 + 0.4 * x - 0.2 * y).astype(np.float32)
     step = np.where(x < 15, 5, 12).astype(np.float32)
     gradient = np.stack([np.full_like(plane, 0.4), np.full_like(plane, -0.2)])
-    assert smoothness.energy(Surface(plane, gradient, none)) < 0.01
-    assert smoothness.energy(Surface(step, slopes(step, image), none)) == pytest.approx(20 * 4 * 2, rel=0.01)
+    assert smoothness.energy(ScoredMap(plane, gradient, none)) < 0.01
+    assert smoothness.energy(ScoredMap(step, slopes(step, image), none)) == pytest.approx(20 * 4 * 2, rel=0.01)
 
 
 def test_agreement_is_the_weighted_share():

@@ -1,4 +1,8 @@
-"""Choice: which of several maps is right at a pixel. One file a method."""
+"""Choice: which of several maps is right at a pixel. One file a method.
+
+In: :class:`Proposals`, N maps (N, H, W) with the images and the fused costs. Out: a :class:`ChosenMap` (H, W).
+``energy`` cuts graphs and takes any maps; ``network`` was trained for certain maps, on the inputs of ``_inputs``.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +21,7 @@ from depthcli.methods.fusion.support import ColorSupport
 from depthcli.methods.stereo.volume import CostVolume
 
 # Reaches of the supports, pixels, and their softness, grey levels; networks are trained with these.
-_FAR_REACH, _NEAR_REACH, _SOFTNESS = 8.0, 2.0, 15.0
+_WIDE_REACH, _NARROW_REACH, _SOFTNESS = 8.0, 2.0, 15.0
 
 
 @dataclass(frozen=True)
@@ -44,25 +48,25 @@ class Proposals:
     right: NDArray[np.uint16]
 
     @cached_property
-    def far(self) -> ColorSupport:
+    def wide(self) -> ColorSupport:
         """The wide support that costs are averaged over."""
-        return ColorSupport(self.pair.color8[0], _FAR_REACH, _SOFTNESS)
+        return ColorSupport(self.pair.color8[0], _WIDE_REACH, _SOFTNESS)
 
     @cached_property
-    def near(self) -> ColorSupport:
+    def narrow(self) -> ColorSupport:
         """The narrow support that is used where outlines matter."""
-        return ColorSupport(self.pair.color8[0], _NEAR_REACH, _SOFTNESS)
+        return ColorSupport(self.pair.color8[0], _NARROW_REACH, _SOFTNESS)
 
 
 @dataclass(frozen=True)
-class Chosen:
+class ChosenMap:
     """The chosen map, (H, W) float32, and its probability to be right, None where the method does not know it."""
 
     values: NDArray[np.float32]
     probability: NDArray[np.float32] | None = None
 
 
-class Chooser(Method):
+class ChoiceMethod(Method):
     """Makes one map of several."""
 
     confidences: ClassVar[tuple[str, ...]] = ()
@@ -84,7 +88,7 @@ class Chooser(Method):
         raise NotImplementedError(f"{self.method_name()} needs no network")
 
     @abstractmethod
-    def __call__(self, proposals: Proposals) -> Chosen:
+    def __call__(self, proposals: Proposals) -> ChosenMap:
         """Choose one of the proposals at every pixel."""
 
     def bytes_a_pixel(self, count: int) -> int:
@@ -92,4 +96,4 @@ class Chooser(Method):
         return 0
 
 
-Choice = Annotated[Chooser, *method_of("depthcli.methods.fusion.choice")]
+Choice = Annotated[ChoiceMethod, *method_of("depthcli.methods.fusion.choice")]

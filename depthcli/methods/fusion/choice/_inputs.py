@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,7 @@ from depthcli.algorithms.plane_fitting.window_slopes import slopes
 from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.fusion.choice import Proposals
-from depthcli.methods.fusion.surfaces import (
+from depthcli.methods.fusion.map_costs import (
     NEIGHBORS,
     contradictions,
     cost_between,
@@ -24,22 +25,44 @@ from depthcli.methods.fusion.surfaces import (
 )
 
 OWN = (
-    "cost_far", "cost_near", "dissent_near", "dissent_far", "decorrelation", "color", "color_near",
-    "contradicted", "contradicted_far", "hidden", "raw", "right_difference", "from_left", "overtaken",
-    "rough", "rough_near", "slope_x", "slope_y", "above_5", "above_12", "filled",
+    "cost_wide", "cost_narrow", "disagreement_narrow", "disagreement_wide", "decorrelation", "color_difference",
+    "color_difference_5", "contradiction_narrow", "contradiction_wide", "hidden_narrow", "excess_cost",
+    "right_view_difference", "match_column", "self_occlusion", "roughness", "roughness_9", "slope_x", "slope_y",
+    "above_mean_11", "above_mean_25", "filled",
 )  # fmt: skip
-"""Planes of every proposal, in their order; ``near`` and ``far`` are averaged over that support.
+"""Planes of every proposal, in their order: ``wide`` and ``narrow`` are means over that support, numbers the sides of
+windows in pixels.
 
-``cost``: fused costs along it; ``dissent``: share of the others that disagree; ``decorrelation``: 1 - correlation of
-the left image and the warped right one; ``color``: their difference; ``contradicted``, ``hidden``: by the right view;
-``raw``: cost above the pixel's smallest one; ``right_difference``: to the right view's disparity; ``from_left``: column
-of the match; ``overtaken``: by how much a nearer pixel covers the match; ``rough``: misfits of the four neighbors;
-``above``: disparity above its mean of 11 or 25 pixels; ``filled``: 0 measured, 1 filled, 2 filled and occluded.
+| plane | what it measures |
+|---|---|
+| ``cost`` | fused costs along the map |
+| ``disagreement`` | share of the other maps that disagree |
+| ``decorrelation`` | 1 - correlation of the left image and the right one, warped by the map |
+| ``color_difference`` | largest channel difference of these two, grey levels |
+| ``contradiction``, ``hidden`` | by the right view: in front of what it sees; behind it, or outside |
+| ``excess_cost`` | cost above the pixel's smallest one |
+| ``right_view_difference`` | to the disparity of the match in the right view, pixels |
+| ``match_column`` | column of the match in the right image, at most 20 from its border, pixels |
+| ``self_occlusion`` | by how much a nearer pixel of the map covers the match, pixels |
+| ``roughness`` | misfits of the four neighbors, pixels |
+| ``slope_x``, ``slope_y`` | change to the next pixel of the row, of the column, pixels |
+| ``above_mean`` | disparity above the mean of a window, pixels |
+| ``filled`` | 0 measured, 1 filled, 2 filled and occluded |
 """
-RELATIVE = ("cost_far", "cost_near", "decorrelation", "color_near")
+RELATIVE = ("cost_wide", "cost_narrow", "decorrelation", "color_difference_5")
 """Of these the smallest value of all proposals is subtracted once more."""
-SHARED = ("least_raw", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
-"""Planes of the pixel."""
+SHARED = ("min_cost", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
+"""Planes of the pixel: its smallest cost, standard deviations of windows and gradient of the left image (grey levels),
+share of the proposals that are filled, and how far its light is trusted (0 .. 1)."""
+# Names that networks have which version 0.1.0 wrote, and those of today.
+_FORMER_NAMES = {
+    "cost_far": "cost_wide", "cost_near": "cost_narrow", "dissent_near": "disagreement_narrow",
+    "dissent_far": "disagreement_wide", "color": "color_difference", "color_near": "color_difference_5",
+    "contradicted": "contradiction_narrow", "contradicted_far": "contradiction_wide", "hidden": "hidden_narrow",
+    "raw": "excess_cost", "right_difference": "right_view_difference", "from_left": "match_column",
+    "overtaken": "self_occlusion", "rough": "roughness", "rough_near": "roughness_9", "above_5": "above_mean_11",
+    "above_12": "above_mean_25", "least_raw": "min_cost",
+}  # fmt: skip
 
 # Networks are trained with these; another value wants another training.
 _MAX_DISTANCE = np.float32(4.0)  # between two proposals, pixels
@@ -53,13 +76,21 @@ RELATIVE_PLANES = np.array([OWN.index(name) for name in RELATIVE])
 
 def input_names(kinds: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of the inputs, in their order, for proposals of these kinds."""
-    apart = [f"from_{k}_{kind}" for k, kind in enumerate(kinds)]
-    relative = [f"{name}_relative" for name in RELATIVE]
-    return (*OWN, *relative, *apart, *SHARED)
+    relative = (f"{name}_relative" for name in RELATIVE)
+    distances = (f"distance_{k}_{kind}" for k, kind in enumerate(kinds))
+    return (*OWN, *relative, *distances, *SHARED)
+
+
+def current_name(name: str) -> str:
+    """Return today's name of an input, which may be one that version 0.1.0 gave it."""
+    plane = name.removesuffix("_relative")
+    if plane in _FORMER_NAMES:
+        return _FORMER_NAMES[plane] + name[len(plane) :]
+    return re.sub(r"^from_(?=\d)", "distance_", name)
 
 
 @dataclass(frozen=True)
-class Inputs:
+class NetworkInputs:
     """Inputs of a pair's proposals, as planes; :func:`rows` puts them side by side.
 
     Attributes
@@ -74,27 +105,27 @@ class Inputs:
     shared: NDArray[np.float32]
 
     @classmethod
-    def of(cls, proposals: Proposals) -> Inputs:
+    def of(cls, proposals: Proposals) -> NetworkInputs:
         """Compute the inputs of all pixels, which are numbered row by row."""
         maps, pair, volume = proposals.values, proposals.pair, proposals.volume
         count, height, width = maps.shape
         image = pair.color8[0]
-        far, near = proposals.far, proposals.near
+        wide, narrow = proposals.wide, proposals.narrow
         own = memory.empty((len(OWN), count, height, width), np.float32)
         plane = {name: own[k] for k, name in enumerate(OWN)}
         alike = np.ones(count, np.float32)
-        plane["cost_far"][:] = matching_costs(maps, volume, 0.7, far)
-        plane["cost_near"][:] = matching_costs(maps, volume, 1.5, near)
-        plane["dissent_near"][:] = disagreements(maps, alike, near)
-        plane["dissent_far"][:] = disagreements(maps, alike, far)
-        plane["contradicted"][:] = contradictions(maps, proposals.right, 0.0, near)
-        plane["contradicted_far"][:] = contradictions(maps, proposals.right, 0.0, far)
-        plane["hidden"][:] = contradictions(maps, proposals.right, 1.0, near) - plane["contradicted"]
+        plane["cost_wide"][:] = matching_costs(maps, volume, 0.7, wide)
+        plane["cost_narrow"][:] = matching_costs(maps, volume, 1.5, narrow)
+        plane["disagreement_narrow"][:] = disagreements(maps, alike, narrow)
+        plane["disagreement_wide"][:] = disagreements(maps, alike, wide)
+        plane["contradiction_narrow"][:] = contradictions(maps, proposals.right, 0.0, narrow)
+        plane["contradiction_wide"][:] = contradictions(maps, proposals.right, 0.0, wide)
+        plane["hidden_narrow"][:] = contradictions(maps, proposals.right, 1.0, narrow) - plane["contradiction_narrow"]
         grey = [channel.astype(np.float32) for channel in pair.grey8]
         shared = np.zeros((len(SHARED), height, width), np.float32)
         common = {name: shared[k] for k, name in enumerate(SHARED)}
         unit = np.float32(1 / volume.scale)
-        common["least_raw"][:] = volume.costs.min(axis=2) * unit
+        common["min_cost"][:] = volume.costs.min(axis=2) * unit
         for side in (5, 13):
             common[f"deviation_{side}"][:] = np.minimum(np.sqrt(local_moments(grey[0], side)[1]), _MAX_COLOR)
         common["gradient"][:] = np.minimum(np.abs(cv2.Sobel(grey[0], cv2.CV_32F, 1, 0)) / 8, 30)
@@ -105,19 +136,18 @@ class Inputs:
         moments = local_moments(grey[0], _WINDOW)
         for k, values in enumerate(maps):
             _compare_views(
-                values, volume.costs, unit, proposals.right, image, pair.color8[1], grey[1], common["least_raw"],
-                plane["raw"][k], plane["right_difference"][k], plane["from_left"][k], plane["overtaken"][k],
-                plane["color"][k], warped,
+                values, volume.costs, unit, proposals.right, image, pair.color8[1], grey[1], common["min_cost"],
+                plane["excess_cost"][k], plane["right_view_difference"][k], plane["match_column"][k],
+                plane["self_occlusion"][k], plane["color_difference"][k], warped,
             )  # fmt: skip
-            plane["color_near"][k] = cv2.blur(plane["color"][k], (5, 5))
+            plane["color_difference_5"][k] = cv2.blur(plane["color_difference"][k], (5, 5))
             plane["decorrelation"][k] = 1 - _correlation(grey[0], moments, warped)
             slope = slopes(values, image, _REACH)
             plane["slope_x"][k], plane["slope_y"][k] = slope
-            plane["rough"][k] = _roughness(values, slope)
-            plane["rough_near"][k] = cv2.blur(plane["rough"][k], (9, 9))
-            for radius, name in ((5, "above_5"), (12, "above_12")):
-                side = 2 * radius + 1
-                plane[name][k] = np.clip(values - cv2.blur(values, (side, side)), -6, 6)
+            plane["roughness"][k] = _roughness(values, slope)
+            plane["roughness_9"][k] = cv2.blur(plane["roughness"][k], (9, 9))
+            for side in (11, 25):
+                plane[f"above_mean_{side}"][k] = np.clip(values - cv2.blur(values, (side, side)), -6, 6)
         pixels = height * width
         return cls(
             maps.reshape(count, pixels),
@@ -187,8 +217,8 @@ def _correlation(grey: Any, moments: Any, warped: Any) -> Any:
 
 @parallel_jit
 def _compare_views(
-    values: Any, costs: Any, unit: Any, right: Any, image: Any, other: Any, other_grey: Any, min_raw: Any, raw: Any,
-    difference: Any, from_left: Any, overtaken: Any, color: Any, warped: Any,
+    values: Any, costs: Any, unit: Any, right: Any, image: Any, other: Any, other_grey: Any, min_cost: Any, excess: Any,
+    difference: Any, column: Any, occlusion: Any, color: Any, warped: Any,
 ) -> None:  # fmt: skip
     height, width = values.shape
     last, half = np.float32(width - 1), np.float32(0.5)
@@ -200,15 +230,15 @@ def _compare_views(
                 nearest[u] = max(nearest[u], values[y, x])
         for x in range(width):
             value = values[y, x]
-            raw[y, x] = cost_between(costs[y, x], value) * unit - min_raw[y, x]
-            from_left[y, x] = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
+            excess[y, x] = cost_between(costs[y, x], value) * unit - min_cost[y, x]
+            column[y, x] = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))
             u = int(np.floor(np.float32(x) - value + half))
             if u < 0:
                 difference[y, x] = np.float32(-6)
-                overtaken[y, x] = np.float32(0)
+                occlusion[y, x] = np.float32(0)
             else:
                 difference[y, x] = min(max(value - np.float32(right[y, u]), np.float32(-5)), np.float32(5))
-                overtaken[y, x] = min(nearest[u] - value, np.float32(6))
+                occlusion[y, x] = min(nearest[u] - value, np.float32(6))
             at = min(max(np.float32(x) - value, np.float32(0)), last)
             low = int(at)
             high = min(low + 1, width - 1)

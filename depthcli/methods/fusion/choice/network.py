@@ -14,8 +14,16 @@ from depthcli.core.networks import TrainedNetwork
 from depthcli.kernels.exponential import exp_minus
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import LANES, load, minimum, splat, store
-from depthcli.methods.fusion.choice import Chooser, Chosen, Proposals
-from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE_PLANES, SHARED, Inputs, gather, input_names
+from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
+from depthcli.methods.fusion.choice._inputs import (
+    OWN,
+    RELATIVE_PLANES,
+    SHARED,
+    NetworkInputs,
+    current_name,
+    gather,
+    input_names,
+)
 from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE
 
 _INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
@@ -23,7 +31,7 @@ _MAX_MAPS = BLOCK_DEPTH  # all shares of a pixel are averaged in one block
 _TILE = 4  # units of a layer that are summed at a time: their sums stay in registers
 
 
-class Network(Chooser):
+class NetworkChoice(ChoiceMethod):
     """The proposal that a small network finds most likely to be right to a pixel.
 
     For every proposal of a pixel the network, the same one for all pixels, gets some forty inputs: the costs along it,
@@ -49,30 +57,31 @@ class Network(Chooser):
                 f"here they are {', '.join(maps)}: train one (scripts/train_choice.py) or choose by 'energy'"
             )
         units = [weights.shape[1] for weights, _ in trained.layers[:2]]
-        if trained.inputs != input_names(maps) or any(n % _TILE for n in units) or len(maps) > _MAX_MAPS:
+        inputs = tuple(map(current_name, trained.inputs))
+        if inputs != input_names(maps) or any(n % _TILE for n in units) or len(maps) > _MAX_MAPS:
             raise InputError(f"network {self.weights!r} was trained for another version: its inputs are not these")
         copy = self.model_copy()
         copy._trained = trained
         return copy
 
-    def __call__(self, proposals: Proposals) -> Chosen:
+    def __call__(self, proposals: Proposals) -> ChosenMap:
         if self._trained is None:
             raise ValueError(f"network {self.weights!r}: hand its arrays in with with_network first")
         count, height, width = proposals.values.shape
-        log_odds = log_odds_of(self._trained, Inputs.of(proposals)).reshape(count, height, width)
+        log_odds = log_odds_of(self._trained, NetworkInputs.of(proposals)).reshape(count, height, width)
         shares = memory.empty((height, width, _MAX_MAPS), np.float32)
         _softmax(log_odds, shares)
-        proposals.near.sum(shares)
+        proposals.narrow.sum(shares)
         values = np.empty((height, width), np.float32)
         probability = np.empty((height, width), np.float32)
         _take(proposals.values, log_odds, shares, values, probability)
-        return Chosen(values, probability)
+        return ChosenMap(values, probability)
 
     def bytes_a_pixel(self, count: int) -> int:
         return 4 * (count * (len(OWN) + 4) + len(SHARED) + 2 * _MAX_MAPS) + 100
 
 
-def log_odds_of(trained: TrainedNetwork, inputs: Inputs) -> NDArray[np.float32]:
+def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.float32]:
     """Return the log odds of every proposal to be right, (N, P) float32."""
     out = np.empty(inputs.values.shape, np.float32)
     (w1, b1), (w2, b2), (w3, b3) = trained.layers

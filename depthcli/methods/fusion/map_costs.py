@@ -1,15 +1,12 @@
-"""Maps as surfaces: costs of their disparities, misfits of their neighbors, and the best mix of two of them."""
+"""What speaks against a map at every pixel: its matching costs, the other maps, the right view, its neighbors."""
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.graph_cut import binary_cut
 from depthcli.core import memory
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE, ColorSupport
@@ -32,104 +29,6 @@ def misfit(
     mean = np.float32(0.5) * (np.abs(step - slope_here) + np.abs(step - slope_there))
     cost: NDArray[np.float32] = np.minimum(np.float32(truncation), mean)
     return cost
-
-
-@dataclass(frozen=True)
-class Surface:
-    """A map without gaps, its slopes, and its cost at every pixel.
-
-    Attributes
-    ----------
-    values : (H, W) float32 disparities, pixels
-    slopes : (2, H, W) float32 change to the next pixel of the row, of the column
-    cost : (H, W) float32
-    """
-
-    values: NDArray[np.float32]
-    slopes: NDArray[np.float32]
-    cost: NDArray[np.float32]
-
-    def mixed(self, other: Surface, chosen: NDArray[np.bool_]) -> Surface:
-        """Return ``other`` where ``chosen`` (H, W), this one elsewhere."""
-        return Surface(
-            np.where(chosen, other.values, self.values),
-            np.where(chosen, other.slopes, self.slopes),
-            np.where(chosen, other.cost, self.cost),
-        )
-
-
-@dataclass(frozen=True)
-class Smoothness:
-    """Costs of neighbors whose disparities do not continue each other along their slopes.
-
-    ``weight min(truncation, mean of |d_q - d_p - g_p| and |d_q - d_p - g_q|)`` for a pixel p and the next one q in
-    its row or column: a slope costs nothing, so that smoothness may be strong.
-
-    Attributes
-    ----------
-    weights : of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W), float32
-    truncation : pixels
-    """
-
-    weights: tuple[NDArray[np.float32], NDArray[np.float32]]
-    truncation: float
-
-    @classmethod
-    def of(
-        cls, image: NDArray[np.uint8], strength: float, color_scale: float, floor: float, truncation: float
-    ) -> Smoothness:
-        """Return weights ``strength max(exp(-color / color_scale), floor)``; color: the largest channel difference."""
-        levels = image.astype(np.int16)
-        colors = (np.abs(levels[there] - levels[here]).max(axis=2) for here, there in NEIGHBORS)
-        across, down = ((strength * np.maximum(np.exp(-c / color_scale), floor)).astype(np.float32) for c in colors)
-        return cls((across, down), truncation)
-
-    def energy(self, surface: Surface) -> float:
-        """Return the sum of all costs of a surface."""
-        return float(surface.cost.sum(dtype=np.float64)) + sum(
-            float(self._pair_costs(axis, surface, surface).sum(dtype=np.float64)) for axis in (0, 1)
-        )
-
-    def _pair_costs(self, axis: int, first: Surface, second: Surface) -> NDArray[np.float32]:
-        # of the pixels of ``first`` with the next ones of ``second``, along the rows or along the columns
-        here, there = NEIGHBORS[axis]
-        slopes = first.slopes[axis][here], second.slopes[axis][there]
-        return self.weights[axis] * misfit(first.values[here], second.values[there], *slopes, self.truncation)
-
-    def move(self, current: Surface, proposal: Surface, min_difference: float) -> NDArray[np.bool_] | None:
-        """Return the pixels (H, W) at which ``proposal`` replaces ``current`` in the best mix; None: nothing is gained.
-
-        One minimum cut (fusion moves: Lempitsky et al., PAMI 2010). Pairs that it cannot represent cost more when
-        exactly one of the two switches; so the energy is compared at the end.
-
-        Parameters
-        ----------
-        min_difference : where the two differ by less, ``current`` stays, pixels
-        """
-        shape = current.values.shape
-        apart = np.abs(proposal.values - current.values) >= min_difference
-        if not apart.any():
-            return None
-        # Pair costs are E00 + (E10 - E00) x_p + (E11 - E10) x_q + (E01 + E10 - E00 - E11) (1 - x_p) x_q, with x = 1
-        # where a pixel switches; the last factor is raised to 0 where it is negative. Pixels that are not apart stay.
-        score = (proposal.cost - current.cost).astype(np.float64)
-        nodes = np.cumsum(apart).reshape(shape) - 1
-        pairs = []
-        for axis, (here, there) in enumerate(NEIGHBORS):
-            e00, e01, e10, e11 = (
-                self._pair_costs(axis, first, second)
-                for first, second in itertools.product((current, proposal), repeat=2)
-            )
-            both = apart[here] & apart[there]
-            score[here] += e10 - e00
-            score[there] += np.where(both, e11 - e10, e01 - e00)
-            pairs.append((nodes[here][both], nodes[there][both], np.maximum(e01 + e10 - e00 - e11, 0)[both]))
-        p, q, capacity = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
-        chosen = np.zeros(shape, np.bool_)
-        chosen[apart] = binary_cut(score[apart], p, q, capacity.astype(np.float64))
-        if not chosen.any() or self.energy(current.mixed(proposal, chosen)) >= self.energy(current):
-            return None
-        return chosen
 
 
 def matching_costs(
