@@ -1,4 +1,4 @@
-"""Slow twins of the choice among maps. Never imports depthcli."""
+"""Slow references of the choice among maps. Never imports depthcli."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ def curve(costs, value):
 def pointwise(maps, costs, scale, right, left_image, right_image):
     """NetworkInputs that look at one row only: name -> (N, H, W)."""
     width = maps.shape[2]
-    found = {
+    planes = {
         name: np.zeros(maps.shape)
         for name in ("excess_cost", "right_view_difference", "match_column", "self_occlusion", "color_difference")
     }
     for n, y, x in np.ndindex(maps.shape):
         d = float(maps[n, y, x])
-        found["excess_cost"][n, y, x] = (curve(costs[y, x], d) - costs[y, x].min()) / scale
-        found["match_column"][n, y, x] = clip(x - d, -20, 20)
+        planes["excess_cost"][n, y, x] = (curve(costs[y, x], d) - costs[y, x].min()) / scale
+        planes["match_column"][n, y, x] = clip(x - d, -20, 20)
         u = int(np.floor(np.float32(x) - maps[n, y, x] + np.float32(0.5)))
         if u < 0:
-            found["right_view_difference"][n, y, x] = -6
+            planes["right_view_difference"][n, y, x] = -6
         else:
-            found["right_view_difference"][n, y, x] = clip(d - float(right[y, u]), -5, 5)
+            planes["right_view_difference"][n, y, x] = clip(d - float(right[y, u]), -5, 5)
             nearest = [
                 float(maps[n, y, v])
                 for v in range(width)
                 if int(np.floor(np.float32(v) - maps[n, y, v] + np.float32(0.5))) == u
             ]
-            found["self_occlusion"][n, y, x] = min(max(nearest) - d, 6)
+            planes["self_occlusion"][n, y, x] = min(max(nearest) - d, 6)
         at = clip(x - d, 0, width - 1)
         low, high = int(at), min(int(at) + 1, width - 1)
-        seen = right_image[y, low] + (at - int(at)) * (right_image[y, high].astype(float) - right_image[y, low])
-        found["color_difference"][n, y, x] = min(np.abs(left_image[y, x] - seen).max(), 40)
-    return found
+        warped = right_image[y, low] + (at - int(at)) * (right_image[y, high].astype(float) - right_image[y, low])
+        planes["color_difference"][n, y, x] = min(np.abs(left_image[y, x] - warped).max(), 40)
+    return planes
 
 
 def roughness(values, slope):
@@ -60,7 +60,7 @@ def roughness(values, slope):
     return out
 
 
-def answers(rows, mean, scale, layers):
+def log_odds(rows, mean, scale, layers):
     """Log odds of (P, N, F) inputs."""
     (w1, b1), (w2, b2), (w3, b3) = layers
     out = np.zeros(rows.shape[:2])

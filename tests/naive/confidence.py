@@ -1,4 +1,4 @@
-"""Slow, obvious twins of the confidence measures, curve by curve. Never imports depthcli."""
+"""Slow, obvious references of the confidence measures, curve by curve. Never imports depthcli."""
 
 from __future__ import annotations
 

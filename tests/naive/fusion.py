@@ -1,4 +1,4 @@
-"""Slow, obvious twins of fusion. Never imports depthcli."""
+"""Slow, obvious references of fusion. Never imports depthcli."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slow twins of the mixing of maps."""
+"""Slow references of the mixing of maps."""
 
 from __future__ import annotations
 

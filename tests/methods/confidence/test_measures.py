@@ -125,7 +125,7 @@ def test_ranks_survive_a_positive_factor(factor, seed):
         np.testing.assert_allclose(one, two, rtol=1e-3, atol=1e-4)
 
 
-def test_errors_name_what_is_there():
+def test_unknown_names_are_refused_with_the_names_there_are():
     costs = random_costs((4, 5), np.uint8)
     with pytest.raises(ValueError, match="no confidence measure called 'pkrr'; one of: aml, apkr"):
         confidence_maps(costs[None], ["pkrr"])

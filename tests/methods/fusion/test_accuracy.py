@@ -28,51 +28,51 @@ def bad(name, **fields):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "equal", "weighed", "fused"),
+    ("name", "equal", "weighted", "fused"),
     [("Teddy", 10.8, 9.6, 8.5), ("Cones", 5.6, 4.8, 4.4), ("Venus", 2.4, 1.75, 1.4)],
 )
-def test_consensus_beats_equal_weights_and_votes_beat_weights(name, equal, weighed, fused):
+def test_consensus_beats_equal_weights_and_votes_beat_weights(name, equal, weighted, fused):
     assert bad(name, weights="equal", consensus={"vote_cost": 0}) == pytest.approx(equal, abs=0.15)
-    assert bad(name, consensus={"vote_cost": 0}, blend="after") < weighed + 0.1
+    assert bad(name, consensus={"vote_cost": 0}, blend="after") < weighted + 0.1
     assert bad(name) < fused + 0.1
 
 
-@pytest.mark.parametrize(("name", "most"), [("Teddy", 0.045), ("Cones", 0.022)])
-def test_the_best_confidence_orders_pixels_well(name, most):
+@pytest.mark.parametrize(("name", "max_area"), [("Teddy", 0.045), ("Cones", 0.022)])
+def test_disparity_agreement_and_peak_sorts_out_errors_best(name, max_area):
     pair, truth, top = real_scenes()[name]
     costs = ConstantWindow(window=11)(Census()(pair, top + 1), pair).costs
     known = ~np.isnan(truth.disparity)
     wrong = ~(np.abs(winners(costs)[0] - truth.disparity) <= 1)[known]
     areas = {n: sparsification(m[known], wrong).auc for n, m in confidence_maps(costs, ["dap", "da", "pkr"]).items()}
-    assert areas["dap"] <= most
+    assert areas["dap"] <= max_area
     assert areas["dap"] < areas["pkr"] < np.mean(wrong) / 2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("folder", "protocol", "name", "rate", "most"),
+    ("folder", "protocol", "name", "region", "max_rate"),
     [
         ("middlebury_v3", "middlebury_v3", "PianoL", "nonocc", 30.5),
         ("kitti", "kitti_2015", "2015_first_scene_intGT", "occ", 6.8),
     ],
 )
-def test_mixed_maps_stand_a_lamp_in_one_view_and_a_sunny_street(folder, protocol, name, rate, most):
-    """Neither taught the network."""
+def test_mixed_maps_are_right_with_a_lamp_in_one_view_and_in_a_sunny_street(folder, protocol, name, region, max_rate):
+    """The network was trained on neither."""
     pair, truth, top = real_scenes(folder, protocol)[name]
     result = with_network(load_config(FuseConfig, find_config("fuse", "accurate")))(pair, top)
-    assert rates(result.disparity.values, truth, protocol)[rate] <= most
+    assert rates(result.disparity.values, truth, protocol)[region] <= max_rate
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("folder", "name", "most"),
+    ("folder", "name", "max_rate"),
     [("middlebury_v2", "Teddy", 2.6), ("middlebury_v2", "Venus", 0.2), ("middlebury_2005", "Dolls", 3.9)],
 )
-def test_mixed_maps_keep_their_accuracy_and_know_it(folder, name, most):
-    """Teddy and Venus taught the network, Dolls did not."""
+def test_mixed_maps_keep_their_accuracy_and_their_probability_sorts_out_errors(folder, name, max_rate):
+    """The network was trained on Teddy and Venus, not on Dolls."""
     pair, truth, top = real_scenes(folder)[name]
     result = with_network(load_config(FuseConfig, find_config("fuse", "accurate")))(pair, top)
-    assert rates(result.disparity.values, truth)["nonocc"] <= most
+    assert rates(result.disparity.values, truth)["nonocc"] <= max_rate
     visible = truth.masks["nonocc"]
     wrong = ~(np.abs(result.disparity.values - truth.disparity) <= 1)[visible]
     area = sparsification(result.confidence["probability"][visible], wrong).auc

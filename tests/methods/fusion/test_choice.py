@@ -1,4 +1,4 @@
-"""Choice among maps by a network: inputs and kernel against slow references, files, and what it is for."""
+"""Choice among maps by a network: inputs and kernel against slow references, files, and accuracy."""
 
 from __future__ import annotations
 
@@ -107,12 +107,12 @@ def test_rows_hold_the_planes_in_the_order_of_their_names():
 
 
 @pytest.mark.parametrize(("height", "width", "count"), [(9, 21, 4), (1, 1, 2), (3, 5, 16), (40, 33, 3)])
-def test_the_kernel_agrees_with_the_reference(height, width, count):
+def test_log_odds_agree_with_the_reference(height, width, count):
     given = proposals(height, width, 12, count)
     weights = random_network(given.kinds)
     inputs = NetworkInputs.of(given)
     rows = inputs.rows(np.arange(height * width, dtype=np.int64))
-    expected = naive.answers(rows.astype(float), weights.mean, weights.scale, weights.layers)
+    expected = naive.log_odds(rows.astype(float), weights.mean, weights.scale, weights.layers)
     np.testing.assert_allclose(log_odds_of(weights, inputs), expected.T, atol=1e-3)
 
 
@@ -139,7 +139,7 @@ def test_the_likeliest_proposal_is_taken_with_its_probability():
     )
 
 
-def test_files_keep_four_digits(tmp_path):
+def test_files_of_networks_keep_four_digits(tmp_path):
     network = random_network(KINDS)
     write_network(tmp_path / "a.json", network)
     stored = read_network(tmp_path / "a.json")
@@ -162,7 +162,7 @@ def test_files_keep_four_digits(tmp_path):
         ({"mean": [float("nan")] * len(input_names(KINDS))}, "not finite"),
     ],
 )
-def test_a_file_of_something_else_is_refused(change, message, tmp_path):
+def test_a_file_that_holds_no_network_is_refused(change, message, tmp_path):
     file = tmp_path / "net.json"
     write_network(file, random_network(KINDS))
     file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
@@ -170,7 +170,7 @@ def test_a_file_of_something_else_is_refused(change, message, tmp_path):
         read_network(file)
 
 
-def test_a_file_that_is_not_there_is_refused(tmp_path):
+def test_a_missing_network_is_refused(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_network(tmp_path / "none.json")
     with pytest.raises(InputError, match="one of the package: accurate"):
@@ -208,13 +208,18 @@ def test_a_network_takes_only_the_maps_it_was_trained_for():
 
 
 @pytest.mark.slow
-def test_the_preset_beats_its_parts_and_knows_where_it_is_right():
+def test_the_preset_beats_its_parts_and_its_probability_sorts_out_errors():
     fusion = with_network(load_config(FuseConfig, find_config("fuse", "accurate")))
     fusion = fusion.model_copy(update={"confidence": ("probability", "agreement")})
     assert fusion.maps is not None
     wrong = {"mix": 0.0, "own": 0.0, **dict.fromkeys(range(len(fusion.maps.matchers)), 0.0)}
     areas, random = 0.0, 0.0
-    for kind, seed in (("planes", 7), ("curved", 7), ("foreground", 7), ("foreground", 8)):  # none of those that teach
+    for kind, seed in (
+        ("planes", 7),
+        ("curved", 7),
+        ("foreground", 7),
+        ("foreground", 8),
+    ):  # none of those that it was trained on
         scene = make_scene(kind, seed, 240, 180, 30, wall_contrast=0.3)
         pair, visible = StereoPair(scene.left, scene.right), scene.nonocc
         result = fusion(pair, 30)

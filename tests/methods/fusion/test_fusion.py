@@ -35,7 +35,7 @@ def shifted_pair(shape=(40, 70), d=7, seed=0):
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("shape", [(9, 20, 7), (1, 1, 1), (6, 5, 18), (5, 30, 33)])
 @pytest.mark.parametrize(("scale", "outside"), [(None, None), (40.0, 0.25)])
-def test_squash_agrees_with_its_twin(dtype, shape, scale, outside):
+def test_squash_agrees_with_the_reference(dtype, shape, scale, outside):
     costs = (np.random.default_rng(0).random(shape) * 200).astype(dtype)
     got = squash(CostVolume(costs), scale, outside)
     want = naive.squash(costs, scale, outside)
@@ -53,7 +53,7 @@ def test_squash_of_constant_and_negative_costs():
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_blend_agrees_with_its_twin_and_stays_between_its_parts(count):
+def test_blend_agrees_with_the_reference_and_stays_between_its_parts(count):
     rng = np.random.default_rng(count)
     volumes = [CostVolume(rng.integers(0, 256, (6, 7, 11)).astype(np.uint8), 255.0) for _ in range(count)]
     weights = rng.random((count, 6, 7)).astype(np.float32)
@@ -72,7 +72,7 @@ def test_blend_agrees_with_its_twin_and_stays_between_its_parts(count):
 @pytest.mark.parametrize("shape", [(12, 17), (1, 9), (9, 1), (8, 16), (20, 40)])
 @pytest.mark.parametrize("depth", [1, 15, 16, 17, 35])
 @pytest.mark.parametrize("tolerance", [0, 1])
-def test_votes_agree_with_their_twins(shape, depth, tolerance):
+def test_votes_agree_with_the_reference(shape, depth, tolerance):
     rng = np.random.default_rng(depth)
     disparities = rng.integers(0, depth, (3, *shape)).astype(np.int32)
     weights = rng.random((3, *shape)).astype(np.float32)
@@ -107,7 +107,7 @@ def test_votes_do_not_cross_a_color_edge_but_reach_far_within_a_surface():
     np.testing.assert_array_equal(winner, np.where(np.arange(60) < 30, 0, 9) * np.ones((20, 1)))
 
 
-def test_comparable_confidences():
+def test_confidences_become_comparable_by_their_ranks_and_lrc_by_its_pixels():
     values = np.random.default_rng(0).integers(0, 9, (2, 5, 6)).astype(np.float32)
     np.testing.assert_allclose(comparable(values, "pkr"), naive.ranks(values), rtol=1e-6)
     np.testing.assert_allclose(comparable(-values, "lrc"), 1 / (1 + values), rtol=1e-6)
@@ -138,7 +138,7 @@ def test_weights_sum_to_one(mode):
 @pytest.mark.parametrize("weights", ["consensus", "confidence", "equal", "select", "vote"])
 @pytest.mark.parametrize("support", ["color", "window"])
 @pytest.mark.parametrize("blend_when", ["before", "after"])
-def test_the_true_shift_wins(weights, support, blend_when):
+def test_the_true_shift_is_found_in_every_mode(weights, support, blend_when):
     pair = shifted_pair()
     consensus = {"support": support, "window": 9, "rounds": 1}
     result = fusion(weights=weights, consensus=consensus, blend=blend_when, confidence=["pkr", "consensus"])(pair, 15)
@@ -246,21 +246,21 @@ def test_the_segment_pipeline_works_on_fused_costs():
         ({"segments": {}, "optimization": "scanline"}, ("optimization",)),
     ],
 )
-def test_what_segments_has_of_its_own_or_not_at_all_is_refused(fields, place):
+def test_fields_without_effect_beside_segments_are_refused(fields, place):
     with pytest.raises(ValidationError) as caught:
         fusion(**fields)
     assert [error["loc"] for error in caught.value.errors()] == [place]
 
 
-def test_what_segments_leaves_as_it_is_may_be_said():
+def test_defaults_and_optimization_of_further_rounds_are_allowed_beside_segments():
     fusion(segments={}, refinement=[], confidence=[], optimization="winner_takes_all")
     fusion(segments={}, optimization="scanline", consensus={"rounds": 1})
 
 
-def test_measures_of_confidence_in_any_case():
+def test_names_of_confidence_measures_may_be_upper_case():
     assert fusion(vote_confidence="LRC", confidence=["PKR", "Consensus"]).confidence == ("pkr", "consensus")
 
 
-def test_a_config_survives_its_own_dump():
+def test_a_dumped_config_validates_to_itself():
     first = fusion(measures=["census", {"cost": {"method": "rank", "window": [5, 5]}, "scale": 3}])
     assert Fusion.model_validate(first.model_dump(mode="json")) == first

@@ -1,4 +1,4 @@
-"""Mixing of finished maps: kernels against their twins, moves against all mixes there are, and what it is for."""
+"""Mixing of finished maps: kernels against references, moves against all possible mixes, and whole mixes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume,
 from tests.naive import maps as naive
 
 
-class Alone:
+class PixelAlone:
     """A support of the pixel alone: the costs themselves."""
 
     def __init__(self, shape):
@@ -38,8 +38,8 @@ def random_maps(count, height, width, depth, seed=0):
 
 
 @pytest.mark.parametrize(("count", "height", "width", "depth"), [(1, 1, 1, 1), (3, 4, 7, 20), (18, 5, 33, 9)])
-def test_costs_of_maps_are_those_of_the_twins(count, height, width, depth):
-    maps, support = random_maps(count, height, width, depth), Alone((height, width))
+def test_costs_of_maps_agree_with_the_reference(count, height, width, depth):
+    maps, support = random_maps(count, height, width, depth), PixelAlone((height, width))
     volume = random_volume(height, width, depth)
     found = matching_costs(maps, CostVolume(volume.costs, 100.0), 1.4, support)
     np.testing.assert_allclose(found, naive.matching_costs(maps, volume.costs, 0.01, 1.4), atol=1e-4)
@@ -60,7 +60,7 @@ def random_scored_map(height, width, seed, cost_scale=1.0):
     return ScoredMap(values, gradient, rng.uniform(0, cost_scale, (height, width)).astype(np.float32))
 
 
-def test_energy_is_that_of_the_twin():
+def test_energy_agrees_with_the_reference():
     scored = random_scored_map(7, 9, 3)
     smoothness = Smoothness.of(texture((7, 9, 3), 2), 2.0, 10.0, 0.1, 1.5)
     expected = naive.energy(scored.values, scored.slopes, scored.cost, smoothness.weights, 1.5)
@@ -69,8 +69,8 @@ def test_energy_is_that_of_the_twin():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
-def test_moves_are_the_best_mix(seed):
-    """Among all 2^9 mixes; with pairs that a cut cannot represent a move still never costs anything."""
+def test_a_move_gives_the_mix_of_least_energy(seed):
+    """Of all 2^9 mixes; with pairs that a cut cannot represent the energy still never rises."""
     a, b = random_scored_map(3, 3, seed), random_scored_map(3, 3, seed + 100)
     smoothness = Smoothness.of(texture((3, 3, 3), seed), 1.0, 20.0, 0.2, 2.0)
     mixes = [np.array(bits, bool).reshape(3, 3) for bits in itertools.product((False, True), repeat=9)]
@@ -83,7 +83,7 @@ def test_moves_are_the_best_mix(seed):
     assert weak.energy(moved) <= best + 0.02
 
 
-def test_what_is_near_stays():
+def test_proposals_within_the_smallest_difference_change_nothing():
     scored = random_scored_map(6, 6, 0)
     near = ScoredMap(scored.values + np.float32(0.1), scored.slopes, scored.cost - np.float32(5))
     assert Smoothness.of(texture((6, 6, 3), 2), 1.0, 10.0, 0.1, 2.0).move(scored, near, 0.25) is scored
@@ -107,7 +107,7 @@ def test_agreement_is_the_weighted_share():
     np.testing.assert_allclose(agreement(np.float32([[5.0]]), maps, weights), (1 + 2 + 0.5) / 8)
 
 
-def test_planes_are_fitted_where_most_maps_agree():
+def test_pixels_of_planes_are_those_on_which_most_maps_agree():
     rng = np.random.default_rng(3)
     labels = rng.integers(0, 6, (40, 50)).astype(np.int32)
     labels[0, :5] = 6  # a segment of five pixels
@@ -116,8 +116,8 @@ def test_planes_are_fitted_where_most_maps_agree():
     agreeing[labels == 4] = 1
     agreeing[np.nonzero(labels == 4)[0][:5], np.nonzero(labels == 4)[1][:5]] = 3  # too few to go by
     found = _largest_agreement(agreeing, labels, 7)
-    for k, least in enumerate((3, 3, 3, 1, 1, 0, 0)):
-        np.testing.assert_array_equal(found[labels == k], agreeing[labels == k] >= least)
+    for k, min_number in enumerate((3, 3, 3, 1, 1, 0, 0)):
+        np.testing.assert_array_equal(found[labels == k], agreeing[labels == k] >= min_number)
 
 
 SMALL = {
@@ -137,7 +137,7 @@ SMALL = {
 
 
 @pytest.mark.slow
-def test_the_mix_is_better_than_its_parts_and_says_where_maps_agree():
+def test_the_mix_is_better_than_its_parts_and_agreement_sorts_out_errors():
     fusion = Fusion.model_validate(SMALL)
     parts = [
         Fusion.model_validate({**SMALL, "maps": None, "confidence": []}),
@@ -179,7 +179,7 @@ def test_a_flat_pair_does_not_crash():
     assert Fusion.model_validate(SMALL)(StereoPair(image, image), 8).disparity.valid.all()
 
 
-def test_agreement_wants_maps_and_segments_exclude_them():
+def test_agreement_without_maps_and_maps_beside_segments_are_refused():
     with pytest.raises(ValidationError, match="'agreement' is that of several maps"):
         Fusion.model_validate({**SMALL, "maps": None})
     with pytest.raises(ValidationError, match="no effect beside 'segments'"):

@@ -72,11 +72,11 @@ def test_a_wall_is_measured_through_two_different_cameras(shift):
     assert (frame.sparse_confidence[np.isfinite(frame.sparse)] >= 0.3).all()
 
 
-def test_depth_is_turned_and_turned_back():
+def test_depth_is_rectified_and_back():
     rectified = rig().rectified(SIZE, SMALL, -1, mirrored=True)
     depth = np.fromfunction(lambda y, x: 1 + 0.001 * x + 0.0005 * y, SIZE[::-1]).astype(np.float32)
-    turned = rectified.rectify_depth(depth)
-    back, beside = rectified.unrectify_depth(turned, turned)
+    rectified_depth = rectified.rectify_depth(depth)
+    back, beside = rectified.unrectify_depth(rectified_depth, rectified_depth)
     known = np.isfinite(back)
     assert known.mean() > 0.7
     np.testing.assert_allclose(back[known], depth[known], atol=0.004)
@@ -84,16 +84,16 @@ def test_depth_is_turned_and_turned_back():
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"translation": np.array([0.0, 0.08, 0])}, "one above the other"),
         ({"rotation": cv2.Rodrigues(np.array([0.0, 2.5, 0]))[0]}, "nothing in common|one above"),
     ],
 )
-def test_cameras_that_cannot_be_matched_are_refused(changes, said):
+def test_cameras_that_cannot_be_matched_are_refused(changes, message):
     frame = RgbIrFrame(np.zeros((*SIZE[::-1], 3), np.uint8), np.zeros(SMALL[::-1], np.uint8),
                        np.ones(SIZE[::-1], np.float32), rig(**changes))  # fmt: skip
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         CrossModal()(frame, Clock())
 
 
@@ -125,7 +125,7 @@ def test_every_way_to_mix_the_channels_matches(channels):
 
 
 @pytest.mark.slow
-def test_kept_matches_are_right_and_widened_edges_are_not_among_them():
+def test_selected_matches_are_right_and_none_lie_on_widened_edges():
     scene = make_transparent_scene(4, 240, 180, 30)
     rule = MatchSelection(margin=0, blind_margin=0, widening=0, consensus=0, texture=0, speckle=0)
     without = CrossModal(max_disparity=30, selection=rule)
@@ -169,33 +169,37 @@ class TestRealScenes:
         if not folder.is_dir():
             pytest.skip("middlebury_v2 is not in ../shared/data")
         found = {}
-        for item in discover_scenes(folder, (StereoScene,), patterns=("Cones", "Teddy", "Venus")):
-            assert isinstance(item, StereoScene)
-            pair, truth = item.load(), item.truth()
-            found[item.name] = (glass_of_pair(pair.left, pair.right, truth.disparity), truth.masks["nonocc"], item)
+        for stereo_scene in discover_scenes(folder, (StereoScene,), patterns=("Cones", "Teddy", "Venus")):
+            assert isinstance(stereo_scene, StereoScene)
+            pair, truth = stereo_scene.load(), stereo_scene.truth()
+            found[stereo_scene.name] = (
+                glass_of_pair(pair.left, pair.right, truth.disparity),
+                truth.masks["nonocc"],
+                stereo_scene,
+            )
         return found
 
     @pytest.mark.slow
     def test_structure_beats_absolute_differences_by_far(self, scenes):
-        for scene, nonocc, item in scenes.values():
+        for scene, nonocc, stereo_scene in scenes.values():
             rates = []
             fields = CrossModal().fusion.model_dump()
             plain = {**fields, "measures": [AbsoluteDifference().method_name()], "consensus": {"vote_cost": 0}}
             for fusion in (fields, plain):
-                stereo = CrossModal(max_disparity=item.max_disparity, fusion=fusion)
+                stereo = CrossModal(max_disparity=stereo_scene.max_disparity, fusion=fusion)
                 found = stereo.match(scene.color, scene.infrared, scene.sensor).dense
                 rates.append(np.mean(np.abs(found - scene.disparity)[nonocc] > 1))
             assert rates[0] < 0.4 * rates[1]
 
     @pytest.mark.slow
-    def test_the_whole_chain_replaces_the_object_and_little_else(self, scenes):
+    def test_the_preset_kinect_replaces_the_object_and_little_else(self, scenes):
         from depthcli.batch.presets import find_config
         from depthcli.core.config_file import load_config
         from depthcli.methods.transparent.config import TransparentConfig
 
         config = load_config(TransparentConfig, find_config("transparent", "kinect"), [])
-        for scene, _, item in scenes.values():
-            stereo = config.stereo.model_copy(update={"max_disparity": item.max_disparity})
+        for scene, _, stereo_scene in scenes.values():
+            stereo = config.stereo.model_copy(update={"max_disparity": stereo_scene.max_disparity})
             depth = depth_of_disparity(scene.sensor, 24.0)
             frame, _ = stereo(RgbIrFrame(scene.color, scene.infrared, depth, None, 24.0), Clock())
             values = disparity_of_depth(config.pipeline(frame).depth.values, 24.0)

@@ -164,9 +164,9 @@ class TestRealScenes:
 
     @pytest.mark.slow
     @pytest.mark.parametrize(
-        ("share", "outliers", "most"), [(0.02, 0.1, 0.0055), (0.1, 0.1, 0.0036), (0.1, 0.3, 0.0040)]
+        ("share", "outliers", "max_error"), [(0.02, 0.1, 0.0055), (0.1, 0.1, 0.0036), (0.1, 0.3, 0.0040)]
     )
-    def test_sparse_on_every_scene(self, scenes, share, outliers, most):
+    def test_sparse_on_every_scene(self, scenes, share, outliers, max_error):
         assert len(scenes) == 3
         ratios = []
         for color, sensor, truth, mask in scenes.values():
@@ -175,7 +175,7 @@ class TestRealScenes:
             ours = errors(pipeline("sparse")(frame).depth.values, truth, mask, sensor)
             nearest = errors(pipeline("nearest")(frame).depth.values, truth, mask, sensor)
             _, before = errors(sensor, truth, mask, sensor)
-            assert ours[0] < most
+            assert ours[0] < max_error
             assert ours[0] < 0.6 * nearest[0]
             ratios.append(ours[1] / before)
         assert max(ratios) < 1.04

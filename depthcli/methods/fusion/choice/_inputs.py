@@ -157,11 +157,12 @@ class NetworkInputs:
 
     def rows(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the inputs of some pixels, (len(pixels), N, inputs) float32."""
-        count = len(self.values)
-        size = len(OWN) + len(RELATIVE) + count + len(SHARED)
-        out = np.empty((pixels.size, count, size), np.float32)
-        _rows(self.values, self.own, self.shared, RELATIVE_PLANES, pixels, out)
-        return out
+        own, values, shared = self.own[:, :, pixels], self.values[:, pixels], self.shared[:, None, pixels]
+        compared = own[RELATIVE_PLANES]
+        relative = compared - compared.min(axis=1, keepdims=True)
+        distances = np.minimum(np.abs(values - values[:, None]), _MAX_DISTANCE)
+        shared = np.broadcast_to(shared, (len(SHARED), *values.shape))
+        return np.concatenate([own, relative, distances, shared]).transpose(2, 1, 0)
 
 
 @jit
@@ -200,13 +201,6 @@ def gather(values: Any, own: Any, shared: Any, relative: Any, n: int, first: int
         for i in range(plane.size):
             cells[i] = plane[i]
         at += 1
-
-
-@parallel_jit
-def _rows(values: Any, own: Any, shared: Any, relative: Any, pixels: Any, out: Any) -> None:
-    for i in prange(pixels.size):
-        for n in range(values.shape[0]):
-            gather(values, own, shared, relative, n, pixels[i], out[i, n].reshape((out.shape[2], 1)))
 
 
 def _correlation(grey: Any, moments: Any, warped: Any) -> Any:
