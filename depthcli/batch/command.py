@@ -1,11 +1,13 @@
-"""What a sub-command is. Nothing heavy is imported here, so that ``--help`` answers at once."""
+"""What a sub-command is, and what it gives for a scene. Nothing heavy is imported here: ``--help`` answers at once."""
 
 from __future__ import annotations
 
 import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
 from depthcli.batch.console import Reporter
 from depthcli.core.option import Option
@@ -78,3 +80,47 @@ class Command(ABC):
         DepthcliError
             The config, the options or the folders are wrong; nothing was computed.
         """
+
+
+@dataclass
+class Outcome:
+    """What the report says of one scene.
+
+    Attributes
+    ----------
+    facts : columns of the report that are the same in every run (size, density, figures)
+    seconds : time by stage, in order
+    warnings : lines that are shown to the user
+    """
+
+    facts: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+_Config = TypeVar("_Config", contravariant=True)
+_Scene = TypeVar("_Scene", contravariant=True)
+
+
+class SceneCommand(Protocol[_Config, _Scene]):
+    """What a command does with a scene; picklable, for worker processes."""
+
+    @property
+    def name(self) -> str:
+        """Name on the command line."""
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """Shell patterns of the files that it writes for a scene, for a look at the folder before it computes."""
+
+    def compute(self, config: _Config, scene: _Scene, folder: Path, memory: int, /) -> Outcome:
+        """Compute ``scene`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
+
+    def files(self, config: _Config, scene: _Scene, /) -> dict[str, Path]:
+        """Return role -> file, for all files whose content the result depends on."""
+
+    def settings(self, config: _Config, scene: _Scene, /) -> dict[str, str]:
+        """Return what the result depends on beside the config and files."""
+
+    def effort(self, config: _Config, scene: _Scene, /) -> int | None:
+        """Return an estimate of the computing time in any unit; None: in proportion to the size of its files."""

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from depthcli.batch.command import ConfigT, SceneT
+from depthcli.batch.command import ConfigT, SceneCommand, SceneT
 from depthcli.batch.console import aligned
 from depthcli.batch.install import foreign_results, not_ours
 from depthcli.batch.json_csv import Row
 from depthcli.batch.records import Record, file_digest, read_record
 from depthcli.batch.reports import finished_row, read_report
 from depthcli.batch.run_folder import refusal
-from depthcli.batch.task import Run, RunOptions, SceneCommand, Task
+from depthcli.batch.task import Run, RunOptions, Task
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.memory import show_bytes

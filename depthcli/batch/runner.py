@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 
 from depthcli.batch import cluster, processes, records
-from depthcli.batch.command import ConfigT, SceneT
+from depthcli.batch.command import ConfigT, SceneCommand, SceneT
 from depthcli.batch.console import Reporter
 from depthcli.batch.install import OTHER_RUN, discard, hidden_folder, remove_leftovers, remove_results
 from depthcli.batch.json_csv import Row
@@ -21,7 +21,7 @@ from depthcli.batch.plan import Planner, check_files, check_names, inputs_digest
 from depthcli.batch.reports import Part, ReportWriter, drop_parts, finished_row, read_report
 from depthcli.batch.run_folder import open_run, saved_config
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
-from depthcli.batch.task import Run, RunOptions, SceneCommand, Task, run_task
+from depthcli.batch.task import Run, RunOptions, Task, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
 from depthcli.data.scenes import Scene
 

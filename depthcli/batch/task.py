@@ -1,4 +1,4 @@
-"""One scene as a task: computed in a hidden folder, then moved into its own folder; and what a command gives for it."""
+"""One scene as a task: computed in a hidden folder, then moved into its own folder."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ import fnmatch
 import os
 import shutil
 import traceback
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from depthcli.batch import resources
+from depthcli.batch.command import Outcome, SceneCommand
 from depthcli.batch.install import install, remove_results
 from depthcli.batch.json_csv import Row
 from depthcli.batch.records import Record, digest, digests_below, read_record
@@ -26,22 +27,6 @@ BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
 
 _MAX_TRACE_NAME = 200  # bytes of a scene's name in that of its traceback; a file's name has 255
-
-
-@dataclass
-class Outcome:
-    """What the report says of one scene.
-
-    Attributes
-    ----------
-    facts : columns of the report that are the same in every run (size, density, figures)
-    seconds : time by stage, in order
-    warnings : lines that are shown to the user
-    """
-
-    facts: dict[str, Any] = field(default_factory=dict)
-    seconds: dict[str, float] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -76,34 +61,6 @@ class RunOptions:
     def memory_each(self) -> int:
         """Return the bytes that one worker may use."""
         return (self.max_memory or resources.available_memory()) // self.jobs
-
-
-_Config = TypeVar("_Config", contravariant=True)
-_Scene = TypeVar("_Scene", contravariant=True)
-
-
-class SceneCommand(Protocol[_Config, _Scene]):
-    """What a command does with a scene; picklable, for worker processes."""
-
-    @property
-    def name(self) -> str:
-        """Name on the command line."""
-
-    @property
-    def results(self) -> tuple[str, ...]:
-        """Shell patterns of the files that it writes for a scene, for a look at the folder before it computes."""
-
-    def compute(self, config: _Config, scene: _Scene, folder: Path, memory: int, /) -> Outcome:
-        """Compute ``scene`` with at most ``memory`` bytes and write its files into the empty ``folder``."""
-
-    def files(self, config: _Config, scene: _Scene, /) -> dict[str, Path]:
-        """Return role -> file, for all files whose content the result depends on."""
-
-    def settings(self, config: _Config, scene: _Scene, /) -> dict[str, str]:
-        """Return what the result depends on beside the config and files."""
-
-    def effort(self, config: _Config, scene: _Scene, /) -> int | None:
-        """Return an estimate of the computing time in any unit; None: in proportion to the size of its files."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Generic
 
-from depthcli.batch.command import SOME_FAILED, Command, ConfigT, ModelT, SceneT, Values
+from depthcli.batch.command import SOME_FAILED, Command, ConfigT, ModelT, Outcome, SceneT, Values
+from depthcli.batch.console import Column, Reporter, run_table
+from depthcli.batch.json_csv import to_json
 from depthcli.commands._options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
 from depthcli.commands.evaluate import evaluate, new_page
 from depthcli.core.option import Option
@@ -15,8 +17,7 @@ from depthcli.core.text import one_line
 from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
-    from depthcli.batch.console import Column, Reporter
-    from depthcli.batch.task import Outcome, RunOptions
+    from depthcli.batch.task import RunOptions
     from depthcli.data.formats.pictures import Palette
     from depthcli.evaluation.comparison import EvaluationReport
 
@@ -69,8 +70,6 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
             return self._print_plan(config, scenes, values, options, reporter)
         if values["list_scenes"]:
             return self._print_names(config, scenes, values, options, reporter)
-        from depthcli.batch.console import run_table
-        from depthcli.batch.json_csv import to_json
         from depthcli.batch.reports import report_document
         from depthcli.batch.run_folder import LEGEND_FILE
         from depthcli.batch.runner import run_scenes
@@ -97,7 +96,6 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
     def _print_plan(
         self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
     ) -> int:
-        from depthcli.batch.json_csv import to_json
         from depthcli.batch.plan import plan_document, plan_text
 
         document = plan_document(self, config, scenes, values["output"], self.memory_of, options)
@@ -107,7 +105,6 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
     def _print_names(
         self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
     ) -> int:
-        from depthcli.batch.json_csv import to_json
         from depthcli.batch.plan import scenes_of_shard
 
         names = [scene.name for scene in scenes_of_shard(self, config, scenes, options)]

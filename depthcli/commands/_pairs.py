@@ -6,16 +6,15 @@ from abc import abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
-from depthcli.batch.command import Values
+from depthcli.batch.command import Outcome, Values
+from depthcli.batch.console import SIZE, Column, Reporter, percent
+from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.errors import InputError
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
-    from depthcli.batch.console import Column, Reporter
-    from depthcli.batch.json_csv import Row
-    from depthcli.batch.task import Outcome
     from depthcli.core.frames import StereoPair
     from depthcli.data.formats.pictures import Palette
     from depthcli.device import Device
@@ -80,7 +79,6 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     def columns(self) -> tuple[Column, ...]:
         """Return size of the map, share of pixels with a value, share that was measured rather than filled."""
-        from depthcli.batch.console import SIZE, Column, percent
 
         return (SIZE, Column("density", percent("density")), Column("measured", percent("measured")))
 
@@ -126,7 +124,6 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         """
         import numpy as np
 
-        from depthcli.batch.task import Outcome
         from depthcli.commands._rectified import rectified_pair
         from depthcli.commands._save import save_stereo
         from depthcli.core.memory import show_bytes

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from depthcli.batch.json_csv import Row
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.batch.json_csv import Row
     from depthcli.core.cameras.rig import RectifiedRig, Rig
     from depthcli.core.frames import StereoPair
     from depthcli.data.scenes.stereo import StereoScene

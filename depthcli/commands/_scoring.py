@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.json_csv import to_csv
+from depthcli.batch.json_csv import Row, to_csv
 from depthcli.batch.reports import read_report
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.data.formats.files import collected_warnings, write_text
@@ -20,7 +20,6 @@ from depthcli.evaluation.protocols import AnyProtocol, Settings, load
 from depthcli.evaluation.results import MapResult
 
 if TYPE_CHECKING:
-    from depthcli.batch.json_csv import Row
     from depthcli.report.page import Page
 
 

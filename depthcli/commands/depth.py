@@ -9,7 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypedDict
 
-from depthcli.batch.command import Values
+from depthcli.batch.command import Outcome, Values
+from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import DEPTH_RESULTS, BatchCommand
 from depthcli.commands._options import DRY_RUN, OUTPUT, RUN, SCENES
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.batch.console import Column, Reporter
-    from depthcli.batch.task import Outcome
     from depthcli.core.cameras.triangulation import PairGeometry
     from depthcli.data.formats.pictures import Palette
 
@@ -98,7 +97,6 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
             _geometry(config, scene)
 
     def columns(self) -> tuple[Column, ...]:
-        from depthcli.batch.console import SIZE, Column, percent
 
         def number(key: str, unit: str) -> Column:
             return Column(key.replace("_", " "), lambda row: f"{row[key]:.4g} {unit}" if row.get(key) else "-")
@@ -121,7 +119,6 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         """
         import numpy as np
 
-        from depthcli.batch.task import Outcome
         from depthcli.commands._save import save_metric_depth
         from depthcli.core.frames import color8
         from depthcli.core.result import Clock

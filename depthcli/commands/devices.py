@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from depthcli.batch.command import Command, Values
-from depthcli.batch.json_csv import Row
-
-if TYPE_CHECKING:
-    from depthcli.batch.console import Reporter
+from depthcli.batch.console import Reporter, aligned
+from depthcli.batch.json_csv import Row, to_json
 
 
 class DevicesCommand(Command):
@@ -16,8 +12,6 @@ class DevicesCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list, and on stderr why there is none of a kind; return the exit code."""
-        from depthcli.batch.console import aligned
-        from depthcli.batch.json_csv import to_json
         from depthcli.device import DeviceError, devices, open_device, why_none
 
         rows: list[Row] = []

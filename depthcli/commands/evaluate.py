@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from depthcli.batch.command import SOME_FAILED, Command, Values
 from depthcli.batch.console import Reporter
+from depthcli.batch.json_csv import to_csv, to_json
 from depthcli.commands._options import LAYOUT, SCENES
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
@@ -65,7 +66,6 @@ class EvaluateCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Evaluate and print the tables; return the exit code."""
-        from depthcli.batch.json_csv import to_json
         from depthcli.evaluation.protocols import Settings
         from depthcli.evaluation.render import FORMATS
         from depthcli.evaluation.tables import report_text, wide_tables
@@ -237,7 +237,6 @@ def _find_truth(
 
 
 def _write(report: EvaluationReport, scoring: Scoring) -> None:
-    from depthcli.batch.json_csv import to_csv, to_json
     from depthcli.batch.run_folder import saved_config
     from depthcli.data.formats.files import write_text
     from depthcli.evaluation.tables import report_markdown

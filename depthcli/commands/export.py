@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from depthcli.batch.command import Command, Values
+from depthcli.batch.console import Reporter
+from depthcli.batch.json_csv import Row, to_json
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 
 if TYPE_CHECKING:
-    from depthcli.batch.console import Reporter
-    from depthcli.batch.json_csv import Row
     from depthcli.evaluation.benchmarks import Benchmark, Entry
 
 _MAX_NAMED = 12  # scenes that one message names, which keeps it within a few lines
@@ -52,7 +52,6 @@ class ExportCommand(Command):
         ConfigError
             The benchmark would not take the maps: all reasons, a line each.
         """
-        from depthcli.batch.json_csv import to_json
         from depthcli.data.formats.disparity import read_disparity
         from depthcli.data.formats.files import collected_warnings, remove_temporaries
         from depthcli.evaluation.benchmarks import Submission, benchmark

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from depthcli.batch.command import SOME_FAILED, Command, Values
+from depthcli.batch.console import Reporter, run_table
+from depthcli.batch.json_csv import to_json
 from depthcli.core.errors import InputError
 from depthcli.core.option import Option
-
-if TYPE_CHECKING:
-    from depthcli.batch.console import Reporter
 
 
 class MergeCommand(Command):
@@ -27,8 +25,6 @@ class MergeCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Write report.json and report.csv again; return the exit code, which says whether a scene failed."""
-        from depthcli.batch.console import run_table
-        from depthcli.batch.json_csv import to_json
         from depthcli.batch.records import RECORD_FILE
         from depthcli.batch.reports import drop_joined_parts, joined_rows, report_document, write_report
         from depthcli.batch.run_folder import opened_run

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from depthcli.batch.command import Command, Values
+from depthcli.batch.console import Reporter
+from depthcli.batch.json_csv import to_json
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-
-if TYPE_CHECKING:
-    from depthcli.batch.console import Reporter
 
 
 class PresetsCommand(Command):
@@ -25,7 +22,6 @@ class PresetsCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list or the preset; return the exit code."""
-        from depthcli.batch.json_csv import to_json
         from depthcli.batch.presets import THESIS, list_presets
 
         if values["action"] == "show" and values["preset"]:

@@ -10,7 +10,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal, TypedDict
 
-from depthcli.batch.command import Values
+from depthcli.batch.command import Outcome, Values
+from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import BatchCommand
 from depthcli.commands._options import DRY_RUN, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.batch.console import Column, Reporter
-    from depthcli.batch.task import Outcome
     from depthcli.core.cameras.rig import RectifiedRig
     from depthcli.methods.stereo.config import Calibration
     from depthcli.methods.stereo.rectification import RectifyingHomographies
@@ -103,7 +102,6 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
 
     def columns(self) -> tuple[Column, ...]:
         """Return size, median row error before and after, and the share of the image that both cameras see."""
-        from depthcli.batch.console import SIZE, Column, percent
 
         def pixels(key: str) -> Column:
             return Column(key.replace("_", " "), lambda row: f"{row[key]:.2f} px" if row.get(key) is not None else "-")
@@ -121,7 +119,6 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         """
         import numpy as np
 
-        from depthcli.batch.task import Outcome
         from depthcli.commands import _rectified
         from depthcli.core.cameras.rig import RectifiedRig
         from depthcli.core.frames import StereoPair

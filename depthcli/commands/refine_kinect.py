@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.batch.command import Values
+from depthcli.batch.command import Outcome, Values
+from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.option import Option
@@ -16,8 +17,6 @@ from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.scenes.rgbd_sequence import SequenceScene, sequences
 
 if TYPE_CHECKING:
-    from depthcli.batch.console import Column, Reporter
-    from depthcli.batch.task import Outcome
     from depthcli.core.frames import RgbdFrame
     from depthcli.core.result import RefinedDepth
     from depthcli.data.formats.pictures import Palette
@@ -70,7 +69,6 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         return None if first is None else config.pipeline.peak_bytes(image_size(first.color)[:2])
 
     def columns(self) -> tuple[Column, ...]:
-        from depthcli.batch.console import SIZE, Column, percent
 
         return (SIZE, *(Column(name, percent(name)) for name in ("known", "kept", "filled", "corrected")))
 
@@ -100,7 +98,6 @@ def _first_frame(scene: Scene) -> RgbdScene | None:
 
 def _refine_sequence(config: RefineKinectConfig, scene: SequenceScene, folder: Path, memory: int) -> Outcome:
     """Refine the frames in order, each into a folder of its own; return means of their facts and sums of seconds."""
-    from depthcli.batch.task import Outcome
     from depthcli.methods.kinect.pipeline import SequencePipeline
 
     assert isinstance(config.pipeline, SequencePipeline)
@@ -142,7 +139,6 @@ def _refine_frame(
     import numpy as np
 
     from depthcli.batch.resources import check_memory
-    from depthcli.batch.task import Outcome
     from depthcli.commands._save import save_depth
     from depthcli.core.maps import DepthStatus
     from depthcli.core.result import Clock

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from depthcli.batch.command import Outcome
+from depthcli.batch.console import Column, percent
 from depthcli.commands._batch import ConfigCommand
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import VolumePairScene
 
 if TYPE_CHECKING:
-    from depthcli.batch.console import Column
-    from depthcli.batch.task import Outcome
     from depthcli.core.volumes import Grid
     from depthcli.methods.registration.config import RegisterConfidenceConfig
 
@@ -34,7 +34,6 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
 
     def columns(self) -> tuple[Column, ...]:
         """Return size, side of a working voxel, mean expected error, and share of best matches on the border."""
-        from depthcli.batch.console import Column, percent
 
         return (
             Column("size", lambda row: f"{row['width']}x{row['height']}x{row['slices']}" if "slices" in row else "-"),
@@ -52,7 +51,6 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
             The files cannot be used, or ``memory`` bytes do not suffice.
         """
         from depthcli.batch.resources import check_memory
-        from depthcli.batch.task import Outcome
         from depthcli.commands._save_registration import save_registration
         from depthcli.core.result import Clock
         from depthcli.data.formats.volumes import written_suffix

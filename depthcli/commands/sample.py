@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from depthcli.batch.command import Values
+from depthcli.batch.command import Outcome, Values
+from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.commands._batch import BatchCommand
 from depthcli.commands._options import DRY_RUN, OUTPUT, RUN
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.data.generated.samples import SampleScene, samples
-
-if TYPE_CHECKING:
-    from depthcli.batch.console import Column, Reporter
-    from depthcli.batch.task import Outcome
 
 
 class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
@@ -52,7 +49,6 @@ class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
 
     def compute(self, config: Mapping[str, object], scene: SampleScene, folder: Path, memory: int) -> Outcome:
         """Generate one scene with its ground truth."""
-        from depthcli.batch.task import Outcome
         from depthcli.core.result import Clock
 
         clock = Clock()
@@ -61,7 +57,6 @@ class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
         return Outcome(facts, clock.seconds)
 
     def columns(self) -> tuple[Column, ...]:
-        from depthcli.batch.console import SIZE, Column, percent
 
         return (SIZE, Column("visible", percent("nonocc")))
 

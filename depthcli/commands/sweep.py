@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from depthcli.batch.command import SOME_FAILED, Command, Values
-from depthcli.batch.json_csv import Row
+from depthcli.batch.console import Reporter, aligned
+from depthcli.batch.json_csv import Row, to_csv, to_json
 from depthcli.commands._batch import ConfigCommand
 from depthcli.commands._options import CONFIG, LAYOUT, OUTPUT, RUN, SCENES, run_options
 from depthcli.commands.evaluate import HTML, evaluate, new_page
@@ -21,7 +22,6 @@ from depthcli.core.option import Option
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from depthcli.batch.console import Reporter
     from depthcli.batch.sweep import Axis, Combination, Effect
     from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport, Section
@@ -119,8 +119,6 @@ def _print_plan(
     values: Values,
     reporter: Reporter,
 ) -> int:
-    from depthcli.batch.console import aligned
-    from depthcli.batch.json_csv import to_json
     from depthcli.batch.plan import DONE, plan_document
 
     rows = []
@@ -163,7 +161,6 @@ def _print_result(
     reporter: Reporter,
 ) -> None:
     """Print the runs by their figure and the effect of every key; write both to ``sweep.csv`` and ``sweep.json``."""
-    from depthcli.batch.json_csv import to_csv, to_json
     from depthcli.batch.sweep import document_of, effects
     from depthcli.data.formats.files import write_text
     from depthcli.evaluation.statistics import mean_of_known

@@ -6,14 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from depthcli.batch.command import Outcome
+from depthcli.batch.console import SIZE, Column, percent
 from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.core.errors import InputError
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
-    from depthcli.batch.console import Column
-    from depthcli.batch.task import Outcome
     from depthcli.core.frames import SparseFrame
     from depthcli.core.result import Result
     from depthcli.data.formats.pictures import Palette
@@ -48,7 +48,6 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         return config.pipeline.peak_bytes(image_size(scene.color)[:2])
 
     def columns(self) -> tuple[Column, ...]:
-        from depthcli.batch.console import SIZE, Column, percent
 
         names = ("known", "sparse", "kept", "filled", "replaced", "from_stereo")
         return (SIZE, *(Column(name, percent(name)) for name in names))
@@ -75,7 +74,6 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         """
         import numpy as np
 
-        from depthcli.batch.task import Outcome
         from depthcli.commands._save import save_depth
         from depthcli.core.maps import DepthStatus
         from depthcli.core.result import Clock

@@ -13,12 +13,13 @@ import pytest
 from pydantic import BaseModel
 
 from depthcli.batch import records, resources
+from depthcli.batch.command import Outcome
 from depthcli.batch.console import Reporter, run_table
 from depthcli.batch.install import discard
 from depthcli.batch.plan import plan_document
 from depthcli.batch.records import RECORD_FILE
 from depthcli.batch.runner import run_scenes
-from depthcli.batch.task import Outcome, Run, RunOptions, Task, run_task
+from depthcli.batch.task import Run, RunOptions, Task, run_task
 from depthcli.core.errors import ConfigError, IncompleteError, InputError, OutputError
 from depthcli.core.result import Clock
 from depthcli.data.scenes import Scene

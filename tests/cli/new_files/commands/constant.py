@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from depthcli.batch.command import Outcome
 from depthcli.batch.console import SIZE, Column
-from depthcli.batch.task import Outcome
 from depthcli.commands._batch import ConfigCommand
 from depthcli.data.formats.disparity import write_pfm
 from depthcli.data.scenes import Scene
