@@ -1,7 +1,38 @@
 """The sub-commands, one file each; the only place where files meet algorithms.
 
 A public module here is a command: its name is the module's, its help the first paragraph of the module's docstring,
-and ``COMMAND`` the object that does it. Nothing heavy is imported before a command runs.
+and ``COMMAND`` the object that does it, a :class:`depthcli.batch.command.Command`, whose ``run(values, reporter)`` gets
+the values of all options and returns the exit code. Nothing heavy is imported before a command runs.
+
+Commands that make a run folder of scenes are a ``BatchCommand`` (module ``_batch``). Their ``run`` checks the options,
+makes the config (``_options``, presets, ``--set``), finds the scenes (``_scenes``) and hands both to ``run_on``, which
+has ``depthcli.batch.runner`` call ``compute(config, scene, folder, memory)`` for each scene, writes the legend, runs
+``--evaluate`` and prints the table. A ``ConfigCommand`` is one with a CONFIG argument. What ``compute`` does:
+
+========================  ============================================================================================
+``stereo``, ``fuse``      ``_pairs``: load the pair, or rectify it (``_rectified``); find the search range; match by
+                          the config's pipeline or fusion; write map, status and preview (``_save``)
+``refine-kinect``         load depth and color of a frame, or of a sequence in order; refine; write (``_save``)
+``transparent``           load depth, color and sparse depth, or match infrared for it; complete; write (``_save``)
+``register-confidence``   load two volumes and the registration; search around every voxel; write confidence, expected
+                          error and shift as volumes (``_save_registration``)
+``depth``                 read a run's disparity map and its calibration; triangulate; write depth, and points
+``rectify``               load the views; match key points; warp by the calibration or the points; write both views,
+                          calib.txt and the search range
+``sample``                draw a scene of known truth; write images, truth and masks
+========================  ============================================================================================
+
+The others:
+
+============  ======================================================================================================
+``evaluate``  finds runs and truth; scores scene by scene by the protocol of each (``_scoring``); writes scores, error
+              pictures, curves and the page
+``sweep``     makes a config of every combination; runs each as its command does; evaluates all; writes the tables
+``export``    finds the maps of a benchmark's scenes; checks all; writes the archive as its server takes it
+``merge``     joins the reports of the processes that shared a run
+``presets``   lists the configs that are shipped, or prints one with its fields
+``devices``   lists what stereo can run on, and measures the bandwidth
+============  ======================================================================================================
 """
 
 from __future__ import annotations

@@ -64,12 +64,11 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         return None
 
     def run_on(self, config: ConfigT, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> int:
-        """Compute scenes and print table and report, or only what ``--dry-run`` asks for; return the exit code."""
+        """Compute scenes, evaluate where asked, print table or JSON; or only list the scenes. Return the exit code."""
         options, output = run_options(values), values["output"]
-        if values.get("dry_run"):
-            return self._print_plan(config, scenes, values, options, reporter)
-        if values["list_scenes"]:
-            return self._print_names(config, scenes, values, options, reporter)
+        if values.get("dry_run") or values["list_scenes"]:
+            self._list(config, scenes, values, options, reporter)
+            return 0
         from depthcli.batch.reports import report_document
         from depthcli.batch.run_folder import LEGEND_FILE
         from depthcli.batch.runner import run_scenes
@@ -86,32 +85,29 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         if values["json"]:
             document = report_document(self.name, rows)
             reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
-        elif not values["quiet"]:
-            reporter.data(run_table(rows, self.columns()) if evaluation is None else _evaluation_text(evaluation))
+        elif evaluation is None and not values["quiet"]:
+            reporter.data(run_table(rows, self.columns()))
+        elif evaluation is not None and not values["quiet"]:
+            from depthcli.evaluation.tables import report_text
+
+            reporter.data(report_text(evaluation))
         reporter.info(f"{len(rows) - len(failed)} of {len(rows)} scenes done, in {output}")
         if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
             return 1
         return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0
 
-    def _print_plan(
+    def _list(
         self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
-    ) -> int:
-        from depthcli.batch.plan import plan_document, plan_text
+    ) -> None:
+        from depthcli.batch.plan import plan_document, plan_text, scenes_of_shard
 
-        document = plan_document(self, config, scenes, values["output"], self.memory_of, options)
-        reporter.data(to_json(document) if values["json"] else plan_text(document, config))
-        return 0
-
-    def _print_names(
-        self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
-    ) -> int:
-        from depthcli.batch.plan import scenes_of_shard
-
+        if values.get("dry_run"):
+            document = plan_document(self, config, scenes, values["output"], self.memory_of, options)
+            reporter.data(to_json(document) if values["json"] else plan_text(document, config))
+            return
         names = [scene.name for scene in scenes_of_shard(self, config, scenes, options)]
         lines = "".join(f"{one_line(name)}\n" for name in names)
-        text = to_json({"command": self.name, "scenes": names}) if values["json"] else lines
-        reporter.data(text)
-        return 0
+        reporter.data(to_json({"command": self.name, "scenes": names}) if values["json"] else lines)
 
     def _evaluation(self, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> EvaluationReport | None:
         if not (values.get("evaluate") or values.get("html")):
@@ -119,10 +115,10 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         if not any(scene.has_truth for scene in scenes):
             reporter.error(f"{values['input']}: no ground truth there, nothing to evaluate")
             return None
-        output = values["output"]
-        page = new_page(self, {"html_budget": "50MB", **values}, output / "evaluation") if values.get("html") else None
+        output = values["output"] / "evaluation"
+        page = new_page(self, {"html_budget": "50MB", **values}, output) if values.get("html") else None
         return evaluate(
-            [output], values["input"], output / "evaluation", values["scenes"] or ["*"], values["layout"],
+            [values["output"]], values["input"], output, values["scenes"] or ["*"], values["layout"],
             reporter=reporter, kinds=tuple({type(scene) for scene in scenes}), page=page,
         )  # fmt: skip
 
@@ -133,10 +129,7 @@ class ConfigCommand(BatchCommand[ModelT, SceneT]):
     kinds: ClassVar[tuple[type[Scene], ...]]
     """Kinds of scene that the command reads."""
 
-    @property
-    def arguments(self) -> tuple[Option, ...]:
-        """The config argument."""
-        return (CONFIG,)
+    arguments = (CONFIG,)
 
     @property
     def options(self) -> tuple[Option, ...]:
@@ -171,9 +164,3 @@ class ConfigCommand(BatchCommand[ModelT, SceneT]):
                 settings.append((option.flag, f"{option.sets}={values[option.name]}"))
         file = find_config(self.name, values["config"])
         return load_config(self.config_model(), file, settings, lambda name: find_preset(self.name, name))
-
-
-def _evaluation_text(evaluation: EvaluationReport) -> str:
-    from depthcli.evaluation.tables import report_text
-
-    return report_text(evaluation)

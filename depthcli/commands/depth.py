@@ -46,33 +46,27 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
 
     results: ClassVar[tuple[str, ...]] = DEPTH_RESULTS
 
-    @property
-    def arguments(self) -> tuple[Option, ...]:
-        """The run folder, or a single map."""
-        return (Option("run", Path, "Run folder of stereo or fuse, or one disparity map.", "RUN", required=True),)
+    arguments = (Option("run", Path, "Run folder of stereo or fuse, or one disparity map.", "RUN", required=True),)
 
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """The calibration, which pixels get a depth, and which files are written."""
-        return (
-            OUTPUT,
-            SCENES,
-            Option("input", Path, "Folder of the run's scenes, if it has moved.", "DIR", short="-i"),
-            Option("left", Path, "Left image of a single map, for the point cloud.", "FILE"),
-            Option("calibration", Path, "Calibration for all scenes: a calib.txt, or projections of KITTI.", "FILE"),
-            Option("focal", float, "Focal length, instead of a calibration file.", "PIXELS", min_value=1e-6),
-            Option("baseline", float, "Distance of the cameras, instead of a calibration file.", "METERS",
-                   min_value=1e-9),
-            Option("doffs", float, "x of the right principal point minus the left one's.", "PIXELS"),
-            Option("mask", str, "Pixels that get a depth: measured, all, or confident:0.8, the 80 % of the measured "
-                   "ones with the highest confidence (confident:0.8:NAME if there are several maps). Default: all for "
-                   "maps, measured for point clouds.", "WHICH"),
-            Option("ply", bool, "Also write a colored point cloud of every scene.", default=False),
-            Option("depth_scale", float, "Codes per meter in depth.png.", "CODES", default=1000.0, min_value=1e-3,
-                   max_value=1e6),
-            *RUN,
-            DRY_RUN,
-        )  # fmt: skip
+    options = (
+        OUTPUT,
+        SCENES,
+        Option("input", Path, "Folder of the run's scenes, if it has moved.", "DIR", short="-i"),
+        Option("left", Path, "Left image of a single map, for the point cloud.", "FILE"),
+        Option("calibration", Path, "Calibration for all scenes: a calib.txt, or projections of KITTI.", "FILE"),
+        Option("focal", float, "Focal length, instead of a calibration file.", "PIXELS", min_value=1e-6),
+        Option("baseline", float, "Distance of the cameras, instead of a calibration file.", "METERS",
+               min_value=1e-9),
+        Option("doffs", float, "x of the right principal point minus the left one's.", "PIXELS"),
+        Option("mask", str, "Pixels that get a depth: measured, all, or confident:0.8, the 80 % of the measured "
+               "ones with the highest confidence (confident:0.8:NAME if there are several maps). Default: all for "
+               "maps, measured for point clouds.", "WHICH"),
+        Option("ply", bool, "Also write a colored point cloud of every scene.", default=False),
+        Option("depth_scale", float, "Codes per meter in depth.png.", "CODES", default=1000.0, min_value=1e-3,
+               max_value=1e6),
+        *RUN,
+        DRY_RUN,
+    )  # fmt: skip
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Turn every map of the run into depth; return the exit code."""

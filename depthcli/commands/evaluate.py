@@ -40,29 +40,25 @@ _DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's f
 class EvaluateCommand(Command):
     """``depthcli evaluate RUN... --truth DIR [--output DIR]``."""
 
-    @property
-    def arguments(self) -> tuple[Option, ...]:
-        """The runs to compare."""
-        about = "Run folders, folders of others' maps, or single maps."
-        return (Option("runs", Path, about, "RUN...", repeatable=True, required=True),)
+    arguments = (
+        Option("runs", Path, "Run folders, folders of others' maps, or single maps.", "RUN...", repeatable=True,
+               required=True),
+    )  # fmt: skip
 
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """Ground truth, output and options of the protocols."""
-        return (
-            Option("truth", Path, "Folder of scenes with ground truth; for single maps, a file.", "DIR", required=True),
-            Option("output", Path, "Folder for scores, pictures and report. Default: tables are printed, no more.",
-                   "DIR", short="-o"),
-            SCENES,
-            LAYOUT,
-            Option("protocol", str, "How to score, such as kitti-2015. Default: as each scene's data set.", "NAME"),
-            Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", min_value=1e-6),
-            Option("resolution", str, "Size of Middlebury v3's truth. Default: by a known scene's width.", "F|H|Q"),
-            Option("resize", str, "Bring depth maps and their truth to one size, nearest neighbor.", "WxH"),
-            Option("threshold", float, "Threshold of wrong pixels. Default: the benchmark's.", "T", min_value=1e-6),
-            Option("format", str, "Print wide tables: latex, markdown or csv; best bold, second underlined.", "FORMAT"),
-            *HTML,
-        )  # fmt: skip
+    options = (
+        Option("truth", Path, "Folder of scenes with ground truth; for single maps, a file.", "DIR", required=True),
+        Option("output", Path, "Folder for scores, pictures and report. Default: tables are printed, no more.",
+               "DIR", short="-o"),
+        SCENES,
+        LAYOUT,
+        Option("protocol", str, "How to score, such as kitti-2015. Default: as each scene's data set.", "NAME"),
+        Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", min_value=1e-6),
+        Option("resolution", str, "Size of Middlebury v3's truth. Default: by a known scene's width.", "F|H|Q"),
+        Option("resize", str, "Bring depth maps and their truth to one size, nearest neighbor.", "WxH"),
+        Option("threshold", float, "Threshold of wrong pixels. Default: the benchmark's.", "T", min_value=1e-6),
+        Option("format", str, "Print wide tables: latex, markdown or csv; best bold, second underlined.", "FORMAT"),
+        *HTML,
+    )  # fmt: skip
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Evaluate and print the tables; return the exit code."""

@@ -26,23 +26,17 @@ _MAX_NAMED = 12  # scenes that one message names, which keeps it within a few li
 class ExportCommand(Command):
     """``depthcli export RUN --for BENCHMARK --method NAME --output FILE.zip``."""
 
-    @property
-    def arguments(self) -> tuple[Option, ...]:
-        """The run to pack."""
-        return (Option("run", Path, "Run folder, or a folder of others' maps.", "RUN", required=True),)
+    arguments = (Option("run", Path, "Run folder, or a folder of others' maps.", "RUN", required=True),)
 
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """The benchmark, the method's name, and the archive."""
-        return (
-            Option("for_", str, "middlebury-v3, kitti-2012, kitti-2015 or eth3d.", "BENCHMARK", required=True),
-            Option("method", str, "Name of the method at the benchmark.", "NAME", required=True),
-            Option("output", Path, "The archive to write.", "FILE.zip", short="-o", required=True),
-            Option("split", str, "Only the training or only the test scenes.", "training|test"),
-            Option("sparse", bool, "Submit maps with holes as sparse ones (Middlebury).", default=False),
-            Option("seconds", float, "Run time of every scene, where the run has no report.", "S", min_value=0.0),
-            Option("overwrite", bool, "Replace the archive.", default=False),
-        )
+    options = (
+        Option("for_", str, "middlebury-v3, kitti-2012, kitti-2015 or eth3d.", "BENCHMARK", required=True),
+        Option("method", str, "Name of the method at the benchmark.", "NAME", required=True),
+        Option("output", Path, "The archive to write.", "FILE.zip", short="-o", required=True),
+        Option("split", str, "Only the training or only the test scenes.", "training|test"),
+        Option("sparse", bool, "Submit maps with holes as sparse ones (Middlebury).", default=False),
+        Option("seconds", float, "Run time of every scene, where the run has no report.", "S", min_value=0.0),
+        Option("overwrite", bool, "Replace the archive.", default=False),
+    )
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Check all maps, then write them; return the exit code.

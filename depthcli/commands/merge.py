@@ -18,10 +18,7 @@ from depthcli.core.option import Option
 class MergeCommand(Command):
     """``depthcli merge RUN``."""
 
-    @property
-    def arguments(self) -> tuple[Option, ...]:
-        """The run folder."""
-        return (Option("run", Path, "Run folder.", "RUN", required=True),)
+    arguments = (Option("run", Path, "Run folder.", "RUN", required=True),)
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Write report.json and report.csv again; return the exit code, which says whether a scene failed."""

@@ -12,13 +12,10 @@ from depthcli.core.option import Option
 class PresetsCommand(Command):
     """Lists and prints the configs that are shipped with the package."""
 
-    @property
-    def arguments(self) -> tuple[Option, ...]:
-        """``show NAME``, or nothing."""
-        return (
-            Option("action", str, "'show' to print one preset.", "show"),
-            Option("preset", str, "NAME, or COMMAND/NAME.", "NAME"),
-        )
+    arguments = (
+        Option("action", str, "'show' to print one preset.", "show"),
+        Option("preset", str, "NAME, or COMMAND/NAME.", "NAME"),
+    )
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list or the preset; return the exit code."""

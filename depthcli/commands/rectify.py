@@ -44,28 +44,24 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
 
     results: ClassVar[tuple[str, ...]] = ("left.png", "right.png", "calib.txt", "meta.json")
 
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """The pairs, the cameras, and the part of the images that is kept."""
-        images = tuple(option for option in StereoScene.options if option.name in ("left", "right"))
-        return (
-            INPUT,
-            *images,
-            OUTPUT,
-            NAME,
-            LAYOUT,
-            SCENES,
-            Option("calibration", Path, "Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr "
-                   "camchain or KITTI calib_cam_to_cam; repeatable.", "FILE", repeatable=True),
-            Option("uncalibrated", bool, "Rectify by matched key points alone; depths stay unknown.", default=False),
-            Option("unit", str, "Unit of the translation in an OpenCV file: m, cm or mm.", "UNIT", default="m"),
-            Option("fisheye", bool, "The lenses of an OpenCV file are fisheye.", default=False),
-            Option("cameras", str, "Numbers of the left and right camera in a KITTI file.", "L,R", default="2,3"),
-            Option("alpha", float, "0: keep only what both images show; 1: keep all of both.", "SHARE", default=0.0,
-                   min_value=0, max_value=1),
-            *RUN,
-            DRY_RUN,
-        )  # fmt: skip
+    options = (
+        INPUT,
+        *(option for option in StereoScene.options if option.name in ("left", "right")),
+        OUTPUT,
+        NAME,
+        LAYOUT,
+        SCENES,
+        Option("calibration", Path, "Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr "
+               "camchain or KITTI calib_cam_to_cam; repeatable.", "FILE", repeatable=True),
+        Option("uncalibrated", bool, "Rectify by matched key points alone; depths stay unknown.", default=False),
+        Option("unit", str, "Unit of the translation in an OpenCV file: m, cm or mm.", "UNIT", default="m"),
+        Option("fisheye", bool, "The lenses of an OpenCV file are fisheye.", default=False),
+        Option("cameras", str, "Numbers of the left and right camera in a KITTI file.", "L,R", default="2,3"),
+        Option("alpha", float, "0: keep only what both images show; 1: keep all of both.", "SHARE", default=0.0,
+               min_value=0, max_value=1),
+        *RUN,
+        DRY_RUN,
+    )  # fmt: skip
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Rectify every pair; return the exit code."""

@@ -34,29 +34,23 @@ _MAX_SHOWN = 20  # runs in the printed table; files hold all
 class SweepCommand(Command):
     """``depthcli sweep CONFIG --over KEY=VALUES ... --input DIR --output DIR``."""
 
-    @property
-    def arguments(self) -> tuple[Option, ...]:
-        """The config argument."""
-        return (CONFIG,)
+    arguments = (CONFIG,)
 
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """The keys and their values, the command, and the scenes."""
-        return (
-            Option("over", str, "Values to try: KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable.", "KEY=VALUES",
-                   repeatable=True, required=True),
-            Option("command", str, "The command that CONFIG belongs to.", "COMMAND", default="stereo"),
-            Option("input", Path, "Folder of scenes.", "DIR", short="-i", required=True),
-            OUTPUT,
-            Option("random", int, "Draw N combinations at random instead of running all.", "N", min_value=1),
-            Option("seed", int, "Seed of --random.", "N", default=0, min_value=0),
-            LAYOUT,
-            SCENES,
-            Option("set", str, "Override one key in all runs; repeatable.", "KEY=VALUE", repeatable=True),
-            *RUN,
-            Option("dry_run", bool, "List the runs and their numbers of finished scenes only.", default=False),
-            *HTML,
-        )  # fmt: skip
+    options = (
+        Option("over", str, "Values to try: KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable.", "KEY=VALUES",
+               repeatable=True, required=True),
+        Option("command", str, "The command that CONFIG belongs to.", "COMMAND", default="stereo"),
+        Option("input", Path, "Folder of scenes.", "DIR", short="-i", required=True),
+        OUTPUT,
+        Option("random", int, "Draw N combinations at random instead of running all.", "N", min_value=1),
+        Option("seed", int, "Seed of --random.", "N", default=0, min_value=0),
+        LAYOUT,
+        SCENES,
+        Option("set", str, "Override one key in all runs; repeatable.", "KEY=VALUE", repeatable=True),
+        *RUN,
+        Option("dry_run", bool, "List the runs and their numbers of finished scenes only.", default=False),
+        *HTML,
+    )  # fmt: skip
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Run every combination, evaluate all runs, and return the exit code.
