@@ -63,11 +63,6 @@ def overlaid(
     return np.where(nothing[..., None], beneath, mixed)
 
 
-def grey(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return (H, W) grey levels as (H, W, 3) RGB."""
-    return np.repeat(levels[..., None], 3, axis=2)
-
-
 def _index(values: NDArray[np.floating[Any]], low: float, high: float, steps: int) -> NDArray[np.intp]:
     share = (np.nan_to_num(values, nan=low, posinf=high, neginf=low) - low) / max(high - low, 1e-9)
     index: NDArray[np.intp] = np.clip((share * steps).astype(np.intp), 0, steps - 1)

@@ -61,12 +61,14 @@ def unpack(packed: Packed) -> NDArray[Any]:
     return values.reshape(shape)
 
 
-def thinned(packed: Packed, factor: int) -> Packed:
-    """Return the packed array of every ``factor``-th pixel."""
-    values = unpack(packed)[::factor, ::factor]
-    if packed["bits"] == 8:
-        return pack_bytes(values)
-    return _packed(values, packed["origin"], packed["step"])
+def thinned(value: Any, factor: int) -> Any:
+    """Return a packed array of every ``factor``-th pixel, and dictionaries of packed arrays likewise; all else as is."""
+    if not isinstance(value, dict):
+        return value
+    if "data" not in value:
+        return {name: thinned(inner, factor) for name, inner in value.items()}
+    values = unpack(value)[::factor, ::factor]
+    return value | (pack_bytes(values) if value["bits"] == 8 else _packed(values, value["origin"], value["step"]))
 
 
 def _deflated(data: NDArray[np.uint8], shape: tuple[int, ...]) -> Packed:

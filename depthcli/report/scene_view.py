@@ -28,15 +28,6 @@ _JPEG_QUALITY = 88  # at which artifacts are not visible beneath a map
 
 
 @dataclass
-class _ErrorThumb:
-    """What the small error picture of a run is drawn from, once the scene's scale is known."""
-
-    error: NDArray[np.floating[Any]]
-    kind: NDArray[np.uint8]
-    high: float
-
-
-@dataclass
 class SceneView:
     """One scene, filled run by run.
 
@@ -58,7 +49,8 @@ class SceneView:
     data: dict[str, Any] = field(default_factory=dict)
     thumbs: dict[str, dict[str, str]] = field(default_factory=dict)
     _cuts: list[Cut] = field(default_factory=list)
-    _errors: dict[str, _ErrorThumb] = field(default_factory=dict)
+    # What the small error pictures are drawn from, once the scale is known: run -> kinds of pixel, errors, quantile.
+    _errors: dict[str, tuple[NDArray[np.uint8], NDArray[np.floating[Any]], float]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, protocol: AnyProtocol, scene: Scene, truth: Any) -> SceneView | None:
@@ -94,7 +86,7 @@ class SceneView:
             )  # fmt: skip
         cut = self._cuts[self.data["start"]]
         if self.image is not None:
-            flat = self.image if cut.axis < 0 else colors.grey(self.image[cut.index])
+            flat = self.image if cut.axis < 0 else np.stack([self.image[cut.index]] * 3, axis=-1)
             step = _step(flat.shape[:2])
             size = (max(1, flat.shape[1] // step), max(1, flat.shape[0] // step))
             shrunk = np.asarray(cv2.resize(flat, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -143,18 +135,18 @@ class SceneView:
         kind = pixel_kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
         worst = error[wrong & ~np.isnan(error)]
         high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
-        self._errors[run] = _ErrorThumb(error[cut][::step, ::step], kind[::step, ::step], high)
+        self._errors[run] = (kind[::step, ::step], error[cut][::step, ::step], high)
         if values is not None:
             self.thumbs.setdefault(run, {})["map"] = self._map_thumb(values[cut])
 
     def close(self) -> None:
         """Scale the errors by the median of the runs' 90 % quantiles over wrong pixels, and draw their pictures."""
-        highs = [thumb.high for thumb in self._errors.values() if not math.isnan(thumb.high)]
+        highs = [high for _, _, high in self._errors.values() if not math.isnan(high)]
         top = float(f"{float(np.median(highs)) if highs else 1.0:.2g}") or 1.0
         self.data["top"] = top
-        for run, thumb in self._errors.items():
-            picture = colors.error_picture(thumb.kind, thumb.error, top)
-            self.thumbs.setdefault(run, {})["error"] = self._blended(picture, thumb.kind == UNKNOWN)
+        for run, (kind, error, _) in self._errors.items():
+            picture = self._blended(colors.error_picture(kind, error, top), kind == UNKNOWN)
+            self.thumbs.setdefault(run, {})["error"] = picture
         self._errors, self.image = {}, None
 
     def _map_thumb(self, plane: NDArray[np.floating[Any]]) -> str:
@@ -174,7 +166,7 @@ class SceneView:
         if self.image is None:
             return None
         if cut.axis >= 0:
-            return colors.grey(self.image[cut.index]) if self.image.shape == shape else None
+            return np.stack([self.image[cut.index]] * 3, axis=-1) if self.image.shape == shape else None
         height, width = self.image.shape[:2]
         if abs(width * shape[0] - height * shape[1]) > 2 * max(width, height):
             return None
@@ -198,26 +190,16 @@ class SceneView:
 
 def smaller(data: dict[str, Any], factor: int) -> dict[str, Any]:
     """Return a scene's data with every ``factor``-th pixel."""
-    return {**data, "views": [_smaller(view, factor) for view in data["views"]]}
-
-
-def _smaller(view: dict[str, Any], factor: int) -> dict[str, Any]:
-    def thin(value: Any) -> Any:
-        if isinstance(value, dict):
-            if "data" in value:
-                return {**value, **thinned(value, factor)}
-            return {name: thin(inner) for name, inner in value.items()}
-        return value
-
-    made = {**view, **{name: thin(view[name]) for name in ("truth", "region", "runs")}, "factor": factor}
-    made["height"], made["width"] = made["region"]["height"], made["region"]["width"]
-    if view["image"] is not None:
-        code = np.frombuffer(base64.b64decode(view["image"].partition(",")[2]), np.uint8)
-        picture = cv2.imdecode(code, cv2.IMREAD_COLOR)
-        assert picture is not None  # it was written here
-        picture = cv2.resize(picture, (made["width"], made["height"]))
-        made["image"] = _jpeg(np.asarray(picture[..., ::-1], np.uint8))
-    return made
+    views = []
+    for view in data["views"]:
+        height, width = (-(-view[side] // factor) for side in ("height", "width"))
+        views.append(thinned(view, factor) | {"height": height, "width": width, "factor": factor})
+        if view["image"] is not None:
+            code = np.frombuffer(base64.b64decode(view["image"].partition(",")[2]), np.uint8)
+            picture = cv2.imdecode(code, cv2.IMREAD_COLOR)
+            assert picture is not None  # it was written here
+            views[-1]["image"] = _jpeg(np.asarray(cv2.resize(picture, (width, height))[..., ::-1], np.uint8))
+    return {**data, "views": views}
 
 
 def _range(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:

@@ -22,37 +22,29 @@ function kindAt(run, i) {
 const place = (value, low, high, steps) =>
   Math.min(steps - 1, Math.max(0, Math.floor((value - low) / Math.max(high - low, 1e-9) * steps)));
 
-// Color of pixel i, for what is to be drawn; null where there is nothing.
-function painter(source, layer) {
-  const run = runOf(source);
-  const values = source === "truth" ? view.truth : run && run.values;
-  if (source === "truth" || (run && layer === "map")) {
-    if (!values) return null;
-    return (i) => Number.isNaN(values[i]) ? page.none : page.scale[place(values[i], scene.low, scene.high, 256)];
-  }
-  if (!run) return null;
-  if (layer === "error") return (i) => page.errors[kindAt(run, i)][place(errorAt(run, i) || 0, 0, scene.top, 64)];
-  if (layer === "status") return run.status && ((i) => (scene.status[run.status[i]] || { color: page.none }).color);
-  const confidence = run.confidence[state.measure];
-  if (!confidence) return null;
-  const grey = (v) => [v, v, v];
-  return (i) => Number.isNaN(confidence.values[i]) ? page.none : grey(place(confidence.values[i], ...confidence.shown, 256));
-}
-
 // Over the image, pixels of which nothing is known are left out.
 const over = (source) => Boolean(view.image) && source !== "image" && state.opacity < 1;
 
-function nothing(source, layer, i) {
-  const run = runOf(source), values = source === "truth" ? view.truth : run.values;
-  if (source !== "truth" && layer === "error") return !(view.region[i] & 1);
-  if (source !== "truth" && layer === "confidence") return Number.isNaN(run.confidence[state.measure].values[i]);
-  return (source === "truth" || layer === "map") && Number.isNaN(values[i]);
+// Color of pixel i, for what is to be drawn, null where it is left out; null instead of a function: nothing to draw.
+function painter(source, layer) {
+  const run = runOf(source), none = over(source) ? null : page.none;
+  const colored = (values, color) => values && ((i) => Number.isNaN(values[i]) ? none : color(values[i]));
+  if (source === "truth" || (run && layer === "map")) {
+    return colored(run ? run.values : view.truth, (v) => page.scale[place(v, scene.low, scene.high, 256)]);
+  }
+  if (!run) return null;
+  if (layer === "status") return run.status && ((i) => (scene.status[run.status[i]] || { color: page.none }).color);
+  if (layer === "error") {
+    const color = (i) => page.errors[kindAt(run, i)][place(errorAt(run, i) || 0, 0, scene.top, 64)];
+    return (i) => none || view.region[i] & 1 ? color(i) : null;
+  }
+  const { values, shown } = run.confidence[state.measure] || {};
+  return colored(values, (v) => Array(3).fill(place(v, ...shown, 256)));
 }
 
 function drawn(source, layer) {
   if (source === "image") return view.image;
-  const see = over(source);
-  const key = `${source}/${source === "truth" ? "" : layer}/${layer === "confidence" ? state.measure : ""}/${see}`;
+  const key = `${source}/${source === "truth" ? "" : layer}/${layer === "confidence" ? state.measure : ""}/${over(source)}`;
   if (!pictures.has(key)) {
     const color = painter(source, layer);
     let canvas = null;
@@ -61,9 +53,9 @@ function drawn(source, layer) {
       const context = canvas.getContext("2d"), data = context.createImageData(view.width, view.height);
       const words = new Uint32Array(data.data.buffer);
       for (let i = 0; i < words.length; i++) {
-        const [r, g, b] = color(i);
+        const rgb = color(i);
         // Bytes in the order of all machines that run browsers.
-        words[i] = see && nothing(source, layer, i) ? 0 : 0xff000000 | b << 16 | g << 8 | r;
+        words[i] = rgb ? 0xff000000 | rgb[2] << 16 | rgb[1] << 8 | rgb[0] : 0;
       }
       context.putImageData(data, 0, 0);
     }
