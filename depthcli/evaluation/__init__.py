@@ -1,7 +1,34 @@
-"""Comparison of runs with ground truth. Files are written by the commands.
+"""Comparison of runs with ground truth: maps of the runs and scenes with truth in, figures, tables and plots out.
 
-``protocols`` score a map (``scores``: values, ``curves``: sparsification); ``results`` holds the scores of one map,
-``comparison`` those of all runs, with means and ranks, and ``statistics`` the tests behind them. ``tables`` arranges
-them, ``render`` writes any table as text, Markdown, LaTeX, CSV or HTML, ``plots`` draws. ``map_files`` says where the
-maps of a run lie, ``presentation`` how a protocol's figures are shown, ``benchmarks`` what a submission holds.
+A figure's way, which ``depthcli/commands/_scoring.py`` goes for every scene and run; arrays hold NaN where they have
+no value:
+
+1. ``map_files`` names the places where a run folder may hold the map of a scene.
+2. A protocol (``protocols``, one file a benchmark or kind of truth) reads the scene's truth, once, and the run's map:
+   (H, W) float32 disparities in pixels, (H, W) float32 depths in meters, or (N,) float32 errors in millimeters at
+   points of a volume.
+3. It scores the map by region (``nonocc``, ``all`` ...): a ``Score`` (``scores``) for every metric, and the
+   sparsification ``curves`` of the confidence maps. All that is known of one map is a ``MapResult`` (``results``).
+4. ``pooling``: several scenes' scores become one, by the protocol's rule.
+5. ``comparison``: a ``Section`` holds the results of one data set under one protocol, with means and ranks; an
+   ``EvaluationReport`` all sections. ``statistics``: ranks, correlation, the sign test.
+6. ``tables`` arranges the figures, ``render`` writes any table as text, Markdown, LaTeX, CSV or HTML, ``plots`` draws.
+   A protocol's words, units and colors are its ``presentation``. The commands write the files.
+
+``benchmarks`` stands apart: which files a submission to a benchmark holds. Begin with
+``protocols/middlebury_v2.py``, the shortest protocol.
+
+======================  ============================================================================================
+``nonocc``, ``noc``     pixels that both views see; ``occ`` (KITTI): all pixels; ``disc``: near depth discontinuities
+``bad``, ``out``        share of pixels whose error is above a threshold; ``totbad``: or that have no value
+``D1``                  KITTI 2015: error above 3 px and at least 5 % of the true disparity
+``est``                 KITTI: over the pixels that the map has a value for, not over the interpolated map
+``A50`` ...             quantiles of the error
+``avgerr``, ``MAE``     mean absolute error; ``rms``, ``RMSE``: root of the mean squared error
+``REL``                 mean of error / true depth
+``delta``               share of pixels whose ratio to the truth is below a limit
+AUC                     area under a sparsification curve; of registration points: under the ROC curve
+AUSE, AURG              distance of a sparsification curve to the optimal and to a random one
+``TRE``                 target registration error, the true error at a point; ``TRE30``: mean of the worst 30 %
+======================  ============================================================================================
 """

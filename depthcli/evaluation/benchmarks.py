@@ -207,7 +207,7 @@ class Kitti2015Benchmark(Benchmark):
         return found
 
     def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
-        """Return ``NNNNNN_10.png``."""
+        """Return the one file of a map, ``NNNNNN_10.png``."""
         name = f"{self.folder}{entry.scene}.png"
         return {name: _png(values, name)}
 

@@ -1,4 +1,4 @@
-"""Where the maps of a run lie: which file is judged for a scene, and which files beside it belong to it."""
+"""Where the maps of a run lie: which file is scored for a scene, and which files beside it belong to it."""
 
 from __future__ import annotations
 

@@ -256,7 +256,7 @@ def _marker(i: int) -> str:
 
 
 def _plain(text: str, max_length: int = 40) -> str:
-    """A name of limited length that matplotlib does not read as a formula."""
+    """Return a name of limited length that matplotlib does not read as a formula."""
     text = text if len(text) <= max_length else f"{text[: max_length - 16]}...{text[-12:]}"
     text = "".join(char if char.isprintable() else "?" for char in text).replace("$", r"\$")
     return f"\u200b{text}" if text.startswith("_") else text  # else it is left out of the legend

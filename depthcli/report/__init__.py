@@ -1,1 +1,7 @@
-"""The page of an evaluation: one HTML file to look at maps, errors and numbers, made from what a protocol declares."""
+"""``report.html``, the page of an evaluation: one file to look at maps, errors and numbers, readable without a network.
+
+``page`` collects the scenes while they are evaluated and fills the template ``page.html`` at the end; start there.
+``scene_view`` makes what the page holds of one scene: its maps (images, or slices of volumes), packed by ``packing`` as
+16-bit codes in base64, and small pictures in the ``colors`` of the page. In the browser ``page.js`` sorts tables and
+unpacks maps, ``viewer.js`` draws them. What a protocol declares (``depthcli.evaluation``) is all that is known of it.
+"""

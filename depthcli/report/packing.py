@@ -62,7 +62,7 @@ def unpack(packed: Packed) -> NDArray[Any]:
 
 
 def thinned(value: Any, factor: int) -> Any:
-    """Return a packed array of every ``factor``-th pixel, and dictionaries of packed arrays likewise; all else as is."""
+    """Return packed arrays, alone or in dictionaries, of every ``factor``-th pixel; anything else as it is."""
     if not isinstance(value, dict):
         return value
     if "data" not in value:

@@ -155,7 +155,7 @@ class SceneView:
         return self._blended(colors.map_picture(small, self.data["low"], self.data["high"]), np.isnan(small))
 
     def _blended(self, small: NDArray[np.uint8], nothing: NDArray[np.bool_]) -> str:
-        """A small picture over the image of the first cut, which is alone at ``nothing``."""
+        """Return a small picture over the image of the first cut, which is alone at ``nothing``."""
         image = self._image_of(self._cuts[self.data["start"]])
         beneath = None if image is None else image[:: (step := _step(image.shape[:2])), ::step]
         return _png(colors.overlaid(small, nothing, beneath, self.protocol.presentation.opacity))

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.data.formats.disparity import read_disparity, write_pfm
+from depthcli.data.formats.files import collected_warnings
 from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
@@ -196,13 +197,15 @@ def test_v3_agrees_with_the_naive_one(seed, factor, rounded, size):
     assert judge.wrong(estimate, reference)[mask].sum() == pick(scores, "bad", 2.0).wrong
 
 
-def test_v3_clips_minus_infinity_as_the_sdk(tmp_path):
+def test_v3_clips_minus_infinity_and_ignores_bytes_behind_the_values_as_the_sdk(tmp_path):
     truth = everywhere(np.full((2, 3), 2, np.float32))
     values = np.array([[-np.inf, np.inf, np.nan], [2, 2, 2]], np.float32)
     data = b"Pf\n3 2\n-1\n" + values[::-1].astype("<f4").tobytes()
-    (tmp_path / "map.pfm").write_bytes(data)
+    (tmp_path / "map.pfm").write_bytes(data + b"more")
     judge = make("middlebury-v3")
-    scores = judge.scores(judge.read(tmp_path / "map.pfm", single(tmp_path), truth), truth)
+    with collected_warnings() as lines:
+        scores = judge.scores(judge.read(tmp_path / "map.pfm", single(tmp_path), truth), truth)
+    assert ["4 bytes more" in line for line in lines] == [True]
     assert pick(scores, "invalid").wrong == 2
     assert pick(scores, "bad", 1.0).wrong == 1
     assert pick(scores, "avgerr").value == 0.5
