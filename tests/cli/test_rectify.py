@@ -202,7 +202,8 @@ def check_depth(scenes: Path, taken: Rig, tmp_path: Path, alpha: float = 0.0) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("old", "new"), [("K2:", "K2"), ("!!opencv-matrix", "!!openc[v-matrix"), ("data: [", "data:!!binary |["), ("[", "")]
+    ("old", "new"),
+    [("K2:", "K2"), ("!!opencv-matrix", "!!openc[v-matrix"), ("data: [", "data:!!binary |["), ("[", "{")],
 )
 def test_a_damaged_file_of_opencv_is_told_in_a_line(tmp_path: Path, old: str, new: str):
     """OpenCV's own reader never ends for the first of these, or ends the process."""

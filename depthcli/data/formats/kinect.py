@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.depth import read_codes
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.formats.files import naming, read_bytes
+from depthcli.data.formats.plain_text import json_object, numbers
 
 _SHAPES: dict[str, tuple[int, ...]] = {
     "depth_K": (3, 3), "color_K": (3, 3), "depth_kc": (5,), "color_kc": (5,), "depth_to_color_R": (3, 3),
@@ -41,14 +41,8 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
         A file is damaged, or a field is missing or of the wrong shape.
     """
     with naming(path):
-        try:
-            fields = json.loads(read_bytes(path).decode("utf-8"))
-            arrays = {key: np.array(fields[key], np.float64) for key in _SHAPES}
-        except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-            raise InputError(f"not a Kinect calibration ({type(error).__name__}: {error})") from None
-        for key, shape in _SHAPES.items():
-            if arrays[key].shape != shape or not np.isfinite(arrays[key]).all():
-                raise InputError(f"{key}: want {shape} finite numbers, got {arrays[key].shape}")
+        fields = json_object(read_bytes(path))
+        arrays = {key: numbers(fields.get(key), key, shape) for key, shape in _SHAPES.items()}
         if arrays["dc"][1] == 0 or min(arrays[k][i, i] for k in ("depth_K", "color_K") for i in (0, 1)) <= 0:
             raise InputError("singular: focal lengths and dc[1] must not be zero")
         depth, color = (Camera(arrays[f"{k}_K"], tuple(arrays[f"{k}_kc"].tolist())) for k in ("depth", "color"))

@@ -19,12 +19,12 @@ from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 from depthcli.core.yaml_source import short
 from depthcli.data.formats.files import naming, read_bytes, shown
+from depthcli.data.formats.plain_text import image_sides, json_object, key_values, numbers
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Meters of the units that a translation may be stored in."""
 
 _MAX_BYTES = 1 << 22  # a calibration has a few kilobytes
-_MAX_SIDE = 1 << 20  # pixels; no image is as wide
 _MAX_BASELINE = 20.0  # meters; a longer one is in another unit
 _SENSOR_BASELINES = (1e-4, 10.0)  # meters, of a color and an infrared camera; another one is in another unit
 # What the parts are called in files of OpenCV.
@@ -97,14 +97,14 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
             cameras = [stored.left, stored.right]
             rotation, translation = stored.rotation, stored.translation
         else:
-            fields = _json(text)
+            fields = json_object(text)
             if fields.get("rectified") is True:
                 fb = fields.get("fb")
                 if isinstance(fb, bool) or not isinstance(fb, int | float) or not 0 < fb < 1e9:
                     raise InputError(f"fb: want focal length x baseline, pixel meters (got {short(fb)})")
                 return float(fb)
             cameras = [_json_camera(fields, "color", color_size), _json_camera(fields, "infrared", infrared_size)]
-            rotation, translation = (_listed(fields, key, shape) for key, shape in (("R", (3, 3)), ("t", (3,))))
+            rotation, translation = numbers(fields.get("R"), "R", (3, 3)), numbers(fields.get("t"), "t", (3,))
         color, infrared = (
             Camera(camera.matrix, camera.distortion, size, camera.fisheye)
             for camera, size in zip(cameras, (color_size, infrared_size), strict=True)
@@ -115,16 +115,6 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
         return Rig(color, infrared, rotation, translation)
 
 
-def _json(text: str) -> dict[str, Any]:
-    try:
-        fields = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not valid JSON ({error})") from error
-    if not isinstance(fields, dict):
-        raise InputError(f"want a JSON object, got {type(fields).__name__}")
-    return fields
-
-
 def _json_camera(fields: dict[str, Any], name: str, image_size: tuple[int, int]) -> Camera:
     camera = fields.get(name)
     if not isinstance(camera, dict):
@@ -132,10 +122,10 @@ def _json_camera(fields: dict[str, Any], name: str, image_size: tuple[int, int])
     size = camera.get("size")
     if size is not None and size != list(image_size):
         raise InputError(f"calibrated for a {name} image of {str(size)[:40]}, it has {image_size[0]} x {image_size[1]}")
-    matrix = _listed(camera, "K", (3, 3), name)
+    matrix = _numbers(camera, "K", (3, 3), name)
     if camera.get("distortion") is None:
         return Camera(matrix)
-    return Camera(matrix, tuple(_listed(camera, "distortion", (-1,), name).tolist()))
+    return Camera(matrix, tuple(_numbers(camera, "distortion", (-1,), name).tolist()))
 
 
 class _OpenCvLoader(yaml.SafeLoader):
@@ -174,42 +164,38 @@ def _opencv(texts: Sequence[str], meters: float, fisheye: bool) -> Rig:
     names = {part: next((name for name in known if name in fields), "") for part, known in _NAMES.items()}
     if missing := [part for part, name in names.items() if not name]:
         raise InputError(f"no {', '.join(missing)}; want K1 D1 K2 D2 R T (or M1 ..., cameraMatrix1 ...)")
-    parts = {part: _data(fields, name, (-1,)) for part, name in names.items()}
     size = None
-    if {"image_width", "image_height"} <= set(fields) or "imageSize" in fields:
-        keys = ("image_width", "image_height") if "image_width" in fields else ("imageSize",)
-        size = _sides(np.concatenate([_listed(fields, key, (-1,)) for key in keys]), "imageSize")
+    if {"image_width", "image_height"} <= set(fields):
+        size = image_sides([fields["image_width"], fields["image_height"]], "image_width, image_height")
+    elif "imageSize" in fields:
+        size = image_sides(fields["imageSize"], "imageSize")
     left, right = (
-        Camera(_shaped(parts[f"K{n}"], f"K{n}", (3, 3)), tuple(parts[f"D{n}"].tolist()), size, fisheye) for n in (1, 2)
+        Camera(
+            _numbers(fields, names[f"K{n}"], (3, 3)),
+            tuple(_numbers(fields, names[f"D{n}"], (-1,)).tolist()),
+            size,
+            fisheye,
+        )
+        for n in (1, 2)
     )
-    rotation = parts["R"] if parts["R"].size == 9 else cv2.Rodrigues(_shaped(parts["R"], "R", (3,)))[0]
-    translation = _shaped(parts["T"], "T", (3,)) * meters
-    return Rig(left, right, np.asarray(rotation, np.float64).reshape(3, 3), translation)
-
-
-def _sides(size: NDArray[np.float64], name: str) -> tuple[int, int]:
-    if size.size != 2 or not (size >= 1).all() or not (size <= _MAX_SIDE).all():
-        raise InputError(f"{name}: want the size of an image (got {' x '.join(f'{side:g}' for side in size[:3])})")
-    return int(size[0]), int(size[1])
+    turn = _numbers(fields, names["R"], (-1,))
+    matrix = turn if turn.size == 9 else cv2.Rodrigues(numbers(turn.tolist(), names["R"], (3,)))[0]
+    translation = _numbers(fields, names["T"], (3,)) * meters
+    return Rig(left, right, np.asarray(matrix, np.float64).reshape(3, 3), translation)
 
 
 def _kitti(text: str, numbers_of_cameras: tuple[int, int]) -> Rig:
-    fields = dict(re.findall(r"^(\w+):\s*(.*?)\s*$", text, re.MULTILINE))
-
-    def numbers(key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        try:
-            values = np.array([float(word) for word in fields.get(key, "").split()])
-        except ValueError:
-            values = np.zeros(0)
-        return _shaped(values, key, shape)
-
+    fields = key_values(text)
     calibrated, rotations, translations = [], [], []
     for number in numbers_of_cameras:
-        size = _sides(numbers(f"S_0{number}", (2,)), f"S_0{number}")
-        distortion = tuple(numbers(f"D_0{number}", (5,)).tolist())
-        calibrated.append(Camera(numbers(f"K_0{number}", (3, 3)), distortion, size))
-        rotations.append(numbers(f"R_0{number}", (3, 3)))
-        translations.append(numbers(f"T_0{number}", (3,)))
+        size = image_sides(fields.get(f"S_0{number}"), f"S_0{number}")
+        matrix, distortion, rotation, translation = (
+            numbers(fields.get(f"{part}_0{number}"), f"{part}_0{number}", shape)
+            for part, shape in (("K", (3, 3)), ("D", (5,)), ("R", (3, 3)), ("T", (3,)))
+        )
+        calibrated.append(Camera(matrix, tuple(distortion.tolist()), size))
+        rotations.append(rotation)
+        translations.append(translation)
     rotation = rotations[1] @ rotations[0].T
     return Rig(calibrated[0], calibrated[1], rotation, translations[1] - rotation @ translations[0])
 
@@ -243,12 +229,12 @@ def _kalibr(file: dict[str, Any]) -> Rig:
         model, lens = str(camera.get("camera_model")), str(camera.get("distortion_model"))
         if model != "pinhole" or lens not in _KALIBR:
             raise InputError(f"{name}: {model}, {lens}: want pinhole with {', '.join(_KALIBR)}")
-        fx, fy, cx, cy = _listed(camera, "intrinsics", (4,), name)
+        fx, fy, cx, cy = _numbers(camera, "intrinsics", (4,), name)
         matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        distortion = np.zeros(4) if lens == "none" else _listed(camera, "distortion_coeffs", (4,), name)
-        size = _sides(_listed(camera, "resolution", (2,), name), f"{name}: resolution")
+        distortion = np.zeros(4) if lens == "none" else _numbers(camera, "distortion_coeffs", (4,), name)
+        size = image_sides(camera.get("resolution"), f"{name}: resolution")
         calibrated.append(Camera(matrix, tuple(distortion.tolist()), size, _KALIBR[lens]))
-    place = _listed(file["cam1"], "T_cn_cnm1", (4, 4), "cam1")
+    place = _numbers(file["cam1"], "T_cn_cnm1", (4, 4), "cam1")
     return Rig(calibrated[0], calibrated[1], place[:3, :3], place[:3, 3])
 
 
@@ -258,12 +244,14 @@ def _ros(left: dict[str, Any], right: dict[str, Any]) -> Rig:
         model = str(camera.get("distortion_model", "plumb_bob"))
         if model not in _ROS:
             raise InputError(f"{name}: distortion_model {model}: want {', '.join(_ROS)}")
-        sides = np.concatenate([_listed(camera, key, (1,), name) for key in ("image_width", "image_height")])
-        distortion = _data(camera, "distortion_coefficients", (-1,), name)
-        matrix = _data(camera, "camera_matrix", (3, 3), name)
-        calibrated.append(Camera(matrix, tuple(distortion.tolist()), _sides(sides, name), _ROS[model]))
-        rotations.append(_data(camera, "rectification_matrix", (3, 3), name))
-    projection = _data(right, "projection_matrix", (3, 4), "right")
+        size = image_sides(
+            [camera.get("image_width"), camera.get("image_height")], f"{name}: image_width, image_height"
+        )
+        distortion = _numbers(camera, "distortion_coefficients", (-1,), name)
+        matrix = _numbers(camera, "camera_matrix", (3, 3), name)
+        calibrated.append(Camera(matrix, tuple(distortion.tolist()), size, _ROS[model]))
+        rotations.append(_numbers(camera, "rectification_matrix", (3, 3), name))
+    projection = _numbers(right, "projection_matrix", (3, 4), "right")
     if projection[0, 0] <= 0 or projection[0, 3] == 0:
         raise InputError("right: projection_matrix holds no baseline; is it the camera_info of a stereo calibration?")
     shift = np.array([projection[0, 3] / projection[0, 0], projection[1, 3] / projection[1, 1], 0.0])
@@ -271,27 +259,7 @@ def _ros(left: dict[str, Any], right: dict[str, Any]) -> Rig:
     return Rig(calibrated[0], calibrated[1], rotations[1].T @ rotations[0], rotations[1].T @ shift)
 
 
-def _data(camera: dict[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
-    part = camera.get(key)
-    mapping = {key: part.get("data") if isinstance(part, dict) else part}
-    return _listed(mapping, key, shape, name)
-
-
-def _listed(mapping: dict[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
-    """Finite numbers of a field: a single one, words of a text, a list, or a list of rows."""
-    value = mapping.get(key)
-    value = value.split() if isinstance(value, str) else value if isinstance(value, list) else [value]
-    try:
-        rows = [row if isinstance(row, list) else [row] for row in value]
-        values = np.array([float(number) for row in rows for number in row])
-    except (TypeError, ValueError, OverflowError):
-        values = np.zeros(0)
-    return _shaped(values, f"{name}: {key}" if name else key, shape)
-
-
-def _shaped(values: NDArray[np.float64], name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    fits = values.size > 0 and (shape == (-1,) or values.size == int(np.prod(shape)))
-    if not fits or not np.isfinite(values).all():
-        wanted = " x ".join(map(str, shape)) if shape != (-1,) else "some"
-        raise InputError(f"{name}: want {wanted} finite numbers, got {values.size}")
-    return values.reshape(shape)
+def _numbers(fields: dict[str, Any], key: str, shape: tuple[int, ...], name: str = "") -> NDArray[np.float64]:
+    """Numbers of a field, or of the ``data`` of a matrix."""
+    value = fields.get(key)
+    return numbers(value.get("data") if isinstance(value, dict) else value, f"{name}: {key}" if name else key, shape)

@@ -23,10 +23,15 @@ _HEADER_BYTES = 1 << 20  # first part of a file that is searched for its header
 _MAX_LINE = 2000  # characters
 # MetaIO copies texts into arrays of 255 characters, and NRRD's library into those of its messages, without a check.
 _MAX_TEXT = 250
-_LONG = {"TransformMatrix", "Rotation", "Orientation", "spacedirections", "measurementframe"}  # with many numbers
 _NUMBER = r"[-+]?[0-9.]{1,25}(?:[eE][-+]?[0-9]{1,3})?"
-_VECTOR = rf"(?:none|\({_NUMBER}(?:,{_NUMBER})*\))"
-_NUMBERS = re.compile(rf"{_NUMBER}(?: +{_NUMBER})*|{_VECTOR}(?: +{_VECTOR})*")
+_NUMBERS = rf"{_NUMBER}(?: +{_NUMBER}){{0,24}}"
+_VECTOR = rf"(?:none|\({_NUMBER}(?:,{_NUMBER}){{0,4}}\))"
+_VECTORS = rf"{_VECTOR}(?: +{_VECTOR}){{0,4}}"
+# Fields that may be longer, and what they look like then: matrices with all digits.
+_LONG = {
+    "TransformMatrix": _NUMBERS, "Rotation": _NUMBERS, "Orientation": _NUMBERS, "spacedirections": _VECTORS,
+    "measurementframe": _VECTORS,
+}  # fmt: skip
 _MAX_DIMENSIONS = 5  # three of space, one of time, one of components
 _MAX_FILES = 1 << 16  # of one volume
 # Bytes of a volume a stored byte: deflate's limit is 1032, bzip2's about a million.
@@ -189,7 +194,7 @@ def _nrrd(data: bytes, folder: Path) -> _Header:
 def _add(fields: dict[str, str], key: str, value: str) -> None:
     if key in fields:
         raise InputError(f"{key[:40]} stands twice in its header")
-    if len(key) > _MAX_TEXT or (len(value) > _MAX_TEXT and not (key in _LONG and _NUMBERS.fullmatch(value))):
+    if len(key) + len(value) > _MAX_TEXT and not re.fullmatch(_LONG.get(key, ""), value):
         raise InputError(f"{key[:40]}: more than {_MAX_TEXT} characters in its header")
     fields[key] = value
 

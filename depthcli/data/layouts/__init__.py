@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import os
 import pkgutil
 from abc import ABC, abstractmethod
@@ -14,8 +13,11 @@ from typing import Any, ClassVar
 
 from depthcli.core.errors import InputError
 from depthcli.core.yaml_source import short
-from depthcli.data.formats.files import read_bytes
+from depthcli.data.formats.files import naming, read_bytes
+from depthcli.data.formats.plain_text import json_object
 from depthcli.data.scenes import Scene
+
+_MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # numbers of meta.json; no image is as wide
 
 
 class Folder:
@@ -64,48 +66,65 @@ class Folder:
             by_stem.setdefault(Path(name).stem, []).append(name)
         return by_stem
 
-    def meta(self) -> dict[str, Any]:
-        """Return the fields of ``meta.json`` that have a value; empty where there is no such file."""
+    @cached_property
+    def meta(self) -> Meta:
+        """The fields of ``meta.json`` that have a value; none where there is no such file."""
         path = self.path / "meta.json"
         if path.name not in self.names:
-            return {}
-        try:
-            meta = json.loads(read_bytes(path).decode("utf-8"))
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path}: not valid JSON ({error})") from error
-        if not isinstance(meta, dict):
-            raise InputError(f"{path}: want a JSON object, got {type(meta).__name__}")
-        return {key: value for key, value in meta.items() if value is not None}
+            return Meta(path, {})
+        data = read_bytes(path)
+        with naming(path):
+            fields = json_object(data)
+        return Meta(path, {key: value for key, value in fields.items() if value is not None})
 
-    def positive(self, meta: dict[str, Any], key: str, limit: float = 1e6) -> float | None:
-        """Return a positive number of ``meta.json``, or None where it has none."""
-        value = meta.get(key)
-        if value is None:
-            return None
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < limit:
-            raise InputError(f"{self.path / 'meta.json'}: {key}: want a positive number (got {short(value)})")
-        return float(value)
 
-    def whole(self, meta: dict[str, Any], key: str) -> int | None:
-        """Return a positive whole number of ``meta.json``, or None where it has none."""
-        value = self.positive(meta, key)
-        if value is not None and value != int(value):
-            raise InputError(f"{self.path / 'meta.json'}: {key}: want a whole number (got {short(value)})")
+class Meta:
+    """Fields of a ``meta.json``. What is asked for by a method is None, or the default, where it has none.
+
+    Attributes
+    ----------
+    path, fields : the file, and what it holds
+    """
+
+    def __init__(self, path: Path, fields: dict[str, Any]) -> None:
+        self.path, self.fields = path, fields
+
+    def positive(self, key: str) -> float | None:
+        """Return a positive number below a million."""
+        value = self._number(key, "a positive number")
+        if value is not None and not 0 < value < _MAX_POSITIVE:
+            raise self.error(key, "a positive number")
+        return None if value is None else float(value)
+
+    def whole(self, key: str, low: int = -_MAX_WHOLE) -> int | None:
+        """Return a whole number, not below ``low``."""
+        value = self._number(key, "a whole number")
+        if value is not None and (value != value // 1 or not low <= value <= _MAX_WHOLE):
+            raise self.error(key, f"a whole number from {low} to {_MAX_WHOLE}")
         return None if value is None else int(value)
 
-    def integer(self, meta: dict[str, Any], key: str, limit: int = 1 << 20) -> int | None:
-        """Return a whole number of either sign of ``meta.json``, or None where it has none."""
-        value = meta.get(key)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)
-                                  or value != value // 1 or abs(value) > limit):  # fmt: skip
-            raise InputError(f"{self.path / 'meta.json'}: {key}: want a whole number (got {short(value)})")
-        return None if value is None else int(value)
-
-    def text(self, meta: dict[str, Any], key: str, default: str) -> str:
-        """Return a word of ``meta.json``, or ``default``."""
-        value = meta.get(key, default)
+    def text(self, key: str, default: str) -> str:
+        """Return a word."""
+        value = self.fields.get(key, default)
         if not isinstance(value, str):
-            raise InputError(f"{self.path / 'meta.json'}: {key}: want a word (got {short(value)})")
+            raise self.error(key, "a word")
+        return value
+
+    def disparities(self) -> dict[str, int | None]:
+        """Return the range of a pair's disparities, as fields of its scene."""
+        low, top = self.whole("min_disparity") or 0, self.whole("max_disparity")
+        if top is not None and top <= low:
+            raise self.error("max_disparity", f"a number above {low}")
+        return {"min_disparity": low, "max_disparity": top}
+
+    def error(self, key: str, wanted: str) -> InputError:
+        """Return the error of a field that is none of what is wanted."""
+        return InputError(f"{self.path}: {key}: want {wanted} (got {short(self.fields.get(key))})")
+
+    def _number(self, key: str, wanted: str) -> float | None:
+        value = self.fields.get(key)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise self.error(key, wanted)
         return value
 
 
@@ -115,6 +134,8 @@ class Layout(ABC):
     kind: ClassVar[type[Scene]]
     wants: ClassVar[str]
     """The files of a scene, in a line for messages and the manual."""
+    protocol: ClassVar[str] = ""
+    """Name of the evaluation protocol of its scenes, where the folder names no other."""
 
     @property
     def name(self) -> str:
@@ -130,6 +151,16 @@ class Layout(ABC):
         InputError
             It is of this layout, but cannot be used.
         """
+
+    def scene(self, folder: Folder, **values: Any) -> Scene:
+        """Return a scene of ``folder`` with these fields; where not given, the name is the folder's."""
+        own: dict[str, Any] = {
+            "name": folder.name,
+            "folder": folder.path,
+            "layout": self.name,
+            "protocol": self.protocol,
+        }
+        return self.kind(**(own | values))
 
 
 @cache

@@ -17,6 +17,7 @@ class Cleargrasp(Layout):
     """
 
     kind = RgbdScene
+    protocol = "depth"
     wants = (
         "`rgb_transparent.*`, `depth_sensor_mm.png`, `depth_opaque_gt_mm.png`, or `rgb.*`, `depth_gt_mm.png`; "
         "`mask_transparent.png`"
@@ -31,11 +32,8 @@ class Cleargrasp(Layout):
         if color is None or mask is None or (depth is None and truth is None):
             return []
         return [
-            RgbdScene(
-                name=folder.name,
-                folder=folder.path,
-                layout=self.name,
-                protocol="depth",
+            self.scene(
+                folder,
                 problem="" if depth else f"{folder.path}: no depth_sensor_mm.png",
                 color=color,
                 depth=depth or folder.path / "depth_sensor_mm.png",

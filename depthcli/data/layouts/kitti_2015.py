@@ -19,7 +19,7 @@ class Kitti2015(Layout):
 
     kind = StereoScene
     wants = "`image_2`, `image_3`, `disp_noc_0`, `disp_occ_0`, `obj_map`, `calib_cam_to_cam`"
-    protocol: ClassVar[str] = "kitti_2015"
+    protocol = "kitti_2015"
     views: ClassVar[tuple[tuple[str, str], ...]] = (("image_2", "image_3"),)
     truths: ClassVar[tuple[str, str, str]] = ("disp_occ_0", "disp_noc_0", "obj_map")
     calibrations: ClassVar[str] = "calib_cam_to_cam"
@@ -33,11 +33,9 @@ class Kitti2015(Layout):
             right, occ, noc, objects = (_beside(folder, where, left) for where in (views[1], *self.truths))
             frame = left.with_name(left.stem.partition("_")[0] + ".txt")
             scenes.append(
-                StereoScene(
+                self.scene(
+                    folder,
                     name=folder.prefix + left.stem,
-                    folder=folder.path,
-                    layout=self.name,
-                    protocol=self.protocol,
                     problem="" if right or occ else f"{folder.path}: {views[1]}/{left.name} is missing",
                     left=left,
                     right=right,

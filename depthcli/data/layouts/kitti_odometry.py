@@ -15,6 +15,7 @@ class KittiOdometry(Layout):
     """A folder a sequence; color where there is color."""
 
     kind = StereoScene
+    protocol = "kitti_2015"
     wants = "`image_2`, `image_3` or `image_0`, `image_1` with `000000.png`; `calib.txt`"
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -25,11 +26,9 @@ class KittiOdometry(Layout):
             frames = sorted(name for name in {**left, **right} if name.isdigit())
             if frames:
                 return [
-                    StereoScene(
+                    self.scene(
+                        folder,
                         name=folder.prefix + name,
-                        folder=folder.path,
-                        layout=self.name,
-                        protocol="kitti_2015",
                         problem="" if name in left and name in right else f"{folder.path}: {name}.png lacks a view",
                         left=left.get(name, folder.path / left_view / f"{name}.png"),
                         right=right.get(name),

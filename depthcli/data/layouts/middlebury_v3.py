@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.files import read_bytes
+from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.formats.plain_text import key_values, numbers
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import MAX_DISPARITY, StereoScene
@@ -36,11 +37,8 @@ class MiddleburyV3(Layout):
             top = None
         mask = folder.one("mask0nocc", IMAGE_SUFFIXES)
         return [
-            StereoScene(
-                name=folder.name,
-                folder=folder.path,
-                layout=self.name,
-                protocol=self.protocol,
+            self.scene(
+                folder,
                 problem="" if right else f"{folder.path}: only one image of the pair, no im1.*",
                 left=left,
                 right=right,
@@ -55,15 +53,11 @@ class MiddleburyV3(Layout):
 
 
 def _calibration(folder: Folder) -> dict[str, float]:
-    """The plain numbers of a calib.txt (``key=value`` lines)."""
+    """The fields of a calib.txt that are a number."""
     if not folder.has("calib.txt"):
         return {}
     path = folder.path / "calib.txt"
-    text = read_bytes(path).decode("utf-8", "replace")
-    values = {}
-    for key, value in re.findall(r"^\s*(\w+)\s*=\s*([-+0-9.eE]+)\s*$", text, re.MULTILINE):
-        try:
-            values[key] = float(value)
-        except ValueError:
-            raise InputError(f"{path}: {key}: want a number (got {value[:40]!r})") from None
-    return values
+    data = read_bytes(path)
+    with naming(path):
+        fields = key_values(data.decode("utf-8", "replace"))
+        return {k: float(numbers(v, k)[0]) for k, v in fields.items() if re.fullmatch(r"[-+0-9.eE]+", v)}

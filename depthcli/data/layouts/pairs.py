@@ -29,17 +29,19 @@ class Pairs(Layout):
         if folder.one("left", IMAGE_SUFFIXES) or folder.one("right", IMAGE_SUFFIXES):  # of scenes
             return []
         images = folder.starting("", IMAGE_SUFFIXES)
-        for left, right, ends in (*((a, b, True) for a, b in _ENDS), *((a, b, False) for a, b in _STARTS)):
-            sides: list[dict[str, Path]] = []
-            for word in (left, right):
-                cut = (
-                    (lambda stem, w=word: stem.removesuffix(w)) if ends else (lambda stem, w=word: stem.removeprefix(w))
-                )
-                sides.append({
-                    cut(stem): file
-                    for stem, file in images.items()
-                    if cut(stem) not in ("", stem) and not cut(stem).startswith(_NO_IMAGES)
-                })  # fmt: skip
-            if set(sides[0]) & set(sides[1]):
-                return pair_scenes(folder, self.name, sides[0], sides[1])
+        for ends, words in ((True, _ENDS), (False, _STARTS)):
+            for pair in words:
+                left, right = (_named(images, word, ends) for word in pair)
+                if set(left) & set(right):
+                    return pair_scenes(self, folder, left, right, {})
         return []
+
+
+def _named(images: dict[str, Path], word: str, ends: bool) -> dict[str, Path]:
+    """What is left of the stem -> file, of images whose names end or begin with the word."""
+    files = {}
+    for stem, file in images.items():
+        name = stem.removesuffix(word) if ends else stem.removeprefix(word)
+        if name not in ("", stem) and not name.startswith(_NO_IMAGES):
+            files[name] = file
+    return files

@@ -19,6 +19,7 @@ class Registration(Layout):
     """A folder a pair, everything under a name that says what it is."""
 
     kind = VolumePairScene
+    protocol = "registration"
     wants = (
         "`fixed.*` and `moving_warped.*`, or `moving.*` with `displacement.*` or `transform.*` (NIfTI, MHA/MHD, NRRD, "
         "DIR-Lab `.img`, PNG, JPEG); where known `mask.*`, `landmarks_fixed.csv` with `landmarks_moving.csv` (x, y, z "
@@ -40,10 +41,9 @@ class Registration(Layout):
         elif warped is None and displacement is None and transform is None:
             problem = f"{folder.path}: moving.* wants displacement.* or transform.* beside it"
         return [
-            VolumePairScene(
-                name=folder.name, folder=folder.path, layout=self.name, protocol="registration", problem=problem,
-                fixed=fixed or folder.path / "fixed.mha", moving_warped=warped, moving=moving, transform=transform,
-                displacement=displacement, mask=_one(folder, "mask", _VOLUMES),
+            self.scene(
+                folder, problem=problem, fixed=fixed or folder.path / "fixed.mha", moving_warped=warped, moving=moving,
+                transform=transform, displacement=displacement, mask=_one(folder, "mask", _VOLUMES),
                 landmarks_fixed=_one(folder, "landmarks_fixed", _POINTS),
                 landmarks_moving=_one(folder, "landmarks_moving", _POINTS),
                 error_true=_one(folder, "error_true", _VOLUMES),

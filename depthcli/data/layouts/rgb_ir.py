@@ -31,6 +31,6 @@ class RgbIr(Layout):
             calibration = folder.one("calib", (".json", ".yml", ".yaml"))
             known |= {"layout": self.name, "calibration": calibration}
             plain = folder.one("ir_noprojector", IMAGE_SUFFIXES)
-            top = folder.whole(folder.meta(), "max_disparity")
+            top = folder.meta.whole("max_disparity", 1)
             scenes.append(RgbIrScene(**known, infrared=infrared, infrared_plain=plain, max_disparity=top))
         return scenes

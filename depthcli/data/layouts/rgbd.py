@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from depthcli.core.errors import InputError
 from depthcli.data.formats.images import IMAGE_SUFFIXES
-from depthcli.data.layouts import Folder, Layout
+from depthcli.data.layouts import Folder, Layout, Meta
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
 
@@ -47,32 +46,32 @@ class Rgbd(Layout):
 
 def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, layout: str, **more: Any) -> RgbdScene:
     """Return the scene of one frame, with the facts of the folder's meta.json."""
-    meta = folder.meta()
+    meta = folder.meta
     number = name.rpartition("/")[2]
     end = f"_{number}" if folder.one(f"depth_true_{number}", DEPTH_SUFFIXES) else ""
     masks = folder.starting("mask_", IMAGE_SUFFIXES)
-    scale = folder.positive(meta, "depth_scale")
+    scale = meta.positive("depth_scale")
     values: dict[str, Any] = {
         "depth_true": folder.one(f"depth_true{end}", DEPTH_SUFFIXES),
         "masks": {n.removesuffix(end): file for n, file in masks.items() if n.endswith(end)},
-        "intrinsics": intrinsics(folder, meta),
-        "fb": folder.positive(meta, "fb"),
-        "protocol": folder.text(meta, "protocol", "depth"),
+        "intrinsics": intrinsics(meta),
+        "fb": meta.positive("fb"),
+        "protocol": meta.text("protocol", "depth"),
         **({} if scale is None else {"depth_scale": scale}),
         **more,
     }
     return RgbdScene(name=name, folder=folder.path, layout=layout, problem=problem, color=color, depth=depth, **values)
 
 
-def intrinsics(folder: Folder, meta: dict[str, Any]) -> tuple[float, float, float, float] | None:
+def intrinsics(meta: Meta) -> tuple[float, float, float, float] | None:
     """Return fx, fy, cx, cy of meta.json, at its root or below ``intrinsics``."""
-    inner = meta.get("intrinsics", meta)
+    inner = meta.fields.get("intrinsics", meta.fields)
     if not isinstance(inner, dict):
-        raise InputError(f"{folder.path / 'meta.json'}: intrinsics: want fx, fy, cx, cy (got {str(inner)[:60]!r})")
-    numbers = [folder.positive(inner, key) for key in ("fx", "fy", "cx", "cy")]
-    if all(value is None for value in numbers):
-        return None
-    fx, fy, cx, cy = numbers
+        raise meta.error("intrinsics", "fx, fy, cx, cy")
+    values = [Meta(meta.path, inner).positive(key) for key in ("fx", "fy", "cx", "cy")]
+    fx, fy, cx, cy = values
     if fx is None or fy is None or cx is None or cy is None:
-        raise InputError(f"{folder.path / 'meta.json'}: intrinsics: want all of fx, fy, cx, cy")
+        if any(values):
+            raise meta.error("intrinsics", "all of fx, fy, cx, cy")
+        return None
     return fx, fy, cx, cy

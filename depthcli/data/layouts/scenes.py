@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import MAP_SUFFIXES
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
@@ -14,6 +13,7 @@ class Scenes(Layout):
     """A folder a scene, everything under a name that says what it is."""
 
     kind = StereoScene
+    protocol = "middlebury_v2"
     wants = (
         "`left.*`, `right.*`; where known `disp_left.*`, `disp_right.*`, `mask_<name>.*` (255 = evaluate), `calib.txt` "
         "(as `middlebury-v3`), `meta.json` (`max_disparity`, `min_disparity`, `disp_scale`, `protocol`)"
@@ -27,29 +27,23 @@ class Scenes(Layout):
         problem = ""
         if left is None or (right is None and truth is None):
             problem = f"{folder.path}: only one image of the pair, no {'right' if left else 'left'}.*"
-        meta = folder.meta()
-        low, top = folder.integer(meta, "min_disparity") or 0, folder.integer(meta, "max_disparity")
-        if top is not None and top <= low:
-            raise InputError(f"{folder.path / 'meta.json'}: max_disparity: want a number above {low} (got {top})")
+        meta = folder.meta
         masks = folder.starting("mask_", IMAGE_SUFFIXES)
         return [
-            StereoScene(
-                name=folder.name,
-                folder=folder.path,
-                layout=self.name,
-                protocol=folder.text(meta, "protocol", "middlebury_v2"),
+            self.scene(
+                folder,
+                protocol=meta.text("protocol", self.protocol),
                 problem=problem,
                 left=left or folder.path / "left.png",
                 right=right,
                 disparity_left=truth,
                 disparity_right=folder.one("disp_right", MAP_SUFFIXES),
                 disparity_noc=folder.one("disp_left_noc", MAP_SUFFIXES),
-                disparity_scale=folder.positive(meta, "disp_scale"),
+                disparity_scale=meta.positive("disp_scale"),
                 masks={name: file for name, file in masks.items() if not name.endswith("_right")},
                 objects=folder.one("objects", IMAGE_SUFFIXES),
-                max_disparity=top,
-                min_disparity=low,
-                round_disparity=meta.get("isint") is True,
+                round_disparity=meta.fields.get("isint") is True,
                 calibration=folder.one("calib", (".txt",)),
+                **meta.disparities(),
             )
         ]

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.files import read_bytes
+from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.formats.plain_text import numbers
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.layouts.rgbd import frame
 from depthcli.data.scenes import Scene
@@ -40,10 +41,9 @@ def _only(path: Path) -> Path:
 
 def _matrix(path: Path) -> list[float]:
     """fx, skew, cx, 0, fy, cy: the first two rows of a 3 x 3 matrix."""
-    try:
-        numbers = [float(word) for word in read_bytes(path).decode("ascii").split()]
-    except ValueError as error:
-        raise InputError(f"{path}: want the nine numbers of a camera matrix ({error})") from None
-    if len(numbers) < 9 or min(numbers[0], numbers[4]) <= 0:
-        raise InputError(f"{path}: want the nine numbers of a camera matrix")
-    return numbers[:6]
+    text = read_bytes(path).decode("ascii", "replace")
+    with naming(path):
+        values = numbers(text, "the camera matrix").tolist()
+        if len(values) < 9 or min(values[0], values[4]) <= 0:
+            raise InputError("want the nine numbers of a camera matrix")
+        return list(values[:6])

@@ -34,38 +34,32 @@ class Views(Layout):
                 sides = [view_images(folder.path / side, IMAGE_SUFFIXES) for side in (left, right)]
                 if set(sides[0]) & set(sides[1]):
                     truth = view_images(folder.path / "disp_left", MAP_SUFFIXES) if folder.has("disp_left") else {}
-                    return pair_scenes(folder, self.name, sides[0], sides[1], truth)
+                    return pair_scenes(self, folder, sides[0], sides[1], truth)
         return []
 
 
 def pair_scenes(
-    folder: Folder, layout: str, left: dict[str, Path], right: dict[str, Path], truth: dict[str, Path] | None = None
+    layout: Layout, folder: Folder, left: dict[str, Path], right: dict[str, Path], truth: dict[str, Path]
 ) -> list[Scene]:
     """Return a scene for every name of either view; the folder's meta.json and calib.txt are those of all."""
-    meta = folder.meta()
-    low, top = folder.integer(meta, "min_disparity") or 0, folder.integer(meta, "max_disparity")
-    if top is not None and top <= low:
-        raise InputError(f"{folder.path / 'meta.json'}: max_disparity: want a number above {low} (got {top})")
-    scenes: list[Scene] = []
+    scenes = []
     for name in sorted({**left, **right}):
         one, other = left.get(name), right.get(name)
         problem = ""
         if one is None or other is None:
             problem = f"{one or other}: only one image of the pair, no {'right' if one else 'left'} one"
         scenes.append(
-            StereoScene(
+            layout.scene(
+                folder,
                 name=folder.prefix + name,
-                folder=folder.path,
-                layout=layout,
-                protocol=folder.text(meta, "protocol", "middlebury_v2"),
+                protocol=folder.meta.text("protocol", "middlebury_v2"),
                 problem=problem,
                 left=one or folder.path / f"{name}.png",
                 right=other,
-                disparity_left=(truth or {}).get(name),
-                disparity_scale=folder.positive(meta, "disp_scale"),
-                max_disparity=top,
-                min_disparity=low,
+                disparity_left=truth.get(name),
+                disparity_scale=folder.meta.positive("disp_scale"),
                 calibration=folder.one("calib", (".txt",)),
+                **folder.meta.disparities(),
             )
         )
     return scenes

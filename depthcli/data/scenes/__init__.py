@@ -6,7 +6,7 @@ A scene knows its files and how to load them; none is opened before ``load`` or 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -97,6 +97,13 @@ def together(values: Mapping[str, Any], *names: str) -> bool:
         missing = " and ".join(f"--{name.replace('_', '-')}" for name in names if name not in given)
         raise ConfigError(f"--{given[0].replace('_', '-')} wants {missing} beside it")
     return bool(given)
+
+
+def check_same_size(file: Path, shape: Sequence[int], other: Path, wanted: Sequence[int], why: str = "") -> None:
+    """Raise an InputError where an image of ``file`` has another (height, width) than that of ``other``."""
+    if tuple(shape[:2]) != tuple(wanted[:2]):
+        have, want = (f"{size[1]} x {size[0]}" for size in (shape, wanted))
+        raise InputError(f"{file}: {have}, but {other.name} is {want}{why}")
 
 
 def name_of(file: Path, generic: tuple[str, ...]) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from depthcli.core.errors import InputError
+from depthcli.data.scenes import check_same_size
 from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
@@ -57,11 +58,7 @@ class RgbIrScene(RgbdScene):
         rig = read_color_infrared_rig(self.calibration, (frame.shape[1], frame.shape[0]), (width, height))
         if not isinstance(rig, float):
             return RgbIrFrame(frame.color, infrared, frame.depth, rig)
-        if infrared.shape != frame.shape:
-            raise InputError(
-                f"{self.infrared}: {width} x {height}, but {self.color.name} is {frame.shape[1]} x {frame.shape[0]}; "
-                "a rectified pair has one size"
-            )
+        check_same_size(self.infrared, infrared.shape, self.color, frame.shape, "; a rectified pair has one size")
         check_fb(self.calibration, rig, frame.depth)
         return RgbIrFrame(frame.color, infrared, frame.depth, None, rig)
 

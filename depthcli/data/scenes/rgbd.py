@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from depthcli.core.errors import InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes import Scene, name_of, together
+from depthcli.data.scenes import Scene, check_same_size, name_of, together
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from depthcli.core.cameras.camera import Intrinsics
-    from depthcli.core.cameras.kinect import KinectCalibration
     from depthcli.core.frames import RgbdFrame, SparseFrame
 
 _METERS = (".pfm", ".npy")
@@ -117,6 +116,7 @@ class RgbdScene(Scene):
         """
         import numpy as np
 
+        from depthcli.core.cameras.camera import Intrinsics
         from depthcli.core.cameras.kinect import KINECT_BASELINE, KINECT_FOCAL_LENGTH
         from depthcli.core.frames import RgbdFrame, color8
         from depthcli.data.formats.depth import check_fb
@@ -124,16 +124,14 @@ class RgbdScene(Scene):
 
         self.check()
         color = color8(read_image(self.color))
-        intrinsics = self._intrinsics()
+        intrinsics = None if self.intrinsics is None else Intrinsics(*self.intrinsics)
         if self.raw:
             color, depth, intrinsics = self._registered(color)
         else:
             depth = self._without_hidden(self._depth(self.depth))
-        if depth.shape != color.shape[:2]:
-            raise InputError(
-                f"{self.depth}: {depth.shape[1]} x {depth.shape[0]}, but {self.color.name} is {color.shape[1]} x "
-                f"{color.shape[0]}; the depth must be registered to the color image"
-            )
+        check_same_size(
+            self.depth, depth.shape, self.color, color.shape, "; the depth must be registered to the color image"
+        )
         if not np.isfinite(depth).any():
             raise InputError(f"{self.depth}: no pixel has a depth")
         if self.fb:
@@ -163,11 +161,8 @@ class RgbdScene(Scene):
             top = np.iinfo(plane.dtype).max if plane.dtype.kind in "iu" else 1
             confidence = (plane / top).astype(np.float32)
         for file, values in ((self.sparse, sparse), (self.sparse_confidence, confidence)):
-            if values is not None and values.shape != frame.shape:
-                raise InputError(
-                    f"{file}: {values.shape[1]} x {values.shape[0]}, but {self.color.name} is {frame.shape[1]} x "
-                    f"{frame.shape[0]}"
-                )
+            if file is not None and values is not None:
+                check_same_size(file, values.shape, self.color, frame.shape)
         if not np.isfinite(sparse).any():
             raise InputError(f"{self.sparse}: no pixel has a depth")
         return SparseFrame(
@@ -186,11 +181,7 @@ class RgbdScene(Scene):
         masks = {}
         for name, file in self.masks.items():
             mask = read_grey(file)
-            if mask.shape != depth.shape:
-                raise InputError(
-                    f"{file}: {mask.shape[1]} x {mask.shape[0]}, but {self.depth_true.name} is "
-                    f"{depth.shape[1]} x {depth.shape[0]}"
-                )
+            check_same_size(file, mask.shape, self.depth_true, depth.shape)
             masks[name] = mask == 255
         if self.fb:
             check_fb(self.folder / "meta.json", self.fb, depth)
@@ -211,15 +202,8 @@ class RgbdScene(Scene):
         if self.hidden is None:
             return depth
         mask = read_grey(self.hidden)
-        if mask.shape != depth.shape:
-            raise InputError(f"{self.hidden}: {mask.shape[1]} x {mask.shape[0]}, but {self.depth.name} is "
-                             f"{depth.shape[1]} x {depth.shape[0]}")  # fmt: skip
+        check_same_size(self.hidden, mask.shape, self.depth, depth.shape)
         return np.where(mask == 255, np.float32(np.nan), depth)
-
-    def _intrinsics(self) -> Intrinsics | None:
-        from depthcli.core.cameras.camera import Intrinsics
-
-        return None if self.intrinsics is None else Intrinsics(*self.intrinsics)
 
     def _registered(self, color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float32], Intrinsics]:
         """Color at the depth camera's resolution, and the depth registered to it."""
@@ -232,16 +216,12 @@ class RgbdScene(Scene):
         calibration = kinect_v1() if self.calibration is None else read_kinect_calibration(self.calibration)
         if calibration.beta is not None and calibration.beta.shape != raw.shape:
             raise InputError(f"{self.calibration}: its distortion map is not of the depth image's size")
-        factor = self._factor(calibration, color)
+        # Where the color image is finer than the depth, most of its pixels would meet no point.
+        ratio = calibration.color.matrix[0, 0] / calibration.depth.matrix[0, 0]
+        factor = 1.0 if ratio < 1.5 else 1.0 / round(ratio)
         if factor != 1:
-            # Where the color image is finer than the depth, most of its pixels would meet no point.
             color = cv2.resize(color, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
         camera = calibration.color.scaled(factor)
         scaled = replace(calibration, color=camera)
         depth = scaled.register(scaled.depth_of_raw(raw), (color.shape[0], color.shape[1]))
         return color, depth, camera.intrinsics
-
-    @staticmethod
-    def _factor(calibration: KinectCalibration, color: NDArray[np.uint8]) -> float:
-        ratio = calibration.color.matrix[0, 0] / calibration.depth.matrix[0, 0]
-        return 1.0 if ratio < 1.5 else 1.0 / round(ratio)

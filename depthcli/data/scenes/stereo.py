@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
-from depthcli.data.scenes import Scene, name_of, together
+from depthcli.data.scenes import Scene, check_same_size, name_of, together
 
 if TYPE_CHECKING:
     import numpy as np
@@ -149,15 +149,10 @@ class StereoScene(Scene):
                     problem = f"{there}: {key}: want a whole number up to {MAX_DISPARITY} (got {text[:40]!r})"
         calibration = pair.more.get("calibration")
         return cls(
-            name=pair.name,
-            folder=there.parent,
-            left=left or there,
-            right=right,
-            problem=problem,
-            max_disparity=ends["max_disparity"],
-            min_disparity=ends["min_disparity"] or 0,
+            name=pair.name, folder=there.parent, left=left or there, right=right, problem=problem,
+            max_disparity=ends["max_disparity"], min_disparity=ends["min_disparity"] or 0,
             calibration=(folder or Path()) / calibration if calibration else None,
-        )
+        )  # fmt: skip
 
     @property
     def input_files(self) -> dict[str, Path]:
@@ -171,28 +166,31 @@ class StereoScene(Scene):
 
     def load_views(self) -> tuple[Image, Image]:
         """Return both images as they are, which need not agree; InputError where one cannot be read."""
-        self.check()
-        if self.right is None:
-            raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
+        right = self._right()
         if self.frame_number is not None:
             from depthcli.data.formats.videos import read_frame
 
-            return read_frame(self.left, self.frame_number), read_frame(self.right, self.frame_number)
+            return read_frame(self.left, self.frame_number), read_frame(right, self.frame_number)
         from depthcli.data.formats.images import read_image
 
-        return read_image(self.left), read_image(self.right)
+        return read_image(self.left), read_image(right)
+
+    def _right(self) -> Path:
+        self.check()
+        if self.right is None:
+            raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
+        return self.right
 
     def load(self) -> StereoPair:
         """Return left and right image of one size and dtype, both grey where one is; InputError otherwise."""
         from depthcli.data.formats.stereo_images import pair_of, read_pair
 
-        if self.frame_number is not None:
-            left, right = self.load_views()
-            return pair_of(left, right, (self.left, self.right or self.left))
-        self.check()
-        if self.right is None:
-            raise InputError(f"{self.left.parent}: scene {self.name} has no right image")
-        return read_pair(self.left, self.right)
+        right = self._right()
+        return (
+            read_pair(self.left, right)
+            if self.frame_number is None
+            else pair_of(*self.load_views(), (self.left, right))
+        )
 
     def truth(self) -> StereoTruth:
         """Return ground truth and masks of the left view, as stored.
@@ -214,20 +212,11 @@ class StereoScene(Scene):
             scale = next(scale for above, scale in _SCALE_BY_WIDTH if width > above)
         disparity = read_disparity(self.disparity_left, scale)
         right = None if self.disparity_right is None else read_disparity(self.disparity_right, scale)
-        noc = objects = None
-        if self.disparity_noc is not None:
-            noc = self._same(read_disparity(self.disparity_noc, scale), disparity, self.disparity_noc)
-        if self.objects is not None:
-            objects = self._same(read_grey(self.objects), disparity, self.objects) > 0
-        masks = {name: self._same(read_grey(path), disparity, path) == 255 for name, path in self.masks.items()}
+        noc = None if self.disparity_noc is None else read_disparity(self.disparity_noc, scale)
+        objects = None if self.objects is None else read_grey(self.objects) > 0
+        masks = {name: read_grey(path) == 255 for name, path in self.masks.items()}
+        others = [(self.disparity_noc, noc), (self.objects, objects), *((self.masks[n], masks[n]) for n in masks)]
+        for file, array in others:
+            if file is not None and array is not None:
+                check_same_size(file, array.shape, self.disparity_left, disparity.shape)
         return StereoTruth(disparity, right, noc, objects, masks, scale)
-
-    def _same(self, array: NDArray[Any], truth: NDArray[np.float32], path: Path) -> NDArray[Any]:
-        if array.shape != truth.shape:
-            assert self.disparity_left is not None
-            raise InputError(f"{path}: {_size(array)}, but {self.disparity_left.name} is {_size(truth)}")
-        return array
-
-
-def _size(array: NDArray[Any]) -> str:
-    return f"{array.shape[1]} x {array.shape[0]}"
