@@ -103,7 +103,7 @@ _Scene = TypeVar("_Scene", contravariant=True)
 
 
 class SceneCommand(Protocol[_Config, _Scene]):
-    """What a command does with a scene; picklable, for worker processes."""
+    """What a run needs of a command; picklable, for worker processes. ``BatchCommand`` of ``commands/`` has it."""
 
     @property
     def name(self) -> str:

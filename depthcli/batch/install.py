@@ -67,7 +67,7 @@ def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -
 
 
 @contextlib.contextmanager
-def installed(folder: Path, command: str, patterns: Sequence[str], warn: Callable[[str], None]) -> Iterator[Path]:
+def staging_folder(folder: Path, command: str, patterns: Sequence[str], warn: Callable[[str], None]) -> Iterator[Path]:
     """Give a hidden folder to write into; what it holds at the end of the block replaces earlier results.
 
     For commands that make one set of files rather than scenes. Where the block raises, ``folder`` stays as it was.

@@ -32,12 +32,12 @@ DONE, TO_DO, BROKEN = "done, kept", "to do", "cannot be used"
 
 
 def scenes_of_shard(
-    work: SceneCommand[ConfigT, SceneT], config: ConfigT, scenes: Sequence[SceneT], options: RunOptions
+    command: SceneCommand[ConfigT, SceneT], config: ConfigT, scenes: Sequence[SceneT], options: RunOptions
 ) -> list[SceneT]:
     """Return the scenes that this process computes: those of its shard, or all."""
     if options.shard is None:
         return list(scenes)
-    return options.shard.of(scenes, lambda scene: work.effort(config, scene))
+    return options.shard.of(scenes, lambda scene: command.effort(config, scene))
 
 
 def check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
@@ -46,7 +46,7 @@ def check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
         if any(not part or part.startswith(".") or "\0" in part for part in scene.name.split("/")):
             raise ConfigError(f"{scene.name!r} is no name for a folder of results; give one with --name")
         target = os.path.realpath(output / scene.name)  # Path.resolve() raises for loops of links, realpath does not
-        files = () if scene.problem else run.work.files(run.config, scene).values()
+        files = () if scene.problem else run.command.files(run.config, scene).values()
         if any(target == os.path.dirname(os.path.realpath(file)) for file in files):
             raise ConfigError(f"{output}: {scene.name} would be written over its own input; choose another --output")
         if target != os.path.join(os.path.realpath(output), *scene.name.split("/")):
@@ -59,7 +59,7 @@ def check_files(run: Run, scenes: Sequence[Scene], output: Path, earlier: Mappin
         f"{scene.name}/{name}"
         for scene in scenes
         if earlier.get(scene.name, {}).get("status") != "done"
-        for name in foreign_results(output / scene.name, run.work.results)
+        for name in foreign_results(output / scene.name, run.command.results)
     ]
     if foreign:
         raise ConfigError(f"{output}: {not_ours(foreign)}")
@@ -69,7 +69,7 @@ def inputs_digest(run: Run, scenes: Sequence[Scene]) -> str:
     """Return what the inputs of all shards are known by: names, and sizes and ends of files, wherever they lie."""
     sha = hashlib.sha256()
     for scene in sorted(scenes, key=lambda scene: scene.name):
-        files = {} if scene.problem else run.work.files(run.config, scene)
+        files = {} if scene.problem else run.command.files(run.config, scene)
         sha.update(repr((scene.name, [(role, ends_of_file(file)) for role, file in sorted(files.items())])).encode())
     return sha.hexdigest()
 
@@ -83,13 +83,13 @@ class Planner:
 
     def task(self, scene: Scene, workspace: Path, number: int) -> Task:
         """Return the task that computes a scene, with the digests of all that its result depends on."""
-        work, config, keep = self.run.work, self.run.config, self.run.options.keep
-        files = {} if scene.problem else work.files(config, scene)
+        command, config, keep = self.run.command, self.run.config, self.run.options.keep
+        files = {} if scene.problem else command.files(config, scene)
         inputs = {role: self._digest(file) for role, file in files.items()}
-        inputs |= {} if scene.problem else work.settings(config, scene)
+        inputs |= {} if scene.problem else command.settings(config, scene)
         inputs |= {"keep": " ".join(keep)} if keep else {}
         source = str(next(iter(files.values()), scene.folder).absolute())
-        return Task(scene, self.output, workspace, number, self.identity, inputs, source, keep)
+        return Task(scene, self.output, workspace, number, self.identity, inputs, source)
 
     def finished(self, task: Task, measured: Mapping[str, object]) -> tuple[Row | None, Record | None]:
         """Return the row of a scene that is done, and its record; None where it is not done, or has no record."""
@@ -107,7 +107,7 @@ class Planner:
 
 
 def plan_document(
-    work: SceneCommand[ConfigT, SceneT],
+    command: SceneCommand[ConfigT, SceneT],
     config: ConfigT,
     scenes: Sequence[SceneT],
     output: Path,
@@ -124,8 +124,8 @@ def plan_document(
     -------
     ``config``, ``refused`` (why the folder would be refused, or empty) and ``scenes``, one row per scene
     """
-    run = Run(work, config, options)
-    planner, own = Planner(run, output), scenes_of_shard(work, config, scenes, options)
+    run = Run(command, config, options)
+    planner, own = Planner(run, output), scenes_of_shard(command, config, scenes, options)
     rows = []
     for scene in own:
         row: Row = {"scene": scene.name, "status": BROKEN, "memory": None, "problem": scene.problem}
@@ -143,7 +143,7 @@ def plan_document(
     except ConfigError as error:
         refused = str(error)
     values = config.model_dump(mode="json", by_alias=True) if isinstance(config, BaseModel) else dict(config)
-    return {"command": work.name, "config": values, "output": str(output), "refused": refused, "scenes": rows}
+    return {"command": command.name, "config": values, "output": str(output), "refused": refused, "scenes": rows}
 
 
 def plan_text(document: Row, config: BaseModel | Mapping[str, object]) -> str:

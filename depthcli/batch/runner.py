@@ -27,7 +27,7 @@ from depthcli.data.scenes import Scene
 
 
 def run_scenes(
-    work: SceneCommand[ConfigT, SceneT],
+    command: SceneCommand[ConfigT, SceneT],
     config: ConfigT,
     scenes: Sequence[SceneT],
     output: Path,
@@ -38,7 +38,7 @@ def run_scenes(
 
     Parameters
     ----------
-    work : the command that computes one scene
+    command : what computes one scene
     config : its config; together with the command's name and all versions it identifies the run
     scenes : all scenes, with unique names
     output : the run folder
@@ -58,9 +58,9 @@ def run_scenes(
     IncompleteError
         Everything was computed, but the report cannot be written; or the connection to the scheduler was lost.
     """
-    run = Run(work, config, options)
-    own, shard = scenes_of_shard(work, config, scenes, options), options.shard
-    part = Part(work.name, run.identity, shard, "" if shard is None else inputs_digest(run, scenes))
+    run = Run(command, config, options)
+    own, shard = scenes_of_shard(command, config, scenes, options), options.shard
+    part = Part(command.name, run.identity, shard, "" if shard is None else inputs_digest(run, scenes))
     check_names(run, own, output)
     with FolderLock(output, shard is not None, reporter.info) as lock:
         batch = _Batch(run, part, own, output, reporter, lock)
@@ -166,7 +166,7 @@ class _Batch:
         """Compute all tasks, and keep the report up to date; it is complete also where this is interrupted."""
         try:
             with self.reporter, contextlib.closing(self._computed_rows()) as computed:
-                self.reporter.start(len(self.scenes), len(self.rows), self.run.work.name)
+                self.reporter.start(len(self.scenes), len(self.rows), self.run.command.name)
                 for row in map(_with_interned_keys, computed):
                     self._add(row)
                     if self.options.fail_fast and row["status"] == "failed":

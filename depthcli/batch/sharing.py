@@ -102,6 +102,9 @@ def _bytes(scene: Scene) -> int:
 class FolderLock:
     """The right to write into a run folder; the operating system frees it when this process ends.
 
+    The first process of a shared run is ``alone`` and sets the folder up; ``settle`` lets the others in, which waited.
+    Each scene is computed between ``claim`` and ``release``. ``last`` tells the process that joins the reports.
+
     Parameters
     ----------
     output : the folder, made where it is missing

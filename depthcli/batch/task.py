@@ -67,14 +67,14 @@ class RunOptions:
 class Run:
     """A command with its config, whose types only the command itself needs to know; picklable."""
 
-    work: SceneCommand[Any, Any]
+    command: SceneCommand[Any, Any]
     config: Any
     options: RunOptions
 
     @property
     def text(self) -> str:
         """The text of ``run.yaml``: config and versions of this process."""
-        return run_text(self.work.name, self.config)
+        return run_text(self.command.name, self.config)
 
     @property
     def identity(self) -> str:
@@ -94,7 +94,6 @@ class Task:
     run : identity of the run
     inputs : role -> digest of what the result depends on
     source : path of the input, for the report
-    keep : shell patterns of the files that are kept; none: all
     """
 
     scene: Scene
@@ -104,7 +103,6 @@ class Task:
     run: str
     inputs: dict[str, str]
     source: str
-    keep: tuple[str, ...] = ()
 
     @property
     def target(self) -> Path:
@@ -145,8 +143,8 @@ def _run_task(task: Task, run: Run, limit: int) -> Row:
         task.scene.check()
         task.hidden.mkdir(parents=True)
         opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
-        outcome = run.work.compute(run.config, task.scene, task.hidden, limit)
-        _delete_unwanted(task)
+        outcome = run.command.compute(run.config, task.scene, task.hidden, limit)
+        _delete_unwanted(task.hidden, run.options.keep)
         _install(task, outcome, opened, run.options.overwrite)
         seconds = {name: round(value, 6) for name, value in outcome.seconds.items()}
         row: Row = {"scene": task.scene.name, "status": "done", "error": "", **outcome.facts, "seconds": seconds}
@@ -176,10 +174,10 @@ def _run_task(task: Task, run: Run, limit: int) -> Row:
     return row
 
 
-def _delete_unwanted(task: Task) -> None:
-    for path in [path for path in task.hidden.rglob("*") if path.is_file()] if task.keep else []:
-        name = path.relative_to(task.hidden).as_posix()
-        if not any(fnmatch.fnmatchcase(name, each) or fnmatch.fnmatchcase(path.name, each) for each in task.keep):
+def _delete_unwanted(folder: Path, keep: tuple[str, ...]) -> None:
+    for path in [path for path in folder.rglob("*") if path.is_file()] if keep else []:
+        name = path.relative_to(folder).as_posix()
+        if not any(fnmatch.fnmatchcase(name, each) or fnmatch.fnmatchcase(path.name, each) for each in keep):
             path.unlink()
 
 

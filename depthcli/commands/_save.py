@@ -17,12 +17,18 @@ from depthcli.data.formats.images import write_png
 from depthcli.data.formats.pictures import (
     DEPTH_STATUS_PALETTE,
     STATUS_PALETTE,
+    Palette,
     confidence_picture,
     preview,
     preview_depth,
     write_status,
 )
 from depthcli.methods.stereo.volume import StereoResult
+
+
+def share(pixels: NDArray[np.bool_]) -> float:
+    """Return the share of pixels that are True, as reports hold it."""
+    return round(float(np.mean(pixels)), 6)
 
 
 def save_stereo(result: StereoResult, folder: Path, low: int, top: int) -> None:
@@ -54,14 +60,10 @@ def save_depth(
     rotate : bits that the codes are rotated left by (SUN RGB-D: 3)
     cloud : camera and (H, W, 3) color of a point cloud, or None for none
     """
-    values = result.depth.values
-    write_pfm(folder / "depth.pfm", values)
-    write_depth_png(folder / "depth.png", values, scale, rotate)
     write_pfm(folder / "sigma.pfm", result.sigma)
-    write_status(folder / "status.png", result.depth.status, DEPTH_STATUS_PALETTE)
-    write_png(folder / "preview.png", preview_depth(values))
+    _save_depth_map(result.depth.values, result.depth.status, DEPTH_STATUS_PALETTE, folder, scale, rotate)
     if cloud is not None:
-        write_ply(folder / "points.ply", values, *cloud)
+        write_ply(folder / "points.ply", result.depth.values, *cloud)
     _save_rest(result, folder)
 
 
@@ -81,12 +83,18 @@ def save_metric_depth(
     scale : codes a meter of ``depth.png``
     cloud : camera, (H, W, 3) color and (H, W) bool of the pixels of a point cloud, or None for none
     """
-    write_pfm(folder / "depth.pfm", depth)
-    write_depth_png(folder / "depth.png", depth, scale)
-    write_status(folder / "status.png", status, STATUS_PALETTE)
-    write_png(folder / "preview.png", preview_depth(depth))
+    _save_depth_map(depth, status, STATUS_PALETTE, folder, scale)
     if cloud is not None:
         write_ply(folder / "points.ply", depth, *cloud)
+
+
+def _save_depth_map(
+    depth: NDArray[np.float32], status: NDArray[np.uint8], palette: Palette, folder: Path, scale: float, rotate: int = 0
+) -> None:
+    write_pfm(folder / "depth.pfm", depth)
+    write_depth_png(folder / "depth.png", depth, scale, rotate)
+    write_status(folder / "status.png", status, palette)
+    write_png(folder / "preview.png", preview_depth(depth))
 
 
 def _save_rest(result: Result, folder: Path) -> None:

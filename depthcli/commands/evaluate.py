@@ -127,7 +127,7 @@ def evaluate(
     OutputError
         The results cannot be written.
     """
-    from depthcli.batch.install import installed
+    from depthcli.batch.install import staging_folder
     from depthcli.commands._scoring import Scoring
     from depthcli.evaluation.protocols import Settings, load
 
@@ -137,7 +137,7 @@ def evaluate(
     found = _find_truth(truth, scored_by, kinds, layout, scenes, settings, reporter)
     if len(found) > 1 and any(map(os.path.isfile, places.values())):
         raise InputError(f"a single map wants a single scene, {truth} has {len(found)}: give a file, or --scenes")
-    writing = installed(Path(output), "evaluate", _RESULTS, reporter.info) if output is not None else None
+    writing = staging_folder(Path(output), "evaluate", _RESULTS, reporter.info) if output is not None else None
     with writing or contextlib.nullcontext() as folder:
         if page is not None and folder is not None:
             page.folder = folder

@@ -139,7 +139,7 @@ def _refine_frame(
     import numpy as np
 
     from depthcli.batch.resources import check_memory
-    from depthcli.commands._save import save_depth
+    from depthcli.commands._save import save_depth, share
     from depthcli.core.maps import DepthStatus
     from depthcli.core.result import Clock
 
@@ -155,19 +155,19 @@ def _refine_frame(
     result = refine(frame)
     clock.stop_stages(result.seconds)
     status = result.depth.status
-
-    def share(bits: int) -> float:
-        return round(float(np.mean((status & bits) != 0)), 6)
-
     filled = DepthStatus.GAP_FILLED | DepthStatus.FALLBACK | DepthStatus.CARRIED
     facts = {
         "width": width,
         "height": height,
-        "known": round(float(np.mean(np.isfinite(frame.depth))), 6),
-        "kept": round(float(np.mean((status & (filled | DepthStatus.CORRECTED | DepthStatus.EMPTY)) == 0)), 6),
-        "filled": share(filled),
-        "corrected": share(DepthStatus.CORRECTED),
-        **{bit.name.lower(): share(bit) for bit in DepthStatus if bit and bit.name and bit != DepthStatus.SAMPLED},
+        "known": share(np.isfinite(frame.depth)),
+        "kept": share((status & (filled | DepthStatus.CORRECTED | DepthStatus.EMPTY)) == 0),
+        "filled": share((status & filled) != 0),
+        "corrected": share((status & DepthStatus.CORRECTED) != 0),
+        **{
+            bit.name.lower(): share((status & bit) != 0)
+            for bit in DepthStatus
+            if bit and bit.name and bit != DepthStatus.SAMPLED
+        },
         "density": round(result.depth.density, 6),
         **{name: float(value) for name, value in result.figures.items()},
     }

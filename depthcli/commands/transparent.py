@@ -74,7 +74,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         """
         import numpy as np
 
-        from depthcli.commands._save import save_depth
+        from depthcli.commands._save import save_depth, share
         from depthcli.core.maps import DepthStatus
         from depthcli.core.result import Clock
 
@@ -91,19 +91,15 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         result.pictures |= stereo.pictures
         result.confidence |= stereo.confidence
         status = result.depth.status
-
-        def share(bits: int) -> float:
-            return round(float(np.mean((status & bits) != 0)), 6)
-
         facts = {
             "width": frame.shape[1],
             "height": frame.shape[0],
-            "known": round(float(np.mean(np.isfinite(frame.depth))), 6),
-            "sparse": round(float(np.mean(np.isfinite(frame.sparse))), 6),
-            "kept": round(float(np.mean(status == DepthStatus.KEPT)), 6),
-            "filled": share(DepthStatus.GAP_FILLED),
-            "replaced": share(DepthStatus.CORRECTED),
-            "from_stereo": share(DepthStatus.SAMPLED),
+            "known": share(np.isfinite(frame.depth)),
+            "sparse": share(np.isfinite(frame.sparse)),
+            "kept": share(status == DepthStatus.KEPT),
+            "filled": share((status & DepthStatus.GAP_FILLED) != 0),
+            "replaced": share((status & DepthStatus.CORRECTED) != 0),
+            "from_stereo": share((status & DepthStatus.SAMPLED) != 0),
             "density": round(result.depth.density, 6),
             **{name: float(value) for name, value in result.figures.items()},
         }
