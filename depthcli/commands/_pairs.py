@@ -59,11 +59,12 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         from depthcli.data.formats.headers import image_size
         from depthcli.methods.stereo.matching import host_bytes
 
-        low, top = given_range(config, scene)
-        _check_range(config, scene, top)
-        if top is None or isinstance(low, str) or isinstance(top, str):
+        min_disparity, max_disparity = given_range(config, scene)
+        _check_range(config, scene, max_disparity)
+        if not (isinstance(min_disparity, int) and isinstance(max_disparity, int)):
             return None
-        return host_bytes(self.matcher(config, scene), image_size(scene.left)[:2], top - low, self.limits(config, 0))
+        shape, limits = image_size(scene.left)[:2], self.limits(config, 0)
+        return host_bytes(self.matcher(config, scene), shape, max_disparity - min_disparity, limits)
 
     def effort(self, config: PairConfigT, scene: StereoScene) -> int | None:
         """Return pixels times disparities, from the beginning of the left image's file."""
@@ -72,10 +73,11 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         size = peeked_size(scene.left)
         if size is None:
             return None
-        low, top = given_range(config, scene)
-        # Ranges by key points are in proportion to the width.
-        span = top - low if isinstance(low, int) and isinstance(top, int) else size.width // 4
-        return size.height * size.width * max(span + 1, 1)
+        min_disparity, max_disparity = given_range(config, scene)
+        n_disparities = size.width // 4 + 1  # ranges by key points are in proportion to the width
+        if isinstance(min_disparity, int) and isinstance(max_disparity, int):
+            n_disparities = max_disparity - min_disparity + 1
+        return size.height * size.width * max(n_disparities, 1)
 
     def columns(self) -> tuple[Column, ...]:
         """Return size of the map, share of pixels with a value, share that was measured rather than filled."""
@@ -111,8 +113,9 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     def settings(self, config: PairConfigT, scene: StereoScene) -> dict[str, str]:
         """Return the search range, which may come from a file beside the images."""
-        low, top = given_range(config, scene)
-        return {"max_disparity": str(top), **({} if low == 0 else {"min_disparity": str(low)})}
+        min_disparity, max_disparity = given_range(config, scene)
+        lower = {} if min_disparity == 0 else {"min_disparity": str(min_disparity)}
+        return {"max_disparity": str(max_disparity), **lower}
 
     def compute(self, config: PairConfigT, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Match one pair: load or rectify, search range, match, save.
@@ -132,8 +135,8 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         from depthcli.methods.stereo.search_range import complete_range
 
         clock = Clock()
-        low, top = given_range(config, scene)
-        _check_range(config, scene, top)
+        min_disparity, max_disparity = given_range(config, scene)
+        _check_range(config, scene, max_disparity)
         matcher, limits = self.matcher(config, scene), self.limits(config, memory)
         device_columns = self.device_columns(config)
         facts: Row = {}
@@ -144,11 +147,11 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         else:
             pair, facts, warnings = rectified_pair(config.calibration, scene, folder)
             clock.stop("rectify")
-        search, key_points = complete_range(low, top, pair)
+        search, key_points = complete_range(min_disparity, max_disparity, pair)
         if key_points:
             clock.stop("range")
         shifted = search.shift(pair)
-        matched = match(matcher, shifted, search.last, limits)
+        matched = match(matcher, shifted, search.shifted_max_disparity, limits)
         result = search.restore(matched, pair.shape[1])
         del matched
         clock.stop("other")
@@ -160,13 +163,13 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
                 f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
                 f"{show_bytes(memory)} of memory may be used: with more the map is another one"
             )
-        save_stereo(result, folder, search.low, search.top)
+        save_stereo(result, folder, search.min_disparity, search.max_disparity)
         clock.stop("save")
         columns = {
             "width": pair.shape[1],
             "height": pair.shape[0],
-            "max_disparity": search.top,
-            **({"min_disparity": search.low} if search.low or key_points else {}),
+            "max_disparity": search.max_disparity,
+            **({"min_disparity": search.min_disparity} if search.min_disparity or key_points else {}),
             **facts,
             **key_points,
             "density": round(result.disparity.density, 6),
@@ -182,12 +185,12 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
 def given_range(config: PairConfig, scene: StereoScene) -> tuple[int | str, int | str | None]:
     """Return the ends of the range that the config, or else the scene, gives; the upper one None where neither does."""
-    low = scene.min_disparity if config.min_disparity is None else config.min_disparity
-    return low, scene.max_disparity if config.max_disparity is None else config.max_disparity
+    min_disparity = scene.min_disparity if config.min_disparity is None else config.min_disparity
+    return min_disparity, scene.max_disparity if config.max_disparity is None else config.max_disparity
 
 
-def _check_range(config: PairConfig, scene: StereoScene, top: int | str | None) -> None:
-    if top is None and config.calibration is None:  # rectified pairs have a range that key points suggest
+def _check_range(config: PairConfig, scene: StereoScene, max_disparity: int | str | None) -> None:
+    if max_disparity is None and config.calibration is None:  # rectified pairs have a range that key points suggest
         raise InputError(f"{scene.folder}: the search range is not known; say it with --max-disparity, or auto")
 
 
@@ -206,14 +209,14 @@ def _warnings(
             f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
             "not rectified, search range too small, or no texture?"
         )
-    ends = ((search.low, "--min-disparity"), (search.top, "--max-disparity"))
+    ends = ((search.min_disparity, "--min-disparity"), (search.max_disparity, "--max-disparity"))
     for share, (end, option) in zip(search.share_at_ends(result.disparity), ends, strict=True):
         if share > _MAX_SHARE_AT_END:
             warnings.append(
                 f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
             )
-    if key_points and search.low > key_points["range_low"] and key_points["range_low"] < 0:
+    if key_points and search.min_disparity > key_points["range_low"] and key_points["range_low"] < 0:
         warnings.append(f"key points have disparities down to {key_points['range_low']}; see --min-disparity")
-    if search.low < 0:
+    if search.min_disparity < 0:
         warnings.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
     return warnings

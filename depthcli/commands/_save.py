@@ -31,17 +31,17 @@ def share(pixels: NDArray[np.bool_]) -> float:
     return round(float(np.mean(pixels)), 6)
 
 
-def save_stereo(result: StereoResult, folder: Path, low: int, top: int) -> None:
-    """Write everything a stereo pipeline gave for the disparities ``low`` .. ``top`` into the existing ``folder``.
+def save_stereo(result: StereoResult, folder: Path, min_disparity: int, max_disparity: int) -> None:
+    """Write everything a stereo pipeline gave for disparities between the bounds into the existing ``folder``.
 
     The PNG has no code for what is negative: those pixels have no value there.
     """
     values = result.disparity.values
     write_pfm(folder / "disp_left.pfm", values)
-    shown = np.where(values < 0, np.float32(np.nan), values) if low < 0 else values
+    shown = np.where(values < 0, np.float32(np.nan), values) if min_disparity < 0 else values
     write_disparity_png(folder / "disp_left.png", shown)
     write_status(folder / "status.png", result.disparity.status, STATUS_PALETTE)
-    write_png(folder / "preview.png", preview(values - np.float32(low), top - low))
+    write_png(folder / "preview.png", preview(values - np.float32(min_disparity), max_disparity - min_disparity))
     _save_rest(result, folder)
 
 

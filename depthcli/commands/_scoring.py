@@ -114,7 +114,7 @@ class Scoring:
             curves=tuple(protocol.curves(estimate, truth, confidences)),
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
             size=protocol.size(truth),
-            disparities=top if isinstance(top := row.get("max_disparity"), int) and top > 0 else 0,
+            disparities=largest if isinstance(largest := row.get("max_disparity"), int) and largest > 0 else 0,
             warning="; ".join(filter(None, [start.warning, *warnings])),
             pooled=protocol.pooling_data(estimate, truth),
         )

@@ -138,7 +138,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         try:
             alike = views[:2] if same else [_rectified.grey8(view) for view in views[:2]]
             found_range = suggested_range(StereoPair(*alike))
-            search = {"min_disparity": found_range.low, "max_disparity": found_range.top}
+            search = {"min_disparity": found_range.min_disparity, "max_disparity": found_range.max_disparity}
             meta |= search
             facts |= search
         except InputError as error:

@@ -38,8 +38,8 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         return super().files(config, scene) | {role: file for role, file in sparse.items() if file is not None}
 
     def settings(self, config: TransparentConfig, scene: RgbdScene) -> dict[str, str]:
-        scale, top = config.depth_scale or scene.depth_scale, getattr(scene, "max_disparity", None)
-        return {"depth_scale": str(scale), "max_disparity": str(top)}
+        scale, max_disparity = config.depth_scale or scene.depth_scale, getattr(scene, "max_disparity", None)
+        return {"depth_scale": str(scale), "max_disparity": str(max_disparity)}
 
     def memory_of(self, config: TransparentConfig, scene: RgbdScene) -> int:
         """Return an estimate of the peak memory after the sparse depth is known, bytes."""

@@ -68,7 +68,7 @@ COMMON = """
 #define OWN_INDEX(i, count) int i = GLOBAL_ID(0); if (i >= (count)) return
 #define OWN_PIXEL int x = GLOBAL_ID(0), y = GLOBAL_ID(1); if (x >= width || y >= height) return
 #define OWN_CELL int d = GLOBAL_ID(0), x = GLOBAL_ID(1), y = GLOBAL_ID(2); \\
-    if (d >= depth || x >= width || y >= height) return
+    if (d >= n_disparities || x >= width || y >= height) return
 DEVICE int distance_of(int a, int b) { return a < b ? b - a : a - b; }
 DEVICE int within(int low, int value, int high) { return value < low ? low : value > high ? high : value; }
 DEVICE int smaller(int a, int b) { return a < b ? a : b; }

@@ -36,11 +36,11 @@ def winners(costs: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.uint16]
 @parallel_jit
 def _integer_winners(costs: Any, left: Any, right: Any) -> None:
     # Cost and disparity share one 32-bit key, so that a plain minimum finds both.
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in prange(height):
-        best_right = np.full(width + depth, 0xFFFFFFFF, np.uint32)
+        best_right = np.full(width + n_disparities, 0xFFFFFFFF, np.uint32)
         for x in range(width):
-            count = min(depth, x + 1)
+            count = min(n_disparities, x + 1)
             row = costs[y, x, :count]
             mirror = best_right[width - 1 - x : width - 1 - x + count]
             best = np.uint32(0xFFFFFFFF)
@@ -55,13 +55,13 @@ def _integer_winners(costs: Any, left: Any, right: Any) -> None:
 
 @parallel_jit
 def _float_winners(costs: Any, left: Any, right: Any) -> None:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in prange(height):
         best_right = np.full(width, np.inf, np.float32)
         for x in range(width):
             best = np.float32(np.inf)
             winner = 0
-            for d in range(min(depth, x + 1)):
+            for d in range(min(n_disparities, x + 1)):
                 cost = costs[y, x, d]
                 if cost < best:
                     best = cost

@@ -62,12 +62,12 @@ def spread(costs, valid):
 
 def right_view(costs):
     """(H, W) disparity and cost of the right view's winners; the smaller disparity wins ties."""
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     chosen = np.zeros((height, width), int)
     cheapest = np.full((height, width), math.inf)
     for y in range(height):
         for x in range(width):
-            for d in range(depth):
+            for d in range(n_disparities):
                 if x + d < width and costs[y, x + d, d] < cheapest[y, x]:
                     cheapest[y, x], chosen[y, x] = costs[y, x + d, d], d
     return chosen, cheapest
@@ -75,12 +75,12 @@ def right_view(costs):
 
 def left_right(costs, eps):
     """LRC and LRD of a volume."""
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     chosen, cheapest = right_view(costs)
     lrc, lrd = np.zeros((height, width)), np.zeros((height, width))
     for y in range(height):
         for x in range(width):
-            c = [float(v) for v in costs[y, x, : min(depth, x + 1)]]
+            c = [float(v) for v in costs[y, x, : min(n_disparities, x + 1)]]
             d = c.index(min(c))
             others = c[:d] + c[d + 1 :]
             margin = (min(others) if others else c[d]) - c[d]

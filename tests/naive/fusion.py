@@ -9,8 +9,8 @@ import numpy as np
 
 def squash(costs, scale, outside=None):
     """1 - exp(-C / scale) times 255, rounded; cells with d > x hold the mean of every fourth row's others."""
-    width, depth = costs.shape[1:]
-    inside = np.arange(depth)[None, :] <= np.arange(width)[:, None]
+    width, n_disparities = costs.shape[1:]
+    inside = np.arange(n_disparities)[None, :] <= np.arange(width)[:, None]
     sample = costs[::4][:, inside].astype(float)
     if scale is None:
         ordered = np.sort(sample, axis=None)
@@ -32,12 +32,12 @@ def blend(volumes, weights):
     return ((total + 128) >> 8).astype(np.uint8)
 
 
-def cast_votes(disparities, weights, depth, tolerance, fading):
-    """(H, W, depth) votes of each pixel alone, divided by the number of voters."""
+def cast_votes(disparities, weights, n_disparities, tolerance, fading):
+    """(H, W, D) votes of each pixel alone, divided by the number of voters."""
     voters, height, width = disparities.shape
-    votes = np.zeros((height, width, depth))
+    votes = np.zeros((height, width, n_disparities))
     for m, y, x in np.ndindex(disparities.shape):
-        for d in range(depth):
+        for d in range(n_disparities):
             off = abs(d - disparities[m, y, x])
             if off <= tolerance:
                 fade = 1 - off / (tolerance + 1) if fading else 1

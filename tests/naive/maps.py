@@ -10,11 +10,11 @@ import numpy as np
 def matching_costs(maps, costs, unit, truncation):
     """Interpolated costs along every map, truncated."""
     out = np.empty(maps.shape)
-    depth = costs.shape[2]
+    n_disparities = costs.shape[2]
     for k, y, x in np.ndindex(maps.shape):
         d = maps[k, y, x]
-        low = min(int(d), depth - 1)
-        cost = costs[y, x, low] + (d - low) * (costs[y, x, min(low + 1, depth - 1)] - float(costs[y, x, low]))
+        low = min(int(d), n_disparities - 1)
+        cost = costs[y, x, low] + (d - low) * (costs[y, x, min(low + 1, n_disparities - 1)] - float(costs[y, x, low]))
         out[k, y, x] = truncation if low > x else min(cost * unit, truncation)
     return out
 

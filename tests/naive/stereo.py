@@ -530,18 +530,18 @@ def slanted_median(values, gradient, image, radius, color_scale, distance_scale)
 
 def gathered_winners(costs, allowed):
     """Winners of both views over the cells ``allowed`` (H, W, D), and the left one's minima; right -1 where none."""
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     left, right = np.zeros((height, width), np.int64), np.full((height, width), -1)
     minima = np.zeros((height, width))
     for y in range(height):
         best = {}
         for x in range(width):
-            cells = [(float(costs[y, x, d]), d) for d in range(min(depth, x + 1)) if allowed[y, x, d]]
+            cells = [(float(costs[y, x, d]), d) for d in range(min(n_disparities, x + 1)) if allowed[y, x, d]]
             for cost, d in cells:
                 best[x - d] = min(best.get(x - d, (np.inf, 0)), (cost, d))
             d = min(cells)[1] if cells else 0
             left[y, x] = minima[y, x] = d
-            if not 1 <= d < min(depth, x + 1) - 1 or not allowed[y, x, d - 1 : d + 2].all():
+            if not 1 <= d < min(n_disparities, x + 1) - 1 or not allowed[y, x, d - 1 : d + 2].all():
                 continue
             a, b, c = (float(costs[y, x, d + k]) for k in (-1, 0, 1))
             if a >= b and c >= b and a + c > 2 * b:

@@ -46,12 +46,12 @@ def robust_fit(rows, columns, values, image, at_row, at_column, noise, neighbors
 
 def faded_costs(costs, left, right):
     """Costs drawn towards the pixel's mean by the smaller share of the two pixels they compare; rounded half up."""
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     out = np.zeros(costs.shape, np.uint16)
     for y in range(height):
         for x in range(width):
             mean = costs[y, x].astype(float).mean()
-            for d in range(depth):
+            for d in range(n_disparities):
                 share = min(left[y, x], right[y, x - d]) if d <= x else left[y, x]
                 out[y, x, d] = int(np.floor(mean + share * (costs[y, x, d] - mean) + 0.5))
     return out

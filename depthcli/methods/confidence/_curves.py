@@ -71,10 +71,10 @@ class CostCurves:
         if costs.ndim < 2 or costs.shape[-1] < 1:
             raise ValueError(f"want costs (..., K) with K >= 1, got {costs.shape}")
         self.costs = costs
-        shape, depth = costs.shape[:-1], costs.shape[-1]
-        self.valid = np.broadcast_to(depth if valid is None else valid, shape).astype(np.int32)
-        if self.valid.size and (self.valid.min() < 1 or self.valid.max() > depth):
-            raise ValueError(f"valid entries must lie in 1 .. {depth}")
+        shape, n_entries = costs.shape[:-1], costs.shape[-1]
+        self.valid = np.broadcast_to(n_entries if valid is None else valid, shape).astype(np.int32)
+        if self.valid.size and (self.valid.min() < 1 or self.valid.max() > n_entries):
+            raise ValueError(f"valid entries must lie in 1 .. {n_entries}")
 
     @cached_property
     def statistics(self) -> CurveStatistics:
@@ -146,12 +146,12 @@ def _measure_curves(costs: Any, valid: Any, rate: Any, planes: Any, winner: Any,
     winner : (R, C) int32, index of the smallest cost
     second : (R, C) int32, index of the second smallest local minimum, -1 where there is none
     """
-    rows, columns, depth = costs.shape
-    padded = (depth + 15) // 16 * 16
+    rows, columns, n_entries = costs.shape
+    padded = (n_entries + 15) // 16 * 16
     for r in prange(rows):
         z = np.empty(padded, np.float32)
         key = np.empty(padded + 2, np.int32)
-        smooth = np.empty(depth + 2, np.float32)
+        smooth = np.empty(n_entries + 2, np.float32)
         for i in range(columns):
             n = valid[r, i]
             length = (n + 15) // 16 * 16

@@ -113,39 +113,39 @@ def add_weighted(total: NDArray[np.float32], volume: CostVolume, weights: NDArra
 
 @jit
 def _histogram(costs: Any, counts: Any) -> None:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in range(0, height, 4):
         for x in range(width):
-            for d in range(min(depth, x + 1)):
+            for d in range(min(n_disparities, x + 1)):
                 counts[costs[y, x, d]] += 1
 
 
 @parallel_jit
 def _look_up(costs: Any, table: Any, out: Any) -> None:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in prange(height):
-        source = costs[y].reshape(width * depth)
-        cells = out[y].reshape(width * depth)
+        source = costs[y].reshape(width * n_disparities)
+        cells = out[y].reshape(width * n_disparities)
         for i in range(cells.size):
             cells[i] = table[source[i]]
 
 
 @parallel_jit
 def _squash(costs: Any, offset: Any, rate: Any, out: Any) -> None:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     unit, one, half = np.float32(255.0), np.float32(1.0), np.float32(0.5)
     for y in prange(height):
-        source = costs[y].reshape(width * depth)
-        cells = out[y].reshape(width * depth)
+        source = costs[y].reshape(width * n_disparities)
+        cells = out[y].reshape(width * n_disparities)
         for i in range(cells.size):
             cells[i] = np.uint8(np.int32(unit * (one - exp_minus((source[i] - offset) * rate)) + half))
 
 
 @parallel_jit
 def _blend(volumes: Any, weights: Any, out: Any) -> None:
-    height, width, depth = out.shape
+    height, width, n_disparities = out.shape
     for y in prange(height):
-        total = np.empty(depth, np.uint16)
+        total = np.empty(n_disparities, np.uint16)
         fixed = np.empty(len(volumes), np.int32)
         for x in range(width):
             largest = 0

@@ -110,12 +110,12 @@ def cost_between(costs: Any, value: Any) -> Any:
 
 @parallel_jit
 def _along(maps: Any, first: int, costs: Any, unit: Any, truncation: Any, block: Any) -> None:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in prange(height):
         for k in range(min(block.shape[2], maps.shape[0] - first)):
             row = maps[first + k, y]
             for x in range(width):
-                d = min(int(row[x]), depth - 1)
+                d = min(int(row[x]), n_disparities - 1)
                 if d > x:
                     block[y, x, k] = truncation
                     continue

@@ -124,7 +124,7 @@ class MapFusion(BaseModel):
     def _proposals(
         self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap]
     ) -> Proposals:
-        image, max_disparity = pair.color8[0], volume.disparities - 1
+        image, max_disparity = pair.color8[0], volume.n_disparities - 1
         stack = np.stack([np.nan_to_num(fill_background(one).values).clip(0, max_disparity) for one in maps])
         # Of an even number the lower one in the middle: a mean would be a value that nobody proposed.
         middle = (len(stack) - 1) // 2

@@ -48,22 +48,24 @@ class FusedMeasure(BaseModel):
             raise ValueError("want either cost or volume")
         return self
 
-    def costs(self, pair: StereoPair, depth: int, volumes: Mapping[str, NDArray[Any]]) -> CostVolume:
-        """Return the costs of ``depth`` disparities; InputError where the volume is missing or unusable."""
+    def costs(self, pair: StereoPair, n_disparities: int, volumes: Mapping[str, NDArray[Any]]) -> CostVolume:
+        """Return the costs of ``n_disparities`` disparities; InputError where the volume is missing or unusable."""
         if self.cost is not None:
-            return self.cost(pair, depth)
+            return self.cost(pair, n_disparities)
         assert self.volume is not None
         if self.volume not in volumes:
             raise InputError(f"{self.volume}: no such volume")
         costs = volumes[self.volume]
-        if costs.ndim != 3 or costs.shape[:2] != pair.shape or costs.shape[2] < depth:
+        if costs.ndim != 3 or costs.shape[:2] != pair.shape or costs.shape[2] < n_disparities:
             height, width = pair.shape
-            raise InputError(f"{self.volume}: want shape ({height}, {width}, {depth} or more), got {costs.shape}")
+            raise InputError(
+                f"{self.volume}: want shape ({height}, {width}, {n_disparities} or more), got {costs.shape}"
+            )
         if costs.dtype not in (np.uint8, np.uint16):
             if costs.dtype.kind not in "fiub":
                 raise InputError(f"{self.volume}: want numbers, got {costs.dtype}")
             with np.errstate(over="ignore"):
                 costs = costs.astype(np.float32)
-            if not np.isfinite(costs[:, :, :depth]).all():
+            if not np.isfinite(costs[:, :, :n_disparities]).all():
                 raise InputError(f"{self.volume}: holds NaN or infinite costs")
-        return CostVolume(np.ascontiguousarray(costs[:, :, :depth]))
+        return CostVolume(np.ascontiguousarray(costs[:, :, :n_disparities]))

@@ -172,8 +172,11 @@ class Fusion(AdjustingMatcher):
         and aggregation -> cost of few votes, added; then further rounds, in which the optimized map votes.
         """
         clock = clock or Clock()
-        depth, tolerance = max_disparity + 1, self.consensus.tolerance
-        parts = [squash(measure.costs(pair, depth, volumes), measure.scale, self.outside) for measure in self.measures]
+        n_disparities, tolerance = max_disparity + 1, self.consensus.tolerance
+        parts = [
+            squash(measure.costs(pair, n_disparities, volumes), measure.scale, self.outside)
+            for measure in self.measures
+        ]
         clock.stop("cost")
         aggregate = self.vote_aggregation or (lambda part, pair: part)
         disparities, trust = self._voters(self.vote_optimization(aggregate(part, pair), pair) for part in parts)
@@ -181,7 +184,7 @@ class Fusion(AdjustingMatcher):
         light = light_weights([measure.cost for measure in self.measures], pair)
         if light is not None:
             trust *= light
-        ballot = Ballot(disparities, trust, depth, tolerance, self.consensus.support_in(pair))
+        ballot = Ballot(disparities, trust, n_disparities, tolerance, self.consensus.support_in(pair))
         weights = measure_weights(self.weights, ballot, self.exponent)
         if light is not None:
             weights = weights * light
@@ -197,7 +200,7 @@ class Fusion(AdjustingMatcher):
             volume = blended
         for _ in range(self.consensus.rounds):
             disparities, trust = self._voters([self.optimization(volume, pair)])
-            ballot = Ballot(disparities, trust, depth, tolerance, ballot.support)
+            ballot = Ballot(disparities, trust, n_disparities, tolerance, ballot.support)
             volume = ballot.costs(blended, self.consensus.map_vote_cost, _MAX_VOTED_COST)
         clock.stop("votes")
         return FusedCosts(volume, weights, ballot)

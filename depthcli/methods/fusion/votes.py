@@ -63,9 +63,9 @@ class Ballot:
 
     Attributes
     ----------
-    disparities : (M, H, W) int32, 0 .. depth - 1
+    disparities : (M, H, W) int32, 0 .. n_disparities - 1
     weights : (M, H, W) float32 in [0, 1]; rounded to 1/256, which keeps the sums of windows exact
-    depth : number of disparities
+    n_disparities : number of disparities
     tolerance : how far beside the voter's own disparity a vote still counts in full. Where votes are all there
         is, nothing else breaks the ties of neighboring disparities: there they count less and less
     support : the pixels that may vote for each pixel
@@ -73,7 +73,7 @@ class Ballot:
 
     disparities: NDArray[np.int32]
     weights: NDArray[np.float32]
-    depth: int
+    n_disparities: int
     tolerance: int
     support: Support
 
@@ -81,7 +81,7 @@ class Ballot:
         voters, height, width = self.disparities.shape
         weights = np.round(self.weights * 256) / np.float32(256 * voters)
         block = memory.empty((height, width, BLOCK_DEPTH), np.float32)
-        for first in range(0, self.depth, BLOCK_DEPTH):
+        for first in range(0, self.n_disparities, BLOCK_DEPTH):
             _cast(self.disparities, weights, first, self.tolerance, fading, block)
             self.support.sum(block)
             yield first, block
@@ -98,10 +98,10 @@ class Ballot:
 
         Parameters
         ----------
-        base : (H, W, depth) uint16 costs, whose unit is ``base.scale``; None: the votes alone
+        base : (H, W, D) uint16 costs, whose unit is ``base.scale``; None: the votes alone
         largest : largest cost of the result, which is uint16 fixed point
         """
-        shape = (*self.disparities.shape[1:], self.depth)
+        shape = (*self.disparities.shape[1:], self.n_disparities)
         out: NDArray[np.uint16] = memory.empty(shape, np.uint16)
         if base is None:
             known, gain, scale = out, 0.0, largest / strength
@@ -141,12 +141,12 @@ def _look_up(block: Any, share: Any, disparities: Any, first: int, shares: Any) 
 
 @parallel_jit
 def _add(block: Any, share: Any, base: Any, gain: Any, strength: Any, first: int, out: Any) -> None:
-    height, width, depth = out.shape
+    height, width, n_disparities = out.shape
     one, half = np.float32(1.0), np.float32(0.5)
     for y in prange(height):
         for x in range(width):
-            cells = out[y, x, first : min(depth, first + 16)]
-            known = base[y, x, first : min(depth, first + 16)]
+            cells = out[y, x, first : min(n_disparities, first + 16)]
+            known = base[y, x, first : min(n_disparities, first + 16)]
             votes = block[y, x]
             s = share[y, x]
             for k in range(cells.size):

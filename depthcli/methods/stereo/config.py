@@ -68,12 +68,12 @@ class PairConfig(BaseModel):
 
     @model_validator(mode="after")
     def _has_a_range(self) -> Self:
-        low, top = 0 if self.min_disparity is None else self.min_disparity, self.max_disparity
-        if isinstance(top, int) and isinstance(low, int) and top <= low:
+        smallest, largest = 0 if self.min_disparity is None else self.min_disparity, self.max_disparity
+        if isinstance(largest, int) and isinstance(smallest, int) and largest <= smallest:
             problem = PydanticCustomError(
-                "empty_range", "should be greater than the smallest disparity, {low}", {"low": low}
+                "empty_range", "should be greater than the smallest disparity, {smallest}", {"smallest": smallest}
             )
-            error: InitErrorDetails = {"type": problem, "loc": ("max_disparity",), "input": top}
+            error: InitErrorDetails = {"type": problem, "loc": ("max_disparity",), "input": largest}
             raise ValidationError.from_exception_data(type(self).__name__, [error])
         return self
 

@@ -84,7 +84,7 @@ class DeviceVolume:
     scale: float = 1.0
 
     @property
-    def disparities(self) -> int:
+    def n_disparities(self) -> int:
         """Return D, the number of disparities."""
         return self.costs.shape[2]
 
@@ -104,10 +104,10 @@ class DeviceVolume:
         if self.costs.dtype == np.float32:
             return DeviceVolume.upload(self.device, as_fixed_point(self.download()))
         fixed = self.device.empty(self.costs.shape, np.uint16)
-        height, width, depth = self.costs.shape
+        height, width, n_disparities = self.costs.shape
         self.device.launch(
-            _CONVERSIONS, "to_fixed_point", (width * depth, height), (256, 1), self.costs, fixed, width * depth, height,
-            FixedPoint.FRACTION,
+            _CONVERSIONS, "to_fixed_point", (width * n_disparities, height), (256, 1),
+            self.costs, fixed, width * n_disparities, height, FixedPoint.FRACTION,
         )  # fmt: skip
         return DeviceVolume(self.device, fixed, self.scale * FixedPoint.FRACTION)
 
@@ -173,12 +173,12 @@ def c_type(dtype: Any) -> str:
 
 
 def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
-    """Return threads for every cell of (H, W, D), d fastest, and a group that fits the depth."""
-    height, width, depth = volume.shape
+    """Return threads for every cell of (H, W, D), d fastest, and a group that fits D."""
+    height, width, n_disparities = volume.shape
     lanes = 16
-    while lanes < min(depth, 64):
+    while lanes < min(n_disparities, 64):
         lanes *= 2
-    return (depth, width, height), (lanes, 256 // lanes, 1)
+    return (n_disparities, width, height), (lanes, 256 // lanes, 1)
 
 
 def run_stage(stage: object, *arguments: Any) -> Any:

@@ -28,33 +28,33 @@ _MARGIN_ABOVE, _MARGIN_BELOW, _MIN_MARGIN_PX = 0.3, 0.2, 4.0
 
 @dataclass(frozen=True)
 class SearchRange:
-    """Disparities ``low`` .. ``top``, both inclusive, pixels."""
+    """Disparities ``min_disparity`` .. ``max_disparity``, both inclusive, pixels."""
 
-    low: int
-    top: int
+    min_disparity: int
+    max_disparity: int
 
     @property
-    def last(self) -> int:
+    def shifted_max_disparity(self) -> int:
         """Return the largest disparity of the shifted pair, whose smallest is 0."""
-        return self.top - self.low
+        return self.max_disparity - self.min_disparity
 
     def shift(self, pair: StereoPair) -> StereoPair:
-        """Return the pair whose disparities are smaller by ``low``; the pair itself where the range begins at 0.
+        """Return the pair whose smallest disparity is 0; the pair itself where that is so already.
 
-        Columns are cut off where ``low`` is positive, since nothing to the left of them can be matched, and repeated
-        where it is negative: every other match keeps its place, inside or outside the right image.
+        Columns are cut off where ``min_disparity`` is positive, since nothing to the left of them can be matched, and
+        repeated where it is negative: every other match keeps its place, inside or outside the right image.
         """
-        if self.low == 0:
+        if self.min_disparity == 0:
             return pair
         width = pair.shape[1]
-        if self.low >= width:
-            raise InputError(f"the smallest disparity is {self.low}, but the images are {width} pixels wide")
-        if self.low > 0:
-            left, right = pair.left[:, self.low :].copy(), pair.right[:, : width - self.low].copy()
+        if self.min_disparity >= width:
+            raise InputError(f"the smallest disparity is {self.min_disparity}, but the images are {width} pixels wide")
+        if self.min_disparity > 0:
+            left, right = pair.left[:, self.min_disparity :].copy(), pair.right[:, : width - self.min_disparity].copy()
         else:
             left, right = (
                 cast(Image, cv2.copyMakeBorder(image, 0, 0, before, behind, cv2.BORDER_REPLICATE))
-                for image, before, behind in ((pair.left, -self.low, 0), (pair.right, 0, -self.low))
+                for image, before, behind in ((pair.left, -self.min_disparity, 0), (pair.right, 0, -self.min_disparity))
             )
         return StereoPair(left, right, pair.bits)
 
@@ -64,13 +64,13 @@ class SearchRange:
         Pixels without a partner in the right image, whatever their disparity, are occluded; they are filled by
         the values next to them where the map has no holes, else they stay empty.
         """
-        if self.low == 0:
+        if self.min_disparity == 0:
             return result
         values, status = (self._to_pair(part) for part in (result.disparity.values, result.disparity.status))
-        values = values + np.float32(self.low)
+        values = values + np.float32(self.min_disparity)
         fills = not np.isnan(result.disparity.values).any()
-        if self.low > 0:
-            outside = np.broadcast_to(np.arange(width) < self.low, values.shape)
+        if self.min_disparity > 0:
+            outside = np.broadcast_to(np.arange(width) < self.min_disparity, values.shape)
         else:
             partner = np.arange(width, dtype=np.float32)[None] - np.nan_to_num(values)
             outside = (partner > width - 0.5) & ((status & Status.FILLED) == 0) & ~np.isnan(values)
@@ -87,16 +87,16 @@ class SearchRange:
 
     def _to_pair(self, values: NDArray[Any]) -> NDArray[Any]:
         """(H, W', ...) of the shifted pair at the pair's width; new columns repeat the first one."""
-        if self.low < 0:
-            return np.ascontiguousarray(values[:, -self.low :])
-        return np.pad(values, ((0, 0), (self.low, 0), *(((0, 0),) * (values.ndim - 2))), mode="edge")
+        if self.min_disparity < 0:
+            return np.ascontiguousarray(values[:, -self.min_disparity :])
+        return np.pad(values, ((0, 0), (self.min_disparity, 0), *(((0, 0),) * (values.ndim - 2))), mode="edge")
 
     def share_at_ends(self, disparity: DisparityMap) -> tuple[float, float]:
         """Return the shares of the measured pixels within a pixel of the range's lower and upper end."""
         measured = disparity.values[disparity.measured]
         if measured.size == 0:
             return 0.0, 0.0
-        return float(np.mean(measured < self.low + 1)), float(np.mean(measured > self.top - 1))
+        return float(np.mean(measured < self.min_disparity + 1)), float(np.mean(measured > self.max_disparity - 1))
 
 
 def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:
@@ -129,10 +129,12 @@ def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:
 def suggested_range(pair: StereoPair) -> SearchRange:
     """Return the range of key points, widened to disparity 0 and 1; InputError where too few match."""
     found, _ = range_of_key_points(pair)
-    return SearchRange(min(found.low, 0), max(found.top, 1))
+    return SearchRange(min(found.min_disparity, 0), max(found.max_disparity, 1))
 
 
-def complete_range(low: int | str, top: int | str | None, pair: StereoPair) -> tuple[SearchRange, dict[str, int]]:
+def complete_range(
+    min_disparity: int | str, max_disparity: int | str | None, pair: StereoPair
+) -> tuple[SearchRange, dict[str, int]]:
     """Replace ends that are "auto" by those of key points, and a missing upper end by the suggested range.
 
     Returns
@@ -145,15 +147,17 @@ def complete_range(low: int | str, top: int | str | None, pair: StereoPair) -> t
     InputError
         The range is empty, or too few key points match.
     """
-    if top is None:
+    if max_disparity is None:
         suggested = suggested_range(pair)
-        low, top = (low if low not in (0, "auto") else suggested.low), suggested.top
+        max_disparity = suggested.max_disparity
+        min_disparity = suggested.min_disparity if min_disparity in (0, "auto") else min_disparity
     columns = {}
-    if "auto" in (low, top):
+    if "auto" in (min_disparity, max_disparity):
         found, n_matches = range_of_key_points(pair)
-        columns = {"range_matches": n_matches, "range_low": found.low, "range_top": found.top}
-        low, top = (found.low if low == "auto" else low), (found.top if top == "auto" else top)
-    assert isinstance(low, int) and isinstance(top, int)
-    if top <= low:
-        raise InputError(f"disparities from {low} to {top} are to be searched, which are none")
-    return SearchRange(low, top), columns
+        columns = {"range_matches": n_matches, "range_low": found.min_disparity, "range_top": found.max_disparity}
+        min_disparity = found.min_disparity if min_disparity == "auto" else min_disparity
+        max_disparity = found.max_disparity if max_disparity == "auto" else max_disparity
+    assert isinstance(min_disparity, int) and isinstance(max_disparity, int)
+    if max_disparity <= min_disparity:
+        raise InputError(f"disparities from {min_disparity} to {max_disparity} are to be searched, which are none")
+    return SearchRange(min_disparity, max_disparity), columns

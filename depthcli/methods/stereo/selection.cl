@@ -7,7 +7,7 @@
 
 // Cost and disparity share one key, so that a plain minimum finds both and the smaller disparity wins ties. A group
 // has PIXELS pixels with LANES threads each; ``diagonal``: costs of the right view, c(x + d, d).
-KERNEL void winners(GLOBAL const COST *RESTRICT costs, GLOBAL ushort *RESTRICT best, int height, int width, int depth,
+KERNEL void winners(GLOBAL const COST *RESTRICT costs, GLOBAL ushort *RESTRICT best, int height, int width, int n_disparities,
                     int diagonal)
 {
     LOCAL uint keys[PIXELS][LANES];
@@ -16,9 +16,9 @@ KERNEL void winners(GLOBAL const COST *RESTRICT costs, GLOBAL ushort *RESTRICT b
     uint found = 0xFFFFFFFFu;
     if (x < width) {
         index_t here = (index_t)y * width + x;
-        int count = smaller(depth, diagonal ? width - x : x + 1);
+        int count = smaller(n_disparities, diagonal ? width - x : x + 1);
         for (int d = lane; d < count; d += LANES) {
-            uint key = ((uint)costs[(here + (diagonal ? d : 0)) * depth + d] << 16) | (uint)d;
+            uint key = ((uint)costs[(here + (diagonal ? d : 0)) * n_disparities + d] << 16) | (uint)d;
             found = key < found ? key : found;
         }
     }
@@ -43,7 +43,7 @@ KERNEL void start_map(GLOBAL const ushort *RESTRICT best, GLOBAL float *RESTRICT
 }
 
 KERNEL void move_to_minimum(GLOBAL const COST *RESTRICT costs, GLOBAL const float *RESTRICT values,
-                            GLOBAL float *RESTRICT moved, int height, int width, int depth)
+                            GLOBAL float *RESTRICT moved, int height, int width, int n_disparities)
 {
     OWN_PIXEL;
     index_t here = (index_t)y * width + x;
@@ -52,9 +52,9 @@ KERNEL void move_to_minimum(GLOBAL const COST *RESTRICT costs, GLOBAL const floa
     if (no_value(value))
         return;
     int d = (int)value;
-    if (value != (float)d || d < 1 || d + 1 >= smaller(depth, x + 1))
+    if (value != (float)d || d < 1 || d + 1 >= smaller(n_disparities, x + 1))
         return;
-    GLOBAL const COST *cost = costs + here * depth + d;
+    GLOBAL const COST *cost = costs + here * n_disparities + d;
     real below = cost[-1], own = cost[0], above = cost[1];
     real curvature = below + above - 2 * own;
     if (below >= own && above >= own && curvature > 0)

@@ -60,7 +60,7 @@ class Tile:
         return bottom - top, right - left
 
     @property
-    def depth(self) -> int:
+    def n_disparities(self) -> int:
         """Return the number of cells of a pixel: the disparities, and one between spans."""
         return sum(span.count for span in self.spans) + len(self.spans) - 1
 
@@ -110,17 +110,19 @@ class Candidates:
     ----------
     bins : (ceil(H / 16), ceil(W / 16), ceil(D / 16)) bool: the block may have disparities of 16 that follow each other
     shape : (H, W)
-    top : largest disparity searched anywhere, D - 1
+    max_disparity : largest disparity searched anywhere, D - 1
     """
 
     bins: NDArray[np.bool_]
     shape: tuple[int, int]
-    top: int
+    max_disparity: int
 
     @classmethod
-    def everywhere(cls, shape: tuple[int, int], top: int) -> Candidates:
-        """Return 0 .. ``top`` for all blocks."""
-        return cls(np.ones((*(-(-side // BLOCK) for side in shape), top // BIN + 1), np.bool_), shape, top)
+    def everywhere(cls, shape: tuple[int, int], max_disparity: int) -> Candidates:
+        """Return 0 .. ``max_disparity`` for all blocks."""
+        return cls(
+            np.ones((*(-(-side // BLOCK) for side in shape), max_disparity // BIN + 1), np.bool_), shape, max_disparity
+        )
 
     @cached_property
     def _sums(self) -> NDArray[np.int32]:
@@ -142,7 +144,7 @@ class Candidates:
             height, width = tile.shape
             cost = float("inf")
             if fits(tile):
-                cost = float(height * width * (tile.depth + _PIXEL_OVERHEAD) + _TILE_OVERHEAD)
+                cost = float(height * width * (tile.n_disparities + _PIXEL_OVERHEAD) + _TILE_OVERHEAD)
             n_min = _MIN_TILE_BLOCKS if cost < float("inf") else 1
             chosen: tuple[tuple[int, int, int, int], ...] = ((y0, y1, x0, x1),)
             cuts = []
@@ -186,13 +188,13 @@ class Candidates:
 
     def _spans(self, there: NDArray[np.bool_], columns: tuple[int, int]) -> tuple[Span, ...]:
         # Runs of bins. The last pixel has no candidate beyond the image's left side; the first pixel has one.
-        last = min(self.top, columns[1] - 1)
+        last = min(self.max_disparity, columns[1] - 1)
         there = there[: last // BIN + 1].copy()
         if not there.any() or there.argmax() * BIN > columns[0]:
             there[columns[0] // BIN] = True
         edges = np.flatnonzero(np.diff(there.astype(np.int8), prepend=0, append=0))
         return tuple(
-            Span(int(a) * BIN, min(int(b) * BIN, self.top + 1) - int(a) * BIN)
+            Span(int(a) * BIN, min(int(b) * BIN, self.max_disparity + 1) - int(a) * BIN)
             for a, b in zip(edges[::2], edges[1::2], strict=True)
         )
 

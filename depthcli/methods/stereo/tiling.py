@@ -78,9 +78,9 @@ def match_by_costs(
     def need(tile: Tile) -> int:
         height, width = tile.shape
         return (
-            stages.volume_bytes(tile.shape, tile.depth - 1)
+            stages.volume_bytes(tile.shape, tile.n_disparities - 1)
             + _recycled(tile)
-            + _PIXEL_BYTES * width * (height + tile.depth)
+            + _PIXEL_BYTES * width * (height + tile.n_disparities)
         )
 
     plan = available.tiles(pair, candidates, margins, need)
@@ -97,7 +97,7 @@ def match_by_costs(
         clock.stop("confidence")
         del volume
     memory.release()
-    disparity = refined_map(stages.refinement, found, pair, candidates.top, prior)
+    disparity = refined_map(stages.refinement, found, pair, candidates.max_disparity, prior)
     clock.stop("refinement")
     figures = {"tiles": float(len(plan))}
     return StereoResult(disparity, seconds=clock.seconds, confidence=confidence, figures=figures), found
@@ -111,7 +111,7 @@ def match_by_patches(
         pair,
         candidates,
         Margins(_PATCH_HALO, _PATH_HALO // 2, True),
-        lambda tile: matcher.peak_bytes(tile.shape, tile.depth - 1) + _recycled(tile),
+        lambda tile: matcher.peak_bytes(tile.shape, tile.n_disparities - 1) + _recycled(tile),
     )
     clock.stop("plan")
     values, status = np.zeros(pair.shape, np.float32), np.zeros(pair.shape, np.uint8)
@@ -132,7 +132,7 @@ def match_by_patches(
 
 def _recycled(tile: Tile) -> int:
     """Bytes of the pool's blocks that only the next tile can use."""
-    return 2 * tile.shape[0] * tile.shape[1] * tile.depth
+    return 2 * tile.shape[0] * tile.shape[1] * tile.n_disparities
 
 
 def _tile_volume(
@@ -150,7 +150,7 @@ def _tile_volume(
             joined = volume
             break
         if joined is None:
-            joined = CostVolume(memory.empty((*tile.shape, tile.depth), volume.costs.dtype), volume.scale)
+            joined = CostVolume(memory.empty((*tile.shape, tile.n_disparities), volume.costs.dtype), volume.scale)
         barrier = volume.costs.dtype.type(_largest_cost(volume))
         _copy_span(volume.costs, joined.costs, start, n_outside, barrier)
         start += span.count + 1

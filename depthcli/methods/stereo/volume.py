@@ -41,7 +41,7 @@ class CostVolume:
             raise TypeError(f"costs must be uint8, uint16 or float32, got {self.costs.dtype}")
 
     @property
-    def disparities(self) -> int:
+    def n_disparities(self) -> int:
         """Return D, the number of disparities searched: 0 .. D - 1."""
         return int(self.costs.shape[2])
 
@@ -55,12 +55,12 @@ class CostMinima:
     left : (H, W) uint16, disparities of the cheapest cells
     minima : (H, W) float32, minima of the parabolas through these cells and those beside them; the disparity itself
         where it is no local minimum
-    disparities : number of disparities searched
+    n_disparities : number of disparities searched
     """
 
     left: NDArray[np.uint16]
     minima: NDArray[np.float32]
-    disparities: int
+    n_disparities: int
 
 
 @dataclass(frozen=True)
@@ -121,11 +121,11 @@ def as_fixed_point(volume: CostVolume) -> CostVolume:
 
 @parallel_jit
 def _scale(costs: Any, factor: Any, fixed: Any) -> None:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     half = np.float32(0.5)
     for y in prange(height):
-        source = costs[y].reshape(width * depth)
-        out = fixed[y].reshape(width * depth)
+        source = costs[y].reshape(width * n_disparities)
+        out = fixed[y].reshape(width * n_disparities)
         for i in range(out.size):
             out[i] = np.uint16(np.int32(np.float32(source[i]) * factor + half))
 
@@ -133,8 +133,8 @@ def _scale(costs: Any, factor: Any, fixed: Any) -> None:
 @parallel_jit
 def fill_outside(costs: Any, outside: Any) -> None:
     """Set the cells of (H, W, D) costs whose match lies outside the right image, d > x."""
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in prange(height):
-        for x in range(min(width, depth - 1)):
-            for d in range(x + 1, depth):
+        for x in range(min(width, n_disparities - 1)):
+            for d in range(x + 1, n_disparities):
                 costs[y, x, d] = outside

@@ -115,10 +115,10 @@ def cost_at(volume: CostVolume, disparity: NDArray[np.float32]) -> NDArray[np.fl
     ----------
     disparity : (H, W) float32, pixels; clipped to the range of the volume
     """
-    top = np.float32(volume.disparities - 1)
-    low = np.floor(np.clip(np.nan_to_num(disparity), 0, top)).astype(np.int64)
+    max_disparity = np.float32(volume.n_disparities - 1)
+    low = np.floor(np.clip(np.nan_to_num(disparity), 0, max_disparity)).astype(np.int64)
     rows, columns = np.ogrid[: low.shape[0], : low.shape[1]]
-    beside = [volume.costs[rows, columns, np.minimum(low + step, volume.disparities - 1)] for step in (0, 1)]
+    beside = [volume.costs[rows, columns, np.minimum(low + step, volume.n_disparities - 1)] for step in (0, 1)]
     costs = np.minimum(*beside).astype(np.float32) / np.float32(volume.scale)
     return np.where(np.isfinite(disparity), costs, np.float32(np.nan))
 
@@ -130,16 +130,16 @@ def mean_cost(volume: CostVolume) -> NDArray[np.float32]:
 
 @parallel_jit
 def _fade(costs, left, right, out):  # type: ignore[no-untyped-def]
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     half = np.float32(0.5)
     for y in prange(height):
         # Mirrored, so that a pixel's right shares run with its disparities; 1 outside the image.
-        mirror = np.ones(width + depth, np.float32)
+        mirror = np.ones(width + n_disparities, np.float32)
         for x in range(width):
             mirror[width - 1 - x] = right[y, x]
         for x in range(width):
             source, target = costs[y, x], out[y, x]
-            shares = mirror[width - 1 - x : width - 1 - x + depth]
+            shares = mirror[width - 1 - x : width - 1 - x + n_disparities]
             total = np.uint32(0)
             for i in range(source.size):
                 total += np.uint32(source[i])

@@ -28,14 +28,14 @@ def random_costs(shape, dtype, seed=0, levels=None):
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-@pytest.mark.parametrize("depth", [1, 2, 3, 15, 16, 17, 31, 33, 60])
+@pytest.mark.parametrize("n_disparities", [1, 2, 3, 15, 16, 17, 31, 33, 60])
 @pytest.mark.parametrize("levels", [None, 3])
-def test_every_curve_measure_agrees_with_its_reference(dtype, depth, levels):
-    costs = random_costs((40, depth), dtype, depth, levels)
+def test_every_curve_measure_agrees_with_its_reference(dtype, n_disparities, levels):
+    costs = random_costs((40, n_disparities), dtype, n_disparities, levels)
     costs[0] = 5  # flat
-    costs[1] = np.arange(depth)
-    costs[2] = np.arange(depth)[::-1]
-    valid = np.random.default_rng(1).integers(1, depth + 1, 40)
+    costs[1] = np.arange(n_disparities)
+    costs[2] = np.arange(n_disparities)[::-1]
+    valid = np.random.default_rng(1).integers(1, n_disparities + 1, 40)
     got = CostCurves(costs, valid).statistics
     maps = {name: curve_measure(name, costs, valid) for name in CURVE_MEASURES}
     mean, deviation = naive.spread(costs, valid)
@@ -48,11 +48,11 @@ def test_every_curve_measure_agrees_with_its_reference(dtype, depth, levels):
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-@pytest.mark.parametrize(("width", "depth"), [(23, 9), (7, 20), (1, 1), (1, 5), (30, 17)])
-def test_measures_that_look_at_other_pixels_agree_with_their_references(dtype, width, depth):
-    costs = random_costs((6, width, depth), dtype, width)
+@pytest.mark.parametrize(("width", "n_disparities"), [(23, 9), (7, 20), (1, 1), (1, 5), (30, 17)])
+def test_measures_that_look_at_other_pixels_agree_with_their_references(dtype, width, n_disparities):
+    costs = random_costs((6, width, n_disparities), dtype, width)
     maps = confidence_maps(costs, measures())
-    valid = np.broadcast_to(np.minimum(np.arange(1, width + 1), depth), (6, width))
+    valid = np.broadcast_to(np.minimum(np.arange(1, width + 1), n_disparities), (6, width))
     curves = CostCurves(costs, valid).statistics
     lrc, lrd = naive.left_right(costs, curves.eps)
     np.testing.assert_array_equal(maps["lrc"], lrc)

@@ -31,18 +31,18 @@ from tests.naive import choice as naive
 KINDS = ("median", "own", "local", "felzenszwalb")
 
 
-def proposals(height=9, width=21, depth=12, count=4, seed=0):
+def proposals(height=9, width=21, n_disparities=12, count=4, seed=0):
     rng = np.random.default_rng(seed)
-    base = rng.uniform(0, depth - 1, (height, width))
-    values = np.clip(base + rng.normal(0, 1.5, (count, height, width)), 0, depth - 1).astype(np.float32)
+    base = rng.uniform(0, n_disparities - 1, (height, width))
+    values = np.clip(base + rng.normal(0, 1.5, (count, height, width)), 0, n_disparities - 1).astype(np.float32)
     return Proposals(
         (KINDS * 4)[:count],
         values,
         rng.integers(0, 3, values.shape).astype(np.uint8),
         np.ones(count, np.float32),
         blocky_pair(height, width, True, seed),
-        random_volume(height, width, depth),
-        rng.integers(0, depth, (height, width)).astype(np.uint16),
+        random_volume(height, width, n_disparities),
+        rng.integers(0, n_disparities, (height, width)).astype(np.uint16),
     )
 
 

@@ -70,25 +70,27 @@ def test_blend_agrees_with_the_reference_and_stays_between_its_parts(count):
 
 
 @pytest.mark.parametrize("shape", [(12, 17), (1, 9), (9, 1), (8, 16), (20, 40)])
-@pytest.mark.parametrize("depth", [1, 15, 16, 17, 35])
+@pytest.mark.parametrize("n_disparities", [1, 15, 16, 17, 35])
 @pytest.mark.parametrize("tolerance", [0, 1])
-def test_votes_agree_with_the_reference(shape, depth, tolerance):
-    rng = np.random.default_rng(depth)
-    disparities = rng.integers(0, depth, (3, *shape)).astype(np.int32)
+def test_votes_agree_with_the_reference(shape, n_disparities, tolerance):
+    rng = np.random.default_rng(n_disparities)
+    disparities = rng.integers(0, n_disparities, (3, *shape)).astype(np.int32)
     weights = rng.random((3, *shape)).astype(np.float32)
     image = cv2.medianBlur(rng.integers(0, 256, (*shape, 3)).astype(np.uint8), 3)
-    votes, fading = (naive.cast_votes(disparities, weights, depth, tolerance, fading) for fading in (False, True))
+    votes, fading = (
+        naive.cast_votes(disparities, weights, n_disparities, tolerance, fading) for fading in (False, True)
+    )
     smooth = cv2.medianBlur(image, 3)
     for support, spread in (
         (WindowSupport(shape, 5), lambda v: naive.window_shares(v, 5)),
         (ColorSupport(image, 6.0, 20.0), lambda v: naive.color_shares(v, smooth, 6.0, 20.0)),
     ):
-        ballot = Ballot(disparities, weights, depth, tolerance, support)
+        ballot = Ballot(disparities, weights, n_disparities, tolerance, support)
         shares = ballot.shares(disparities)
         expected = np.take_along_axis(spread(votes)[None], disparities[..., None], 3)[..., 0]
         np.testing.assert_allclose(shares, expected, atol=1e-5)
         want = spread(votes)
-        base = CostVolume(rng.integers(0, 4081, (*shape, depth)).astype(np.uint16), 4080.0)
+        base = CostVolume(rng.integers(0, 4081, (*shape, n_disparities)).astype(np.uint16), 4080.0)
         added = ballot.costs(base, 0.5, 4080)
         expected = (base.costs / 4080 + 0.5 * (1 - want)) / 1.5 * 4080
         assert added.scale == pytest.approx(4080 / 1.5)

@@ -31,19 +31,19 @@ class PixelAlone:
         pass
 
 
-def random_maps(count, height, width, depth, seed=0):
+def random_maps(count, height, width, n_disparities, seed=0):
     rng = np.random.default_rng(seed)
-    base = rng.uniform(0, depth - 1, (height, width))
-    return np.clip(base + rng.normal(0, 1.5, (count, height, width)), 0, depth - 1).astype(np.float32)
+    base = rng.uniform(0, n_disparities - 1, (height, width))
+    return np.clip(base + rng.normal(0, 1.5, (count, height, width)), 0, n_disparities - 1).astype(np.float32)
 
 
-@pytest.mark.parametrize(("count", "height", "width", "depth"), [(1, 1, 1, 1), (3, 4, 7, 20), (18, 5, 33, 9)])
-def test_costs_of_maps_agree_with_the_reference(count, height, width, depth):
-    maps, support = random_maps(count, height, width, depth), PixelAlone((height, width))
-    volume = random_volume(height, width, depth)
+@pytest.mark.parametrize(("count", "height", "width", "n_disparities"), [(1, 1, 1, 1), (3, 4, 7, 20), (18, 5, 33, 9)])
+def test_costs_of_maps_agree_with_the_reference(count, height, width, n_disparities):
+    maps, support = random_maps(count, height, width, n_disparities), PixelAlone((height, width))
+    volume = random_volume(height, width, n_disparities)
     found = matching_costs(maps, CostVolume(volume.costs, 100.0), 1.4, support)
     np.testing.assert_allclose(found, naive.matching_costs(maps, volume.costs, 0.01, 1.4), atol=1e-4)
-    right = np.random.default_rng(1).integers(0, depth, (height, width)).astype(np.uint16)
+    right = np.random.default_rng(1).integers(0, n_disparities, (height, width)).astype(np.uint16)
     found = contradictions(maps, right, 0.4, support)
     np.testing.assert_allclose(found, naive.contradictions(maps, right, 0.4), atol=1e-4)
     weights = np.arange(count).astype(np.float32)

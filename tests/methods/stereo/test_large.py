@@ -94,8 +94,8 @@ def test_winners_of_tiles_are_those_of_the_image(height, width, disparities, dty
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 def test_winners_of_tiles_with_disparities_of_their_own(dtype):
-    height, width, depth = 6, 40, 24
-    costs = random_volume(height, width, depth, dtype, 3).costs
+    height, width, n_disparities = 6, 40, 24
+    costs = random_volume(height, width, n_disparities, dtype, 3).costs
     parts = [(0, 13, [(0, 8), (14, 6)]), (13, 29, [(3, 9)]), (29, 40, [(0, 4), (9, 5), (20, 4)])]
     gathered = TiledWinners((height, width), True)
     allowed = np.zeros(costs.shape, bool)
@@ -123,7 +123,7 @@ def test_tiles_cover_the_image_once_and_search_all_candidates():
     most = 3_000_000
 
     def fits(tile: Tile) -> bool:
-        return tile.shape[0] * tile.shape[1] * tile.depth <= most
+        return tile.shape[0] * tile.shape[1] * tile.n_disparities <= most
 
     for margins in (Margins(20, 8, False), Margins(20, 8, True)):
         tiles = candidates.tiles(margins, fits)

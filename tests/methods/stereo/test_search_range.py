@@ -46,7 +46,7 @@ def test_shifting_there_and_back_is_exact(low: int):
     pair = StereoPair(blobs(40, 9, 1), blobs(40, 9, 2))
     search = SearchRange(low, low + 7)
     cost = Local(cost={"method": "absolute_difference", "truncation": 255}).cost
-    costs = cost(search.shift(pair), search.last + 1)
+    costs = cost(search.shift(pair), search.shifted_max_disparity + 1)
     left, right = (image.astype(int) for image in pair.grey8)
     for x in range(max(low, 0), 40):
         for d in range(low, low + 8):
@@ -122,13 +122,13 @@ def test_key_points_find_the_range(kind):
     found, matches = range_of_key_points(StereoPair(scene.left, scene.right))
     true = np.quantile(scene.disparity_left, (0.01, 0.99))
     assert matches > 16
-    assert found.low <= true[0]
-    assert true[1] <= found.top <= 1.6 * true[1] + 5
+    assert found.min_disparity <= true[0]
+    assert true[1] <= found.max_disparity <= 1.6 * true[1] + 5
     # Converging cameras: the same, moved.
     right = np.roll(scene.right, 20, axis=1)
     moved, _ = range_of_key_points(StereoPair(scene.left, right))
-    assert abs(moved.low - found.low + 20) <= 3
-    assert abs(moved.top - found.top + 20) <= 6
+    assert abs(moved.min_disparity - found.min_disparity + 20) <= 3
+    assert abs(moved.max_disparity - found.max_disparity + 20) <= 6
 
 
 def test_a_pair_without_matches_is_told():

@@ -109,10 +109,10 @@ def _repetitive(room: Room) -> None:
 
 
 def _street(room: Room) -> None:
-    rng, w, h, top = room.rng, room.width, room.height, room.max_disparity
+    rng, w, h, max_disparity = room.rng, room.width, room.height, room.max_disparity
     room.center = (w * rng.uniform(0.4, 0.6), h * rng.uniform(0.35, 0.48))
-    room.floor = (h - room.center[1]) / (top * rng.uniform(0.4, 0.85))
-    room.far = max(0.5, 0.02 * top)
+    room.floor = (h - room.center[1]) / (max_disparity * rng.uniform(0.4, 0.85))
+    room.far = max(0.5, 0.02 * max_disparity)
     half = np.array([2 * w / room.far, 2 * h / room.far, 1.0])
     sky = np.full((8, 8, 3), rng.uniform(0.75, 0.97), np.float32)
     behind = np.array([0.0, 0.0, room.focal / room.far])
@@ -120,19 +120,19 @@ def _street(room: Room) -> None:
     room.light = np.array([rng.uniform(-40, 40), -60.0, rng.uniform(0, 30)])
     _road(room)
     sides = (room.center[0], w - room.center[0])
-    fronts = [side / (top * rng.uniform(0.25, 0.7)) for side in sides]
+    fronts = [side / (max_disparity * rng.uniform(0.25, 0.7)) for side in sides]
     for sign, away in zip((-1, 1), fronts, strict=True):
         _house_fronts(room, sign, away)
     room.surroundings = textures.surroundings(rng, h, w, room.feature)
     gloss = rng.uniform(0.05, 0.35)
     # The nearest cars are cut off by the border of the image, on either side.
-    for k, d in enumerate(top * np.array([0.93, 0.8, 0.5, 0.3, 0.17]) * rng.uniform(0.75, 1.0, 5)):
+    for k, d in enumerate(max_disparity * np.array([0.93, 0.8, 0.5, 0.3, 0.17]) * rng.uniform(0.75, 1.0, 5)):
         sign, size = (-1) ** (k + int(rng.integers(2))), room.floor * d
         away = fronts[(sign + 1) // 2] * rng.uniform(0.55, 0.8)
         measures = (size * rng.uniform(0.9, 1.1), size * rng.uniform(0.75, 0.95), size * rng.uniform(1.8, 2.4))
         room.box(room.center[0] + sign * away * d, d, measures, textures.bodywork, rng.uniform(-0.08, 0.08), gloss)
     for _ in range(int(rng.integers(3, 7))):
-        d = top * rng.uniform(0.12, 0.6)
+        d = max_disparity * rng.uniform(0.12, 0.6)
         sign = 1 if rng.random() < 0.5 else -1
         x = room.center[0] + sign * fronts[(sign + 1) // 2] * rng.uniform(0.75, 0.95) * d
         tall, thin = room.floor * d * rng.uniform(0.6, 2.6), max(2.0, d * rng.uniform(0.04, 0.12))
@@ -145,26 +145,26 @@ def _street(room: Room) -> None:
 
 
 def _road(room: Room) -> None:
-    rng, top = room.rng, room.max_disparity
-    first, last = room.focal / top, room.focal / (0.1 * top)
-    half = np.array([2.0 * room.width / top, (last - first) / 2, 1.0])
-    picture = room.paint(textures.asphalt, (2 * half[0], 2 * half[1]), 0.4 * top)
+    rng, max_disparity = room.rng, room.max_disparity
+    first, last = room.focal / max_disparity, room.focal / (0.1 * max_disparity)
+    half = np.array([2.0 * room.width / max_disparity, (last - first) / 2, 1.0])
+    picture = room.paint(textures.asphalt, (2 * half[0], 2 * half[1]), 0.4 * max_disparity)
     middle = np.array([rng.uniform(-1, 1), room.floor, (first + last) / 2])
     room.surfaces.append(Surface("plane", middle, rotation(pitch=np.pi / 2), half, picture, unbounded=True))
 
 
 def _house_fronts(room: Room, sign: int, away: float) -> None:
     """House by house along the road, beside the camera by ``away`` baselines."""
-    rng, top = room.rng, room.max_disparity
+    rng, max_disparity = room.rng, room.max_disparity
     turn = rotation(sign * np.pi / 2)
-    z, end = room.focal / (0.97 * top), room.focal / (0.05 * top)
+    z, end = room.focal / (0.97 * max_disparity), room.focal / (0.05 * max_disparity)
     while z < end:
         long, tall = z * rng.uniform(0.5, 1.2), room.floor * rng.uniform(2.5, 9)
         near = room.focal / (z + 0.3 * long)
         half = np.array([long / 2, tall / 2, 1.0])
         middle = np.array([sign * away * rng.uniform(1, 1.08), room.floor - tall / 2, z + long / 2])
         maker = room.pick((*textures.WALL_TEXTURES, textures.windows, textures.windows, textures.windows))
-        picture = room.paint(maker, (long, tall), min(near, 0.5 * top))
+        picture = room.paint(maker, (long, tall), min(near, 0.5 * max_disparity))
         room.surfaces.append(Surface("plane", middle, turn, half, room.faded(picture)))
         z += long * rng.uniform(1.0, 1.15)
 

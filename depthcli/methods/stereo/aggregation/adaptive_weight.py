@@ -162,8 +162,8 @@ def _aggregate(
     # (H, W, D) costs, (H, 3, W) colors, rows of ``right`` reversed. For every row of the window left weights (tap, x)
     # and right weights (tap, reversed x) are computed once; then every pixel adds its taps for all disparities. In
     # reversed order the right weights of a pixel are contiguous along d, and 0 after the row's end, outside the image.
-    height, width, disparities = costs.shape
-    padded = (disparities + _NARROW - 1) // _NARROW * _NARROW
+    height, width, n_disparities = costs.shape
+    padded = (n_disparities + _NARROW - 1) // _NARROW * _NARROW
     # An odd number of cache lines, so that the taps' rows spread over all cache sets.
     stride = (width + padded + 15) // 16 * 16
     if stride % 32 == 0:
@@ -221,7 +221,7 @@ def _aggregate(
                         d += _NARROW
         for x in range(width):
             source, target = costs[y, x], out[y, x]
-            sums, weights = num[x * padded : x * padded + disparities], den[x * padded : x * padded + disparities]
+            sums, weights = num[x * padded : x * padded + n_disparities], den[x * padded : x * padded + n_disparities]
             for d in range(target.size):
                 if weights[d] > 0:
                     target[d] = sums[d] / weights[d] * factor + rounding

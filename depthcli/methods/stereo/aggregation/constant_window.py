@@ -50,15 +50,15 @@ def _subtract(sums: Any, terms: Any) -> None:
 @jit
 def _row_means(columns: Any, window: Any, means: Any, radius: int, rows: int, factor: Any) -> None:
     # ``columns`` are sums over ``rows`` rows.
-    width, depth = means.shape
+    width, n_disparities = means.shape
     window[:] = 0
     for x in range(min(radius, width)):
-        _add(window, columns[x * depth : (x + 1) * depth])
+        _add(window, columns[x * n_disparities : (x + 1) * n_disparities])
     for x in range(width):
         if x + radius < width:
-            _add(window, columns[(x + radius) * depth : (x + radius + 1) * depth])
+            _add(window, columns[(x + radius) * n_disparities : (x + radius + 1) * n_disparities])
         if x - radius - 1 >= 0:
-            _subtract(window, columns[(x - radius - 1) * depth : (x - radius) * depth])
+            _subtract(window, columns[(x - radius - 1) * n_disparities : (x - radius) * n_disparities])
         area = rows * (min(width, x + radius + 1) - max(0, x - radius))
         scale = factor / np.float32(area)
         out = means[x]
@@ -70,18 +70,18 @@ def _row_means(columns: Any, window: Any, means: Any, radius: int, rows: int, fa
 def _box_means(costs: Any, means: Any, radius: int, factor: Any, bands: int) -> None:
     # One band of rows a task: a running sum of rows (columns), then along x a running sum of columns.
     # Every band begins with new column sums, so the result does not depend on the number of bands.
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for band in prange(bands):
         first = band * height // bands
         last = (band + 1) * height // bands
-        columns = np.zeros(width * depth, np.uint32)
-        window = np.zeros(depth, np.uint32)
+        columns = np.zeros(width * n_disparities, np.uint32)
+        window = np.zeros(n_disparities, np.uint32)
         for y in range(max(0, first - radius), min(height, first + radius)):
-            _add(columns, costs[y].reshape(width * depth))
+            _add(columns, costs[y].reshape(width * n_disparities))
         for y in range(first, last):
             if y + radius < height:
-                _add(columns, costs[y + radius].reshape(width * depth))
+                _add(columns, costs[y + radius].reshape(width * n_disparities))
             if y - radius - 1 >= 0 and y > first:
-                _subtract(columns, costs[y - radius - 1].reshape(width * depth))
+                _subtract(columns, costs[y - radius - 1].reshape(width * n_disparities))
             rows = min(height, y + radius + 1) - max(0, y - radius)
             _row_means(columns, window, means[y], radius, rows, factor)

@@ -103,9 +103,9 @@ def _write(low: Any, high: Any, inverse: Any, out: Any, shift: int, last: bool) 
 
 @parallel_jit
 def _row_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, shift: int, last: bool) -> None:
-    height, width, depth = source.shape
+    height, width, n_disparities = source.shape
     for y in prange(height):
-        prefix = np.empty((width + 1, depth), np.uint32)
+        prefix = np.empty((width + 1, n_disparities), np.uint32)
         prefix[0] = 0
         for x in range(width):
             costs = source[y, x]
@@ -121,12 +121,12 @@ def _row_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, shif
 @parallel_jit
 def _column_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, shift: int, last: bool) -> None:
     # Blocks of columns keep the prefix sums in cache while memory is still read in runs.
-    height, width, depth = source.shape
+    height, width, n_disparities = source.shape
     block = 4
     for start in prange((width + block - 1) // block):
         x0 = start * block
         x1 = min(width, x0 + block)
-        run = (x1 - x0) * depth
+        run = (x1 - x0) * n_disparities
         prefix = np.empty((height + 1, run), np.uint32)
         prefix[0] = 0
         for y in range(height):
@@ -136,7 +136,7 @@ def _column_sums(source: Any, before: Any, after: Any, inverse: Any, out: Any, s
                 next_sums[i] = sums[i] + np.uint32(costs[i])
         for y in range(height):
             for x in range(x0, x1):
-                offset = (x - x0) * depth
-                low = prefix[y - before[y, x], offset : offset + depth]
-                high = prefix[y + after[y, x] + 1, offset : offset + depth]
+                offset = (x - x0) * n_disparities
+                low = prefix[y - before[y, x], offset : offset + n_disparities]
+                high = prefix[y + after[y, x] + 1, offset : offset + n_disparities]
                 _write(low, high, inverse[y, x], out[y, x], shift, last)

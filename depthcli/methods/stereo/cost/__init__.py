@@ -19,8 +19,8 @@ class CostMeasure(Method):
     """A measure of the dissimilarity of two pixels."""
 
     @abstractmethod
-    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
-        """Return the cost volume of disparities 0 .. ``disparities`` - 1."""
+    def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
+        """Return the cost volume of disparities 0 .. ``n_disparities`` - 1."""
 
     def halo(self) -> int | None:
         """Return the radius of the window that a pixel's costs depend on, pixels; None: the whole image."""

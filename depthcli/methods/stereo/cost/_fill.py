@@ -33,13 +33,13 @@ def popcount(typingctx: Any, value: Any) -> Any:
 def hamming_volume(left: Any, right: Any, costs: Any) -> None:
     """Write the Hamming distance of (H, W) uint64 bit strings into (H, W, D) uint8."""
     height, width = left.shape
-    depth = costs.shape[2]
+    n_disparities = costs.shape[2]
     for y in prange(height):
-        mirror = np.zeros(width + depth, np.uint64)
+        mirror = np.zeros(width + n_disparities, np.uint64)
         mirror[:width] = right[y, ::-1]
         for x in range(width):
             bits = left[y, x]
-            row = mirror[width - 1 - x : width - 1 - x + depth]
+            row = mirror[width - 1 - x : width - 1 - x + n_disparities]
             out = costs[y, x]
             for i in range(out.size):
                 out[i] = np.uint8(popcount(bits ^ row[i]))
@@ -49,18 +49,18 @@ def hamming_volume(left: Any, right: Any, costs: Any) -> None:
 def difference_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
     """Write the sum over channels of |left - right|, at most ``limit``, of (C, H, W) uint8 into (H, W, D) uint8."""
     channels, height, width = left.shape
-    depth = costs.shape[2]
+    n_disparities = costs.shape[2]
     for y in prange(height):
-        mirror = np.zeros((channels, width + depth), np.uint8)
+        mirror = np.zeros((channels, width + n_disparities), np.uint8)
         mirror[:, :width] = right[:, y, ::-1]
         for x in range(width):
             start = width - 1 - x
             out = costs[y, x]
             if channels == 3:
                 a, b, c = np.int16(left[0, y, x]), np.int16(left[1, y, x]), np.int16(left[2, y, x])
-                row_a = mirror[0, start : start + depth]
-                row_b = mirror[1, start : start + depth]
-                row_c = mirror[2, start : start + depth]
+                row_a = mirror[0, start : start + n_disparities]
+                row_b = mirror[1, start : start + n_disparities]
+                row_c = mirror[2, start : start + n_disparities]
                 for i in range(out.size):
                     total = np.int16(
                         np.int16(abs(np.int16(a - np.int16(row_a[i]))))
@@ -72,7 +72,7 @@ def difference_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
                 out[:] = 0
                 for k in range(channels):
                     a = np.int16(left[k, y, x])
-                    row_a = mirror[k, start : start + depth]
+                    row_a = mirror[k, start : start + n_disparities]
                     for i in range(out.size):
                         total = np.int16(np.int16(out[i]) + np.int16(abs(np.int16(a - np.int16(row_a[i])))))
                         out[i] = np.uint8(min(total, limit))
@@ -121,25 +121,25 @@ def _tolerant_volume(
     costs: Any, shift: Any, limit: Any,
 ) -> None:  # fmt: skip
     channels, height, width = left.shape
-    depth = costs.shape[2]
+    n_disparities = costs.shape[2]
     zero = np.int16(0)
     half = np.int16((1 << shift) >> 1)
     for y in prange(height):
-        mirror = np.zeros((3 * channels, width + depth), np.int16)
+        mirror = np.zeros((3 * channels, width + n_disparities), np.int16)
         for c in range(channels):
             mirror[3 * c, :width] = right[c, y, ::-1]
             mirror[3 * c + 1, :width] = right_low[c, y, ::-1]
             mirror[3 * c + 2, :width] = right_high[c, y, ::-1]
-        total = np.empty(depth, np.int16)
+        total = np.empty(n_disparities, np.int16)
         for x in range(width):
             start = width - 1 - x
             total[:] = half
             for c in range(channels):
                 value = np.int16(left[c, y, x])
                 low, high = np.int16(left_low[c, y, x]), np.int16(left_high[c, y, x])
-                other = mirror[3 * c, start : start + depth]
-                other_low = mirror[3 * c + 1, start : start + depth]
-                other_high = mirror[3 * c + 2, start : start + depth]
+                other = mirror[3 * c, start : start + n_disparities]
+                other_low = mirror[3 * c + 1, start : start + n_disparities]
+                other_high = mirror[3 * c + 2, start : start + n_disparities]
                 for i in range(total.size):
                     forth = max(np.int16(value - other_high[i]), np.int16(other_low[i] - value))
                     back = max(np.int16(other[i] - high), np.int16(low - other[i]))

@@ -33,13 +33,13 @@ class AbsoluteDifference(CostMeasure):
     def halo(self) -> int | None:
         return 1 if self.sampling == "tolerant" else 0
 
-    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
+    def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
         if pair.left.ndim == 3:
             left, right = (np.ascontiguousarray(image.transpose(2, 0, 1)) for image in pair.color8)
         else:
             left, right = (image[None] for image in pair.grey8)
         scale = left.shape[0]
-        costs = memory.empty((*pair.shape, disparities), np.uint8)
+        costs = memory.empty((*pair.shape, n_disparities), np.uint8)
         limit = min(round(self.truncation * scale), self.MAX_STORED)
         if self.sampling == "tolerant":
             tolerant_volume(left, right, costs, 0, np.int16(limit))

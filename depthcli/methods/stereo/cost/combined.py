@@ -39,13 +39,13 @@ class Combined(CostMeasure):
         known = [halo for halo in halos if halo is not None]
         return max(known) if len(known) == len(halos) else None
 
-    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
+    def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
         unit = 255 // len(self.parts)
-        total = memory.empty((*pair.shape, disparities), np.uint8)
+        total = memory.empty((*pair.shape, n_disparities), np.uint8)
         total[:] = 0
         weights = light_weights([part.cost for part in self.parts], pair)
         for k, part in enumerate(self.parts):
-            volume = part.cost(pair, disparities)
+            volume = part.cost(pair, n_disparities)
             rate = _rate(volume.scale * part.lambda_)
             if weights is None:
                 _add_exponential(volume.costs, rate, np.float32(unit), total)
@@ -75,11 +75,11 @@ def _share(rate: Any, shares: Any) -> None:
 @parallel_jit
 def _add_exponential(costs: Any, rate: Any, unit: Any, total: Any) -> None:
     # A table of 256 entries would not vectorize.
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     half, one = np.float32(0.5), np.float32(1.0)
     for y in prange(height):
-        source = costs[y].reshape(width * depth)
-        out = total[y].reshape(width * depth)
+        source = costs[y].reshape(width * n_disparities)
+        out = total[y].reshape(width * n_disparities)
         for i in range(out.size):
             part = one - exp_minus_16(np.float32(source[i]) * rate)
             out[i] = np.uint8(out[i] + np.uint8(np.int32(unit * part + half)))

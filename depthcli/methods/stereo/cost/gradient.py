@@ -36,8 +36,8 @@ class Gradient(CostMeasure):
     def halo(self) -> int | None:
         return 3 if self.sampling == "tolerant" else 2
 
-    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
-        costs = memory.empty((*pair.shape, disparities), np.uint8)
+    def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
+        costs = memory.empty((*pair.shape, n_disparities), np.uint8)
         left, right = (image_gradient(image, self.sigma) for image in pair.grey)
         limit = round(self.truncation * self.SCALE)
         if self.sampling == "tolerant":
@@ -80,15 +80,15 @@ def derivative_filters(sigma: float) -> tuple[NDArray[np.float64], NDArray[np.fl
 @parallel_jit
 def _gradient_volume(left: Any, right: Any, costs: Any, limit: Any) -> None:
     # (2, H, W) int16 sixteenths into (H, W, D) uint8 quarters, rounded half up.
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in prange(height):
-        mirror = np.zeros((2, width + depth), np.int16)
+        mirror = np.zeros((2, width + n_disparities), np.int16)
         mirror[:, :width] = right[:, y, ::-1]
         for x in range(width):
             start = width - 1 - x
             a, b = left[0, y, x], left[1, y, x]
-            row_a = mirror[0, start : start + depth]
-            row_b = mirror[1, start : start + depth]
+            row_a = mirror[0, start : start + n_disparities]
+            row_b = mirror[1, start : start + n_disparities]
             out = costs[y, x]
             for i in range(out.size):
                 total = np.int16(

@@ -32,8 +32,8 @@ class Rank(CostMeasure):
     def halo(self) -> int | None:
         return max(self.window) // 2
 
-    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
-        costs = memory.empty((*pair.shape, disparities), np.uint8)
+    def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
+        costs = memory.empty((*pair.shape, n_disparities), np.uint8)
         left, right = (rank_transform(image, self.window) for image in pair.grey)
         difference_volume(left[None], right[None], costs, np.int16(255))
         fill_outside(costs, np.uint8(round(self.outside)))

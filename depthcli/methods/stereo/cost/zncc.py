@@ -40,8 +40,8 @@ class Zncc(CostMeasure):
     def halo(self) -> int | None:
         return max(self.window) // 2
 
-    def __call__(self, pair: StereoPair, disparities: int) -> CostVolume:
-        costs = memory.empty((*pair.shape, disparities), np.uint8)
+    def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
+        costs = memory.empty((*pair.shape, n_disparities), np.uint8)
         ry, rx = self.window[1] // 2, self.window[0] // 2
         padded = [np.pad(image, ((ry, ry), (rx, rx)), mode="edge") for image in pair.grey8]
         moments = [_moments(image, self.window, self.noise) for image in padded]
@@ -66,11 +66,11 @@ def _moments(
 
 @jit
 def _add_products(left: Any, right: Any, sign: Any, mirror: Any, sums: Any) -> None:
-    columns, depth = sums.shape
+    columns, n_disparities = sums.shape
     mirror[:columns] = right[::-1]
     for x in range(columns):
         a = sign * np.int32(left[x])
-        column, other = sums[x], mirror[columns - 1 - x : columns - 1 - x + depth]
+        column, other = sums[x], mirror[columns - 1 - x : columns - 1 - x + n_disparities]
         for i in range(column.size):
             column[i] += a * other[i]
 
@@ -81,16 +81,16 @@ def _zncc_volume(
     floor: Any, costs: Any,
 ) -> None:  # fmt: skip
     # Sums of products of columns are updated from row to row, those of windows from column to column.
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     rows, columns = left.shape
     tall, wide = rows - height + 1, columns - width + 1
     unit, one, half = np.float32(250.0), np.float32(1.0), np.float32(0.5)
     for band in prange((height + _BAND - 1) // _BAND):
-        sums = np.zeros((columns, depth), np.int32)
-        mirror = np.zeros(columns + depth, np.int32)
-        total = np.zeros(depth, np.int32)
-        mean = np.zeros(width + depth)
-        factor = np.zeros(width + depth, np.float32)
+        sums = np.zeros((columns, n_disparities), np.int32)
+        mirror = np.zeros(columns + n_disparities, np.int32)
+        total = np.zeros(n_disparities, np.int32)
+        mean = np.zeros(width + n_disparities)
+        factor = np.zeros(width + n_disparities, np.float32)
         first = band * _BAND
         for y in range(first, min(height, first + _BAND)):
             # Rows y .. y + tall - 1 of the padded images; the first row of a band starts from nothing.
@@ -109,7 +109,7 @@ def _zncc_volume(
                 for i in range(total.size):
                     total[i] += column[i]
                 at = width - 1 - x
-                means, factors = mean[at : at + depth], factor[at : at + depth]
+                means, factors = mean[at : at + n_disparities], factor[at : at + n_disparities]
                 m, f = left_mean[y, x], left_factor[y, x]
                 out = costs[y, x]
                 for i in range(out.size):

@@ -19,7 +19,7 @@ LANES = 16
 @intrinsic
 def path_step(
     typingctx: Any, costs: Any, cost_at: Any, state: Any, before: Any, after: Any,
-    minima: Any, minima_before: Any, minima_after: Any, p1: Any, p2: Any, total: Any, total_at: Any, depth: Any,
+    minima: Any, minima_before: Any, minima_after: Any, p1: Any, p2: Any, total: Any, total_at: Any, n_disparities: Any,
 ) -> Any:  # fmt: skip
     """Compute ``L(d) = C(d) + min(B(d), B(d +- 1) + P1, min B + P2) - min B`` for K paths.
 
@@ -31,7 +31,7 @@ def path_step(
     minima : flat uint16 minima of the path costs, read at ``minima_before``, written at ``minima_after``
     p1, p2 : K penalties
     total : flat uint16; the pixel's D sums over the K paths are written from ``total_at`` on
-    depth : D, at least LANES
+    n_disparities : D, at least LANES
     """
     paths = len(before)
     signature = types.void(

@@ -37,9 +37,9 @@ class Scanline(Optimizer):
         if volume.costs.dtype == np.float32:
             volume = as_fixed_point(volume)
         costs = volume.costs
-        disparities = volume.disparities
-        if disparities < LANES:  # the added ones are removed below
-            padding = ((0, 0), (0, 0), (0, LANES - disparities))
+        n_disparities = volume.n_disparities
+        if n_disparities < LANES:  # the added ones are removed below
+            padding = ((0, 0), (0, 0), (0, LANES - n_disparities))
             costs = np.pad(costs.astype(np.uint16), padding, constant_values=_PADDING_COST)
         table = self.penalties(volume.scale, volume.costs.dtype == np.uint8)
         edges = np.zeros((4, *pair.shape), np.uint8)
@@ -47,7 +47,7 @@ class Scanline(Optimizer):
         sums = [memory.empty(costs.shape, np.uint16) for _ in range(2)]
         _sweep_both(costs, sums[0], sums[1], edges, table, self.paths == 8)
         _add(sums[0], sums[1])
-        total = sums[0] if disparities >= LANES else np.ascontiguousarray(sums[0][:, :, :disparities])
+        total = sums[0] if n_disparities >= LANES else np.ascontiguousarray(sums[0][:, :, :n_disparities])
         return CostVolume(total, volume.scale * self.paths)
 
     def penalties(self, scale: float, raw: bool) -> NDArray[np.uint16]:
@@ -82,10 +82,10 @@ def _mark_edges(planes: Any, edges: Any, threshold: int) -> None:
 
 @parallel_jit
 def _add(total: Any, other: Any) -> None:
-    height, width, depth = total.shape
+    height, width, n_disparities = total.shape
     for y in prange(height):
-        out = total[y].reshape(width * depth)
-        source = other[y].reshape(width * depth)
+        out = total[y].reshape(width * n_disparities)
+        source = other[y].reshape(width * n_disparities)
         for i in range(out.size):
             out[i] = np.uint16(out[i] + source[i])
 
@@ -104,27 +104,27 @@ def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upward
     # Paths from the left, above, upper left and upper right; upwards: from the opposite directions. ``state`` holds the
     # path costs, D + 2 cells a pixel: two pixels of the row path, then for each of the three directions from above two
     # rows of W + 2 pixels that alternate. New paths begin at margin pixels.
-    height, width, depth = costs.shape
-    cells = depth + 2
+    height, width, n_disparities = costs.shape
+    cells = n_disparities + 2
     row_cells = (width + 2) * cells
     state = np.full(2 * cells + 6 * row_cells, 0x7FFF, np.uint16)
     for pixel in range(2 + 6 * (width + 2)):
-        for i in range(pixel * cells + 1, pixel * cells + 1 + depth):
+        for i in range(pixel * cells + 1, pixel * cells + 1 + n_disparities):
             state[i] = 0
     minima = np.zeros(2 + 6 * (width + 2), np.uint16)
-    flat_costs = costs.reshape(height * width * depth)
-    flat_sums = sums.reshape(height * width * depth)
+    flat_costs = costs.reshape(height * width * n_disparities)
+    flat_sums = sums.reshape(height * width * n_disparities)
     step = -1 if upwards else 1
     for row in range(height):
         y = height - 1 - row if upwards else row
         edge_row = y + 1 if upwards else y  # the row of ``edges`` towards the row before
         old, new = 2 + (row & 1) * 3 * (width + 2), 2 + (1 - (row & 1)) * 3 * (width + 2)
         minima[:2] = 0
-        for i in range(depth):
+        for i in range(n_disparities):
             state[1 + i] = 0
         for column in range(width):
             x = width - 1 - column if upwards else column
-            at = (y * width + x) * depth
+            at = (y * width + x) * n_disparities
             back, front = column & 1, 1 - (column & 1)
             above_old, above_new = old + width + 2 + x + 1, new + width + 2 + x + 1
             e = f = 0
@@ -136,7 +136,7 @@ def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upward
                 path_step(
                     flat_costs, at, state, (back * cells, above_old * cells), (front * cells, above_new * cells),
                     minima, (back, above_old), (front, above_new),
-                    (table[e, 0], table[f, 0]), (table[e, 1], table[f, 1]), flat_sums, at, depth,
+                    (table[e, 0], table[f, 0]), (table[e, 1], table[f, 1]), flat_sums, at, n_disparities,
                 )  # fmt: skip
                 continue
             u, v = x - step, x + step
@@ -153,5 +153,5 @@ def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upward
                 (front * cells, above_new * cells, left_new * cells, right_new * cells),
                 minima, (back, above_old, left_old, right_old), (front, above_new, left_new, right_new),
                 (table[e, 0], table[f, 0], table[g, 0], table[h, 0]),
-                (table[e, 1], table[f, 1], table[g, 1], table[h, 1]), flat_sums, at, depth,
+                (table[e, 1], table[f, 1], table[g, 1], table[h, 1]), flat_sums, at, n_disparities,
             )  # fmt: skip

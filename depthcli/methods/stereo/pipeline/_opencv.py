@@ -27,7 +27,7 @@ class Wls(BaseModel):
     sigma_color: float = Field(1.5, gt=0, le=1e4, description="color sensitivity; smaller keeps more edges")
 
 
-def search_range(max_disparity: int) -> int:
+def opencv_disparities(max_disparity: int) -> int:
     """Return OpenCV's number of disparities for 0 .. ``max_disparity``: a multiple of 16."""
     if max_disparity < 0:
         raise ValueError(f"max_disparity must be >= 0, got {max_disparity}")
@@ -45,7 +45,7 @@ def match(
 ) -> StereoResult:
     """Run ``matcher`` on the padded pair.
 
-    The matchers give no value in the first ``search_range`` columns, so the pair is padded on the left by
+    The matchers give no value in the first ``opencv_disparities`` columns, so the pair is padded on the left by
     repeating its border, and the result is cropped.
 
     Parameters
@@ -55,7 +55,7 @@ def match(
     margin : padding on every side beside that, pixels
     """
     height, width = left.shape[:2]
-    lead = search_range(max_disparity) + margin
+    lead = opencv_disparities(max_disparity) + margin
     clock = Clock()
     padded_left, padded_right = (
         cv2.copyMakeBorder(image, margin, margin, lead, margin, cv2.BORDER_REPLICATE) for image in (left, right)

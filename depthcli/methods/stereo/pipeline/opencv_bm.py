@@ -8,7 +8,7 @@ from pydantic import Field
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.methods.stereo.pipeline import StereoPipeline
-from depthcli.methods.stereo.pipeline._opencv import Wls, match, search_range
+from depthcli.methods.stereo.pipeline._opencv import Wls, match, opencv_disparities
 from depthcli.methods.stereo.volume import StereoResult
 
 
@@ -32,7 +32,7 @@ class OpencvBm(StereoPipeline):
     fill: bool = Field(True, description="fill what has no value with the background of its row")
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
-        matcher = cv2.StereoBM.create(search_range(max_disparity), self.block)
+        matcher = cv2.StereoBM.create(opencv_disparities(max_disparity), self.block)
         matcher.setPreFilterType(cv2.STEREO_BM_PREFILTER_XSOBEL)
         matcher.setPreFilterCap(self.pre_filter_cap)
         matcher.setTextureThreshold(self.texture)
@@ -47,6 +47,6 @@ class OpencvBm(StereoPipeline):
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the bytes of a few rows of sums, and of the maps."""
         height, width = shape
-        disparities = search_range(max_disparity)
-        pixels = (height + self.block) * (width + disparities + self.block)
-        return 8 * (width + disparities) * disparities + pixels * (60 if self.wls else 30)
+        n_disparities = opencv_disparities(max_disparity)
+        pixels = (height + self.block) * (width + n_disparities + self.block)
+        return 8 * (width + n_disparities) * n_disparities + pixels * (60 if self.wls else 30)

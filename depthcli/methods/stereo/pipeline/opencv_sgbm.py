@@ -10,7 +10,7 @@ from pydantic import Field
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Odd
 from depthcli.methods.stereo.pipeline import StereoPipeline
-from depthcli.methods.stereo.pipeline._opencv import Wls, match, search_range
+from depthcli.methods.stereo.pipeline._opencv import Wls, match, opencv_disparities
 from depthcli.methods.stereo.volume import StereoResult
 
 _MODES = {
@@ -51,7 +51,7 @@ class OpencvSgbm(StereoPipeline):
         p1 = 8 * area if self.p1 is None else self.p1
         matcher = cv2.StereoSGBM.create(
             minDisparity=0,
-            numDisparities=search_range(max_disparity),
+            numDisparities=opencv_disparities(max_disparity),
             blockSize=self.block,
             P1=p1,
             P2=max(p1 + 1, 32 * area) if self.p2 is None else self.p2,
@@ -69,7 +69,9 @@ class OpencvSgbm(StereoPipeline):
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the bytes of the maps and of int16 costs and sums: volumes in modes hh and hh4, else a few rows."""
         height, width = shape
-        disparities = search_range(max_disparity)
-        pixels = height * (width + disparities)
-        volumes = 4 * pixels * disparities if self.mode in ("hh", "hh4") else 16 * (width + disparities) * disparities
+        n_disparities = opencv_disparities(max_disparity)
+        pixels = height * (width + n_disparities)
+        volumes = (
+            4 * pixels * n_disparities if self.mode in ("hh", "hh4") else 16 * (width + n_disparities) * n_disparities
+        )
         return volumes + pixels * (60 if self.wls else 30)

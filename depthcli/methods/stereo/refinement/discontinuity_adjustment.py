@@ -27,7 +27,7 @@ class DiscontinuityAdjustment(Refinement):
 
 @parallel_jit
 def _adjust(values: Any, costs: Any, axis: int, adjusted: Any) -> None:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     dy, dx = (0, 1) if axis == 1 else (1, 0)
     for y in prange(dy, height - dy):
         for x in range(dx, width - dx):
@@ -40,11 +40,11 @@ def _adjust(values: Any, costs: Any, axis: int, adjusted: Any) -> None:
             best = current
             k = int(current + np.float32(0.5))
             lowest = np.float32(np.inf)
-            if k <= x and k < depth:
+            if k <= x and k < n_disparities:
                 lowest = np.float32(costs[y, x, k])
             for other in (one, two):
                 k = int(other + np.float32(0.5))
-                if k <= x and k < depth and np.float32(costs[y, x, k]) < lowest:
+                if k <= x and k < n_disparities and np.float32(costs[y, x, k]) < lowest:
                     lowest = np.float32(costs[y, x, k])
                     best = other
             adjusted[y, x] = best

@@ -31,12 +31,12 @@ class LeftRightCheck(Refinement):
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values, status = disparity.values.copy(), disparity.status.copy()
-        _check(values, status, context.right, np.float32(self.tolerance), context.volume.disparities)
+        _check(values, status, context.right, np.float32(self.tolerance), context.volume.n_disparities)
         return DisparityMap(values, status)
 
 
 @parallel_jit
-def _check(values: Any, status: Any, right: Any, tolerance: Any, disparities: int) -> None:
+def _check(values: Any, status: Any, right: Any, tolerance: Any, n_disparities: int) -> None:
     occluded, mismatch = np.uint8(1), np.uint8(2)
     height, width = values.shape
     for y in prange(height):
@@ -47,7 +47,7 @@ def _check(values: Any, status: Any, right: Any, tolerance: Any, disparities: in
             if partner_difference(d, x, right[y]) <= tolerance:
                 continue
             mutual = False
-            for other in range(min(disparities, x + 1)):
+            for other in range(min(n_disparities, x + 1)):
                 if right[y, x - other] == other:
                     mutual = True
                     break

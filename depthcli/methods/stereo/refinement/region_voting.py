@@ -36,7 +36,7 @@ class RegionVoting(Refinement):
         values = disparity.values
         for _ in range(self.iterations):
             voted = values.copy()
-            _vote(values, arms, voted, context.volume.disparities, self.votes, self.majority)
+            _vote(values, arms, voted, context.volume.n_disparities, self.votes, self.majority)
             settled = np.array_equal(np.isnan(voted), np.isnan(values))
             values = voted
             if settled:

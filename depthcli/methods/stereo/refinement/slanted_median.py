@@ -39,7 +39,7 @@ class SlantedMedian(Refinement):
         return self.passes * self.radius + self.slope_radius
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
-        values = self.filtered(disparity.values, context.pair.color8[0], context.volume.disparities - 1)
+        values = self.filtered(disparity.values, context.pair.color8[0], context.volume.n_disparities - 1)
         return with_smoothed(disparity, values)
 
     def filtered(

@@ -24,7 +24,7 @@ class SpeckleFilter(Refinement):
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         valid = disparity.valid
         none = -32768
-        steps = steps_of(context.volume.disparities)
+        steps = steps_of(context.volume.n_disparities)
         fixed = np.where(valid, np.round(np.nan_to_num(disparity.values) * steps), none).astype(np.int16)
         cv2.filterSpeckles(fixed, none, self.size, self.step * steps)
         removed = valid & (fixed == none)
@@ -32,6 +32,6 @@ class SpeckleFilter(Refinement):
         return marked(disparity, values, removed, Status.MISMATCH)
 
 
-def steps_of(disparities: int) -> int:
+def steps_of(n_disparities: int) -> int:
     """Return the number of steps into which a pixel of disparity is divided."""
-    return max(1, min(_MAX_STEPS, 32767 // disparities))
+    return max(1, min(_MAX_STEPS, 32767 // n_disparities))

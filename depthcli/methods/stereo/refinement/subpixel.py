@@ -37,13 +37,13 @@ class Subpixel(Refinement):
 @parallel_jit
 def move_to_minimum(costs: Any, values: Any) -> None:
     """Move (H, W) float32 ``values`` to the minima of parabolas, in place."""
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in prange(height):
         for x in range(width):
             if np.isnan(values[y, x]):
                 continue
             d = int(values[y, x])
-            if values[y, x] != d or d < 1 or d + 1 >= min(depth, x + 1):
+            if values[y, x] != d or d < 1 or d + 1 >= min(n_disparities, x + 1):
                 continue
             below, lowest, above = float(costs[y, x, d - 1]), float(costs[y, x, d]), float(costs[y, x, d + 1])
             curvature = below + above - 2.0 * lowest

@@ -43,7 +43,7 @@ class SurfaceFill(Refinement):
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         values = disparity.values.copy()
-        largest = np.float32(context.volume.disparities - 1)
+        largest = np.float32(context.volume.n_disparities - 1)
         _continue_surfaces(disparity.values, values, self.rows, self.reach, self.support, largest)
         return with_filled(disparity, values)
 

@@ -106,14 +106,14 @@ def matching_cost(volume: CostVolume, trusted: Members, planes: Planes, weight: 
     """
     unary = np.zeros((len(trusted.starts) - 1, len(planes)))
     width = volume.costs.shape[1]
-    costs = volume.costs.reshape(-1, volume.disparities)
+    costs = volume.costs.reshape(-1, volume.n_disparities)
     _matching_cost(costs, width, trusted.order, trusted.starts, planes.coefficients, weight / volume.scale, unary)
     return unary
 
 
 @parallel_jit
 def _matching_cost(costs, width, order, starts, coefficients, weight, unary):  # type: ignore[no-untyped-def]
-    depth = costs.shape[1]
+    n_disparities = costs.shape[1]
     for t in prange(unary.shape[0]):
         for i in range(starts[t], starts[t + 1]):
             pixel = order[i]
@@ -122,7 +122,7 @@ def _matching_cost(costs, width, order, starts, coefficients, weight, unary):  #
             row = costs[pixel]
             for label in range(coefficients.shape[0]):
                 a, b, c = coefficients[label, 0], coefficients[label, 1], coefficients[label, 2]
-                d = min(max(int(np.floor(a * x + b * y + c + 0.5)), 0), depth - 1)
+                d = min(max(int(np.floor(a * x + b * y + c + 0.5)), 0), n_disparities - 1)
                 unary[t, label] += row[d]
         for label in range(coefficients.shape[0]):
             unary[t, label] *= weight

@@ -73,10 +73,10 @@ def segment_window(volume: CostVolume, labels: NDArray[np.int32], radius: int) -
 
 @parallel_jit
 def _segment_window(costs: Any, labels: Any, radius: Any, refinement: Any, kind: Any, out: Any) -> None:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     half = np.float32(0.5)
     for y in prange(height):
-        total = np.zeros(depth, kind.dtype)
+        total = np.zeros(n_disparities, kind.dtype)
         for x in range(width):
             total[:] = 0
             label = labels[y, x]
@@ -102,27 +102,27 @@ def has_information(volume: CostVolume) -> bool:
 
 @jit
 def _has_information(costs: Any) -> Any:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in range(height):
         for x in range(width):
-            for d in range(1, min(depth, x + 1)):
+            for d in range(1, min(n_disparities, x + 1)):
                 if costs[y, x, d] != costs[y, x, 0]:
                     return True
-    return depth == 1
+    return n_disparities == 1
 
 
 @parallel_jit
 def _distrust_constant_costs(costs: Any, trusted: Any) -> None:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in prange(height):
         for x in range(width):
             if not trusted[y, x]:
                 continue
-            row = costs[y, x, : min(depth, x + 1)]
+            row = costs[y, x, : min(n_disparities, x + 1)]
             low = np.int64(65536)
             high = np.int64(-1)
             for i in range(row.size):
                 cost = np.int64(row[i])
                 low = min(low, cost)
                 high = max(high, cost)
-            trusted[y, x] = high > low or depth == 1
+            trusted[y, x] = high > low or n_disparities == 1

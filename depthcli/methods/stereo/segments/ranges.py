@@ -74,7 +74,7 @@ class Ranges(Step):
 
 @parallel_jit
 def _penalize(costs: Any, zones: Any, ranges: Any, penalty: Any, limit: Any, out: Any) -> None:
-    height, width, depth = costs.shape
+    height, width, n_disparities = costs.shape
     for y in prange(height):
         for x in range(width):
             row = out[y, x]
@@ -85,7 +85,7 @@ def _penalize(costs: Any, zones: Any, ranges: Any, penalty: Any, limit: Any, out
                 continue
             for d in range(low):
                 row[d] = min(row[d] + penalty, limit)
-            for d in range(high + 1, depth):
+            for d in range(high + 1, n_disparities):
                 row[d] = min(row[d] + penalty, limit)
 
 

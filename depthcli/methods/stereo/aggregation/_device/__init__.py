@@ -28,8 +28,8 @@ _BAND = 64  # rows or columns that one thread's running sum goes along; each sta
 
 def adaptive_weight(method: AdaptiveWeight, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
     """Return the same means but for rounding; weights are shared by a tile of pixels and disparities."""
-    height, width, depth = volume.costs.shape
-    size = (-(-width // _TILE) * _THREADS, -(-depth // _LANES), height)
+    height, width, n_disparities = volume.costs.shape
+    size = (-(-width // _TILE) * _THREADS, -(-n_disparities // _LANES), height)
     return _weighted_means(method, volume, pair, "shared_weights", size, (_THREADS, 1, 1))
 
 
@@ -62,7 +62,7 @@ def constant_window(method: ConstantWindow, volume: DeviceVolume, pair: DevicePa
     if volume.costs.dtype != np.uint8:
         volume = volume.as_fixed_point()
     device = volume.device
-    height, width, depth = volume.costs.shape
+    height, width, n_disparities = volume.costs.shape
     radius = method.window // 2
     narrow = np.iinfo(volume.costs.dtype).max * method.window < 1 << 16
     kernels = _WINDOW.with_macros(COST=volume.c_type, SUM="ushort" if narrow else "uint")
@@ -70,13 +70,13 @@ def constant_window(method: ConstantWindow, volume: DeviceVolume, pair: DevicePa
     means = device.empty(volume.costs.shape, np.uint16)
     band = max(_BAND, method.window)
     device.launch(
-        kernels, "column_sums", (width * depth, -(-height // band)), (256, 1),
-        volume.costs, sums, height, width * depth, radius, band,
+        kernels, "column_sums", (width * n_disparities, -(-height // band)), (256, 1),
+        volume.costs, sums, height, width * n_disparities, radius, band,
     )  # fmt: skip
     (lanes, columns, _), _ = cells(means)
     device.launch(
         kernels, "row_means", (lanes, -(-columns // band), height), (cells(means)[1][0], 1, 4),
-        sums, means, height, width, depth, radius, float(_factor(volume)), band,
+        sums, means, height, width, n_disparities, radius, float(_factor(volume)), band,
     )  # fmt: skip
     return DeviceVolume(device, means, volume.scale * _factor(volume))
 
@@ -199,6 +199,6 @@ def _inverse(device: Device, arms: DeviceArray, across: int) -> DeviceArray:
 
 
 def _prefix(device: Device, kernels: Kernels, name: str, source: DeviceArray, sums: DeviceArray, along: int) -> None:
-    height, width, depth = source.shape
-    lines, count = (height * depth, width) if along else (width * depth, height)
-    device.launch(kernels, name, (lines,), (64,), source, sums, lines, width, depth, count, along)
+    height, width, n_disparities = source.shape
+    lines, count = (height * n_disparities, width) if along else (width * n_disparities, height)
+    device.launch(kernels, name, (lines,), (64,), source, sums, lines, width, n_disparities, count, along)

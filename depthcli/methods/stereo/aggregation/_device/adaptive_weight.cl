@@ -46,17 +46,17 @@ DEVICE OUT mean_of(float sum, float weights, float own, float factor, float roun
 
 KERNEL void naive_weights(GLOBAL const COST *RESTRICT costs, GLOBAL const float *RESTRICT left,
                           GLOBAL const float *RESTRICT right, GLOBAL OUT *RESTRICT means, int height, int width,
-                          int depth, int radius, float log_color, float log_space, float factor, float rounding)
+                          int n_disparities, int radius, float log_color, float log_space, float factor, float rounding)
 {
     OWN_CELL;
-    index_t cell = ((index_t)y * width + x) * depth + d;
+    index_t cell = ((index_t)y * width + x) * n_disparities + d;
     float sum = 0, weights = 0;
     if (d <= x)
         for (int v = larger(0, y - radius); v <= smaller(height - 1, y + radius); v++)
             for (int u = larger(d, x - radius); u <= smaller(width - 1, x + radius); u++) {
                 float weight = weight_of(left, width, y, x, v, u, log_color, log_space) *
                                weight_of(right, width, y, x - d, v, u - d, log_color, log_space);
-                sum += weight * (float)costs[((index_t)v * width + u) * depth + d];
+                sum += weight * (float)costs[((index_t)v * width + u) * n_disparities + d];
                 weights += weight;
             }
     means[cell] = mean_of(sum, weights, (float)costs[cell], factor, rounding);
@@ -66,7 +66,7 @@ KERNEL void naive_weights(GLOBAL const COST *RESTRICT costs, GLOBAL const float 
 // all right pixels that they may match; sums stay in registers.
 KERNEL void shared_weights(GLOBAL const COST *RESTRICT costs, GLOBAL const float *RESTRICT left,
                            GLOBAL const float *RESTRICT right, GLOBAL OUT *RESTRICT means, int height, int width,
-                           int depth, int radius, float log_color, float log_space, float factor, float rounding)
+                           int n_disparities, int radius, float log_color, float log_space, float factor, float rounding)
 {
     LOCAL float left_weights[TAPS][TILE];
     LOCAL float right_weights[TAPS][TILE + LANES];
@@ -92,15 +92,15 @@ KERNEL void shared_weights(GLOBAL const COST *RESTRICT costs, GLOBAL const float
                                             ? weight_of(right, width, y, x, v, u, log_color, log_space) : 0;
             }
             BARRIER();
-            if (d < depth)
+            if (d < n_disparities)
                 for (int k = 0; k < OWN; k++) {
                     int column = own + k * (THREADS / LANES), x = x0 + column;
                     int low = larger(0, -(x + first)), high = smaller(taps, width - x - first);
-                    GLOBAL const COST *cost = costs + ((index_t)v * width + x + first) * depth + d;
+                    GLOBAL const COST *cost = costs + ((index_t)v * width + x + first) * n_disparities + d;
                     float sum = sums[k], total = weights[k];
                     for (int tap = low; tap < high; tap++) {
                         float weight = left_weights[tap][column] * right_weights[tap][column + LANES - 1 - lane];
-                        sum += weight * (float)cost[(index_t)tap * depth];
+                        sum += weight * (float)cost[(index_t)tap * n_disparities];
                         total += weight;
                     }
                     sums[k] = sum;
@@ -108,11 +108,11 @@ KERNEL void shared_weights(GLOBAL const COST *RESTRICT costs, GLOBAL const float
                 }
             BARRIER();
         }
-    if (d < depth)
+    if (d < n_disparities)
         for (int k = 0; k < OWN; k++) {
             int x = x0 + own + k * (THREADS / LANES);
             if (x < width) {
-                index_t cell = ((index_t)y * width + x) * depth + d;
+                index_t cell = ((index_t)y * width + x) * n_disparities + d;
                 means[cell] = mean_of(sums[k], weights[k], (float)costs[cell], factor, rounding);
             }
         }

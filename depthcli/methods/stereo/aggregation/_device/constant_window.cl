@@ -11,7 +11,7 @@ DEVICE ushort mean_of(uint sum, int rows, int columns, float factor)
 }
 
 KERNEL void naive_window(GLOBAL const COST *RESTRICT costs, GLOBAL ushort *RESTRICT means, int height, int width,
-                         int depth, int radius, float factor)
+                         int n_disparities, int radius, float factor)
 {
     OWN_CELL;
     int top = larger(0, y - radius), bottom = smaller(height, y + radius + 1);
@@ -19,8 +19,8 @@ KERNEL void naive_window(GLOBAL const COST *RESTRICT costs, GLOBAL ushort *RESTR
     uint sum = 0;
     for (int v = top; v < bottom; v++)
         for (int u = left; u < right; u++)
-            sum += costs[((index_t)v * width + u) * depth + d];
-    means[((index_t)y * width + x) * depth + d] = mean_of(sum, bottom - top, right - left, factor);
+            sum += costs[((index_t)v * width + u) * n_disparities + d];
+    means[((index_t)y * width + x) * n_disparities + d] = mean_of(sum, bottom - top, right - left, factor);
 }
 
 // Running sums down the columns; a thread a column of cells and a band of rows. ``row`` = W * D.
@@ -44,25 +44,25 @@ KERNEL void column_sums(GLOBAL const COST *RESTRICT costs, GLOBAL SUM *RESTRICT 
 }
 
 // Running sums of those along the rows; a thread a row, a disparity and a band of columns.
-KERNEL void row_means(GLOBAL const SUM *RESTRICT sums, GLOBAL ushort *RESTRICT means, int height, int width, int depth,
+KERNEL void row_means(GLOBAL const SUM *RESTRICT sums, GLOBAL ushort *RESTRICT means, int height, int width, int n_disparities,
                       int radius, float factor, int band)
 {
     int d = GLOBAL_ID(0), first = GLOBAL_ID(1) * band, y = GLOBAL_ID(2);
-    if (d >= depth || first >= width || y >= height)
+    if (d >= n_disparities || first >= width || y >= height)
         return;
     int last = smaller(width, first + band);
     int rows = smaller(height, y + radius + 1) - larger(0, y - radius);
-    GLOBAL const SUM *line = sums + (index_t)y * width * depth + d;
-    GLOBAL ushort *out = means + (index_t)y * width * depth + d;
+    GLOBAL const SUM *line = sums + (index_t)y * width * n_disparities + d;
+    GLOBAL ushort *out = means + (index_t)y * width * n_disparities + d;
     uint sum = 0;
     for (int x = larger(0, first - radius); x < smaller(width, first + radius); x++)
-        sum += line[(index_t)x * depth];
+        sum += line[(index_t)x * n_disparities];
     for (int x = first; x < last; x++) {
         if (x + radius < width)
-            sum += line[(index_t)(x + radius) * depth];
+            sum += line[(index_t)(x + radius) * n_disparities];
         if (x > first && x - radius - 1 >= 0)
-            sum -= line[(index_t)(x - radius - 1) * depth];
-        out[(index_t)x * depth] =
+            sum -= line[(index_t)(x - radius - 1) * n_disparities];
+        out[(index_t)x * n_disparities] =
             mean_of(sum, rows, smaller(width, x + radius + 1) - larger(0, x - radius), factor);
     }
 }

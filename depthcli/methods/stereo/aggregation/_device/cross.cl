@@ -81,7 +81,7 @@ DEVICE ushort mean_of(uint sum, float inverse)
 // The naive way: a thread a cell, which reads its whole support.
 KERNEL void naive_cross(GLOBAL const ushort *RESTRICT costs, GLOBAL const uchar *RESTRICT arms,
                         GLOBAL const float *RESTRICT inverse, GLOBAL ushort *RESTRICT means,
-                        int height, int width, int depth, int across)
+                        int height, int width, int n_disparities, int across)
 {
     OWN_CELL;
     index_t plane = (index_t)height * width, here = (index_t)y * width + x;
@@ -92,24 +92,24 @@ KERNEL void naive_cross(GLOBAL const ushort *RESTRICT costs, GLOBAL const uchar 
         index_t at = here + k * step;
         uint sum = 0;
         for (int n = -(int)first[at]; n <= (int)first[at + plane]; n++)
-            sum += costs[(at + n * along) * depth + d];
+            sum += costs[(at + n * along) * n_disparities + d];
         total += rounded(sum);
     }
-    means[here * depth + d] = mean_of(total, inverse[here]);
+    means[here * n_disparities + d] = mean_of(total, inverse[here]);
 }
 
 // Sums from a line's start up to and with each cell, along x or y; a thread a line of cells.
 // ``lines``: threads' lines; ``inner``: cells between neighbors on a line; ``count``: cells of a line.
-DEVICE index_t line_start(int i, int across, int width, int depth, int count)
+DEVICE index_t line_start(int i, int across, int width, int n_disparities, int count)
 {
-    return across ? (index_t)(i / depth) * count * depth + i % depth : i;
+    return across ? (index_t)(i / n_disparities) * count * n_disparities + i % n_disparities : i;
 }
 
-KERNEL void prefix(GLOBAL const ushort *RESTRICT source, GLOBAL uint *RESTRICT sums, int lines, int width, int depth,
+KERNEL void prefix(GLOBAL const ushort *RESTRICT source, GLOBAL uint *RESTRICT sums, int lines, int width, int n_disparities,
                    int count, int across)
 {
     OWN_INDEX(i, lines);
-    index_t at = line_start(i, across, width, depth, count), step = across ? depth : (index_t)width * depth;
+    index_t at = line_start(i, across, width, n_disparities, count), step = across ? n_disparities : (index_t)width * n_disparities;
     uint sum = 0;
     for (int k = 0; k < count; k++, at += step) {
         sum += source[at];
@@ -119,15 +119,15 @@ KERNEL void prefix(GLOBAL const ushort *RESTRICT source, GLOBAL uint *RESTRICT s
 
 // Sum of one arm pair from the sums above: of the first pass rounded, of the last one the mean.
 KERNEL void spans(GLOBAL const uint *RESTRICT sums, GLOBAL const uchar *RESTRICT arms,
-                  GLOBAL const float *RESTRICT inverse, GLOBAL ushort *RESTRICT out, int height, int width, int depth,
+                  GLOBAL const float *RESTRICT inverse, GLOBAL ushort *RESTRICT out, int height, int width, int n_disparities,
                   int across, int last)
 {
     OWN_CELL;
     index_t plane = (index_t)height * width, here = (index_t)y * width + x, step = across ? 1 : width;
     GLOBAL const uchar *arm = arms + (across ? 0 : 2) * plane;
     int before = arm[here], after = arm[here + plane], place = across ? x : y;
-    uint sum = sums[(here + after * step) * depth + d];
+    uint sum = sums[(here + after * step) * n_disparities + d];
     if (place > before)
-        sum -= sums[(here - (before + 1) * step) * depth + d];
-    out[here * depth + d] = last ? mean_of(sum, inverse[here]) : rounded(sum);
+        sum -= sums[(here - (before + 1) * step) * n_disparities + d];
+    out[here * n_disparities + d] = last ? mean_of(sum, inverse[here]) : rounded(sum);
 }

@@ -9,7 +9,7 @@ DEVICE int cut_arm(GLOBAL const uchar *RESTRICT arms, GLOBAL const uchar *RESTRI
 
 KERNEL void naive_cut(GLOBAL const ushort *RESTRICT costs, GLOBAL const uchar *RESTRICT arms,
                       GLOBAL const uchar *RESTRICT target, GLOBAL ushort *RESTRICT means,
-                      int height, int width, int depth, int across)
+                      int height, int width, int n_disparities, int across)
 {
     OWN_CELL;
     index_t plane = (index_t)height * width, here = (index_t)y * width + x;
@@ -23,22 +23,22 @@ KERNEL void naive_cut(GLOBAL const ushort *RESTRICT costs, GLOBAL const uchar *R
         int low = cut_arm(arms + first, target + first, at, u, d);
         int high = cut_arm(arms + first + plane, target + first + plane, at, u, d);
         for (int n = -low; n <= high; n++)
-            total += costs[(at + n * (across ? 1 : width)) * depth + d];
+            total += costs[(at + n * (across ? 1 : width)) * n_disparities + d];
         number += low + high + 1;
     }
-    means[here * depth + d] = (ushort)(int)((float)(int)total / (float)(int)number + 0.5f);
+    means[here * n_disparities + d] = (ushort)(int)((float)(int)total / (float)(int)number + 0.5f);
 }
 
-DEVICE index_t line_start(int i, int across, int depth, int count)
+DEVICE index_t line_start(int i, int across, int n_disparities, int count)
 {
-    return across ? (index_t)(i / depth) * count * depth + i % depth : i;
+    return across ? (index_t)(i / n_disparities) * count * n_disparities + i % n_disparities : i;
 }
 
 KERNEL void prefix_spans(GLOBAL const uint *RESTRICT words, GLOBAL ulong *RESTRICT sums, int lines, int width,
-                         int depth, int count, int across)
+                         int n_disparities, int count, int across)
 {
     OWN_INDEX(i, lines);
-    index_t at = line_start(i, across, depth, count), step = across ? depth : (index_t)width * depth;
+    index_t at = line_start(i, across, n_disparities, count), step = across ? n_disparities : (index_t)width * n_disparities;
     ulong sum = 0;
     for (int k = 0; k < count; k++, at += step) {
         uint word = words[at];
@@ -54,23 +54,23 @@ KERNEL void prefix_spans(GLOBAL const uint *RESTRICT words, GLOBAL ulong *RESTRI
     int before = cut_arm(arms + side, target + side, here, x, d); \
     int after = cut_arm(arms + side + plane, target + side + plane, here, x, d); \
     int inside = (across ? x : y) > before; \
-    index_t high = (here + after * step) * depth + d, low = (here - (before + 1) * step) * depth + d;
+    index_t high = (here + after * step) * n_disparities + d, low = (here - (before + 1) * step) * n_disparities + d;
 
 KERNEL void cut_spans(GLOBAL const uint *RESTRICT sums, GLOBAL const uchar *RESTRICT arms,
                       GLOBAL const uchar *RESTRICT target, GLOBAL uint *RESTRICT words, int height, int width,
-                      int depth, int across)
+                      int n_disparities, int across)
 {
     SPAN
     uint sum = sums[high] - (inside ? sums[low] : 0);
-    words[here * depth + d] = (sum << LENGTH_BITS) | (uint)(before + after + 1);
+    words[here * n_disparities + d] = (sum << LENGTH_BITS) | (uint)(before + after + 1);
 }
 
 KERNEL void cut_means(GLOBAL const ulong *RESTRICT sums, GLOBAL const uchar *RESTRICT arms,
                       GLOBAL const uchar *RESTRICT target, GLOBAL ushort *RESTRICT means, int height, int width,
-                      int depth, int across)
+                      int n_disparities, int across)
 {
     SPAN
     ulong sum = sums[high] - (inside ? sums[low] : 0);
     float number = (float)(int)(uint)sum;
-    means[here * depth + d] = (ushort)(int)((float)(int)(sum >> 32) / number + 0.5f);
+    means[here * n_disparities + d] = (ushort)(int)((float)(int)(sum >> 32) / number + 0.5f);
 }

@@ -22,32 +22,32 @@ _FILL, _FEATURES, _COMBINED = (Kernels(__name__, f"{file}.cl") for file in ("fil
 
 
 def _fill_volume(
-    kernel: str, pair: DevicePair, left: DeviceArray, right: DeviceArray, disparities: int, outside: int, *more: Any,
+    kernel: str, pair: DevicePair, left: DeviceArray, right: DeviceArray, n_disparities: int, outside: int, *more: Any,
     **macros: Any,
 ) -> DeviceArray:  # fmt: skip
     # (H, W, D) uint8 from two feature images, by a kernel of fill.cl.
     height, width = pair.shape
-    costs = pair.device.empty((height, width, disparities), np.uint8)
+    costs = pair.device.empty((height, width, n_disparities), np.uint8)
     kernels = _FILL.with_macros(**macros) if macros else _FILL
-    pair.device.launch(kernels, kernel, *cells(costs), left, right, costs, height, width, disparities, outside, *more)
+    pair.device.launch(kernels, kernel, *cells(costs), left, right, costs, height, width, n_disparities, outside, *more)
     return costs
 
 
-def absolute_difference(method: AbsoluteDifference, pair: DevicePair, disparities: int) -> DeviceVolume:
+def absolute_difference(method: AbsoluteDifference, pair: DevicePair, n_disparities: int) -> DeviceVolume:
     """Return the same costs."""
     channels = 3 if pair.host.left.ndim == 3 else 1
     left, right = pair.color if channels == 3 else pair.grey8
     limit = min(round(method.truncation * channels), method.MAX_STORED)
     outside = min(round(method.outside * channels), limit)
     kernel = "tolerant_difference" if method.sampling == "tolerant" else "difference"
-    costs = _fill_volume(kernel, pair, left, right, disparities, outside, 0, limit, CHANNELS=channels)
+    costs = _fill_volume(kernel, pair, left, right, n_disparities, outside, 0, limit, CHANNELS=channels)
     return DeviceVolume(pair.device, costs, float(channels))
 
 
-def census(method: Census, pair: DevicePair, disparities: int) -> DeviceVolume:
+def census(method: Census, pair: DevicePair, n_disparities: int) -> DeviceVolume:
     """Return the same costs."""
     left, right = (_window_feature("census", pair, image, method.window, np.uint64) for image in pair.grey)
-    costs = _fill_volume("hamming", pair, left, right, disparities, round(method.outside))
+    costs = _fill_volume("hamming", pair, left, right, n_disparities, round(method.outside))
     return DeviceVolume(pair.device, costs, 1.0)
 
 
@@ -63,35 +63,35 @@ def _window_feature(
     return out
 
 
-def combined(method: Combined, pair: DevicePair, disparities: int) -> DeviceVolume:
+def combined(method: Combined, pair: DevicePair, n_disparities: int) -> DeviceVolume:
     """Return the same costs; a part without a device implementation is computed on the host."""
     height, width = pair.shape
     device = pair.device
     unit = 255 // len(method.parts)
     outside = min(255, round(method.outside * unit))
-    total = device.empty((height, width, disparities), np.uint8)
+    total = device.empty((height, width, n_disparities), np.uint8)
     weights = light_weights([part.cost for part in method.parts], pair.host)
     if weights is None:
         weights = np.ones((len(method.parts), height, width), np.float32)
     for k, part in enumerate(method.parts):
         units = device.upload(np.float32(unit) * weights[k])
-        volume: DeviceVolume = run_stage(part.cost, pair, disparities)
+        volume: DeviceVolume = run_stage(part.cost, pair, n_disparities)
         table = device.upload(part_shares(volume.scale * part.lambda_))
         last = k == len(method.parts) - 1
         device.launch(
-            _COMBINED, "add_part", (width * disparities, height), (256, 1),
-            volume.costs, table, units, total, int(k == 0), disparities, width, outside, int(last), height,
+            _COMBINED, "add_part", (width * n_disparities, height), (256, 1),
+            volume.costs, table, units, total, int(k == 0), n_disparities, width, outside, int(last), height,
         )  # fmt: skip
     return DeviceVolume(device, total, float(unit))
 
 
-def gradient(method: Gradient, pair: DevicePair, disparities: int) -> DeviceVolume:
+def gradient(method: Gradient, pair: DevicePair, n_disparities: int) -> DeviceVolume:
     """Return the same costs, up to the rounding of derivatives in single precision: a sixteenth of a grey level."""
     left, right = (_derivatives(method, pair, image) for image in pair.grey)
     limit = round(method.truncation * method.SCALE)
     outside = min(limit, round(method.outside * method.SCALE))
     kernel = "tolerant_difference" if method.sampling == "tolerant" else "difference"
-    costs = _fill_volume(kernel, pair, left, right, disparities, outside, 2, limit, FEATURE="short", CHANNELS=2)
+    costs = _fill_volume(kernel, pair, left, right, n_disparities, outside, 2, limit, FEATURE="short", CHANNELS=2)
     return DeviceVolume(pair.device, costs, float(method.SCALE))
 
 
@@ -105,8 +105,8 @@ def _derivatives(method: Gradient, pair: DevicePair, image: DeviceArray) -> Devi
     return out
 
 
-def rank(method: Rank, pair: DevicePair, disparities: int) -> DeviceVolume:
+def rank(method: Rank, pair: DevicePair, n_disparities: int) -> DeviceVolume:
     """Return the same costs."""
     left, right = (_window_feature("rank", pair, image, method.window, np.uint8) for image in pair.grey)
-    costs = _fill_volume("difference", pair, left, right, disparities, round(method.outside), 0, 255, CHANNELS=1)
+    costs = _fill_volume("difference", pair, left, right, n_disparities, round(method.outside), 0, 255, CHANNELS=1)
     return DeviceVolume(pair.device, costs, 1.0)

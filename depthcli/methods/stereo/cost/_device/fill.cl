@@ -10,7 +10,7 @@
 
 #define CELL \
     OWN_CELL; \
-    index_t cell = ((index_t)y * width + x) * depth + d; \
+    index_t cell = ((index_t)y * width + x) * n_disparities + d; \
     if (d > x) { \
         costs[cell] = (uchar)outside; \
         return; \
@@ -18,7 +18,7 @@
     index_t here = (index_t)y * width + x, there = here - d;
 
 KERNEL void hamming(GLOBAL const ulong *RESTRICT left, GLOBAL const ulong *RESTRICT right, GLOBAL uchar *RESTRICT costs,
-                    int height, int width, int depth, int outside)
+                    int height, int width, int n_disparities, int outside)
 {
     CELL
     costs[cell] = (uchar)POPCOUNT(left[here] ^ right[there]);
@@ -26,7 +26,7 @@ KERNEL void hamming(GLOBAL const ulong *RESTRICT left, GLOBAL const ulong *RESTR
 
 // Sum of absolute differences divided by 2^shift (rounded half up), at most ``limit``.
 KERNEL void difference(GLOBAL const FEATURE *RESTRICT left, GLOBAL const FEATURE *RESTRICT right,
-                       GLOBAL uchar *RESTRICT costs, int height, int width, int depth, int outside, int shift, int limit)
+                       GLOBAL uchar *RESTRICT costs, int height, int width, int n_disparities, int outside, int shift, int limit)
 {
     CELL
     int total = (1 << shift) >> 1;
@@ -47,7 +47,7 @@ DEVICE void half_pixel(GLOBAL const FEATURE *RESTRICT image, index_t row, int x,
 
 // The same, insensitive to sampling (Birchfield and Tomasi, PAMI 1998).
 KERNEL void tolerant_difference(GLOBAL const FEATURE *RESTRICT left, GLOBAL const FEATURE *RESTRICT right,
-                                GLOBAL uchar *RESTRICT costs, int height, int width, int depth, int outside,
+                                GLOBAL uchar *RESTRICT costs, int height, int width, int n_disparities, int outside,
                                 int shift, int limit)
 {
     CELL

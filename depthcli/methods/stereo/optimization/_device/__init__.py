@@ -18,11 +18,11 @@ def scanline(method: Scanline, volume: DeviceVolume, pair: DevicePair) -> Device
     device = volume.device
     if volume.costs.dtype == np.float32:
         volume = volume.as_fixed_point()
-    height, width, depth = volume.costs.shape
+    height, width, n_disparities = volume.costs.shape
     threads = 32
-    while threads < min(depth, 256):
+    while threads < min(n_disparities, 256):
         threads *= 2
-    kernels = _SCANLINE.with_macros(COST=volume.c_type, ROOM=-(-depth // threads) * threads, THREADS=threads)
+    kernels = _SCANLINE.with_macros(COST=volume.c_type, ROOM=-(-n_disparities // threads) * threads, THREADS=threads)
     (p1, p2), (p1_edge, p2_edge) = method.penalties(volume.scale, volume.costs.dtype == np.uint8).tolist()
     edges = device.empty((4, height, width), np.uint8)
     device.launch(
@@ -37,11 +37,11 @@ def scanline(method: Scanline, volume: DeviceVolume, pair: DevicePair) -> Device
         count = min(at_once, method.paths - first)
         device.launch(
             kernels, "paths", ((width + height - 1) * threads, count), (threads, 1),
-            volume.costs, edges, sums, height, width, depth, first, p1, p2, p1_edge, p2_edge,
+            volume.costs, edges, sums, height, width, n_disparities, first, p1, p2, p1_edge, p2_edge,
         )  # fmt: skip
         device.launch(
-            kernels, "add_paths", (width * depth, height), (256, 1), sums, total, width * depth, height, count,
-            int(first == 0),
+            kernels, "add_paths", (width * n_disparities, height), (256, 1),
+            sums, total, width * n_disparities, height, count, int(first == 0),
         )  # fmt: skip
     return DeviceVolume(device, total, volume.scale * method.paths)
 

@@ -34,7 +34,7 @@ DEVICE int step_y(int direction)
 // Directions 0 .. 3: from the left, right, above, below; 4 .. 7: from upper left, upper right, lower right, lower left.
 // ``sums`` holds a volume a direction of this launch.
 KERNEL void paths(GLOBAL const COST *RESTRICT costs, GLOBAL const uchar *RESTRICT edges, GLOBAL ushort *RESTRICT sums,
-                  int height, int width, int depth, int first_direction, int p1, int p2, int p1_edge, int p2_edge)
+                  int height, int width, int n_disparities, int first_direction, int p1, int p2, int p1_edge, int p2_edge)
 {
     LOCAL int path[2][ROOM + 2];
     LOCAL int least[THREADS];
@@ -50,12 +50,12 @@ KERNEL void paths(GLOBAL const COST *RESTRICT costs, GLOBAL const uchar *RESTRIC
         x = line;
     else
         y += dy * (line - width + 1);
-    GLOBAL ushort *out = sums + (index_t)GROUP_ID(1) * height * width * depth;
+    GLOBAL ushort *out = sums + (index_t)GROUP_ID(1) * height * width * n_disparities;
     int plane = dy == 0 ? 0 : dx == 0 ? 2 : dx == dy ? 1 : 3;
     int later = dy < 0 || (dy == 0 && dx < 0);
     int old = 0, least_before = 0, start = 1;
-    for (int i = thread; i < 2 * (depth + 2); i += THREADS)
-        path[i / (depth + 2)][i % (depth + 2)] = 0x7FFF;
+    for (int i = thread; i < 2 * (n_disparities + 2); i += THREADS)
+        path[i / (n_disparities + 2)][i % (n_disparities + 2)] = 0x7FFF;
     BARRIER();
     for (; x >= 0 && x < width && y >= 0 && y < height; x += dx, y += dy) {
         int edge = 0;
@@ -65,8 +65,8 @@ KERNEL void paths(GLOBAL const COST *RESTRICT costs, GLOBAL const uchar *RESTRIC
         }
         int small = edge ? p1_edge : p1, jump = (edge ? p2_edge : p2) + least_before;
         int found = 0x7FFFFFFF;
-        index_t at = ((index_t)y * width + x) * depth;
-        for (int d = thread; d < depth; d += THREADS) {
+        index_t at = ((index_t)y * width + x) * n_disparities;
+        for (int d = thread; d < n_disparities; d += THREADS) {
             int value = costs[at + d];
             if (!start) {
                 int near = smaller(path[old][d], path[old][d + 2]) + small;

@@ -75,13 +75,13 @@ def _winners(volume: DeviceVolume) -> tuple[DeviceArray, DeviceArray]:
     if volume.costs.dtype == np.float32:
         left, right = winners(device.download(volume.costs))
         return device.upload(left), device.upload(right)
-    height, width, depth = volume.costs.shape
+    height, width, n_disparities = volume.costs.shape
     found = []
     for diagonal in (0, 1):
         best = device.empty((height, width), np.uint16)
         device.launch(
             _KERNELS.with_macros(COST=volume.c_type), "winners", (_LANES, width, height), (_LANES, _PIXELS, 1),
-            volume.costs, best, height, width, depth, diagonal,
+            volume.costs, best, height, width, n_disparities, diagonal,
         )  # fmt: skip
         found.append(best)
     return found[0], found[1]

@@ -35,7 +35,7 @@ def background_fill(method: BackgroundFill, disparity: DeviceMap, context: Devic
 
 def left_right_check(method: LeftRightCheck, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
     """Return the same map."""
-    parameters = context.volume.disparities, float(method.tolerance)
+    parameters = context.volume.n_disparities, float(method.tolerance)
     return disparity.refined(_SELECTION, "left_right_check", [context.right], *parameters)
 
 
@@ -64,7 +64,7 @@ def slanted_median(method: SlantedMedian, disparity: DeviceMap, context: DeviceC
         out = device.empty((height, width), np.float32)
         device.launch(
             _SLANTED, "slanted_median", (width, height), (BLOCK, 1), image, known, trust, gradient, distances, out,
-            height, width, method.radius, rate, float(context.volume.disparities - 1),
+            height, width, method.radius, rate, float(context.volume.n_disparities - 1),
         )  # fmt: skip
         known = out
     values = device.empty((height, width), np.float32)
@@ -76,7 +76,7 @@ def speckle_filter(method: SpeckleFilter, disparity: DeviceMap, context: DeviceC
     """Return the same map: regions by union of trees (Playne and Hawick 2018)."""
     device = disparity.device
     height, width = disparity.values.shape
-    count, steps = height * width, steps_of(context.volume.disparities)
+    count, steps = height * width, steps_of(context.volume.n_disparities)
     fixed = device.empty((height, width), np.int16)
     parent, roots, sizes = (device.empty((height, width), np.int32) for _ in range(3))
     all_pixels = ((count,), (256,))
@@ -94,11 +94,11 @@ def speckle_filter(method: SpeckleFilter, disparity: DeviceMap, context: DeviceC
 
 def subpixel(method: Subpixel, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
     """Return the same map; to a millionth of a pixel where the device has no double precision."""
-    height, width, depth = context.volume.costs.shape
+    height, width, n_disparities = context.volume.costs.shape
     values = disparity.device.empty((height, width), np.float32)
     disparity.device.launch(
         _SELECTION.with_macros(COST=context.volume.c_type), "move_to_minimum", (width, height), PIXELS,
-        context.volume.costs, disparity.values, values, height, width, depth,
+        context.volume.costs, disparity.values, values, height, width, n_disparities,
     )  # fmt: skip
     return DeviceMap(disparity.device, values, disparity.status)
 
@@ -112,7 +112,7 @@ def surface_fill(method: SurfaceFill, disparity: DeviceMap, context: DeviceConte
         _FILLS, "surfaces_at_gaps", (width, height), PIXELS, disparity.values, planes, height, width,
         method.rows, method.reach, method.support,
     )  # fmt: skip
-    return disparity.refined(_FILLS, "continue_surfaces", [planes], float(context.volume.disparities - 1))
+    return disparity.refined(_FILLS, "continue_surfaces", [planes], float(context.volume.n_disparities - 1))
 
 
 def weighted_median(method: WeightedMedian, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
