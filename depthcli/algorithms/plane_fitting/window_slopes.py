@@ -56,26 +56,30 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
     """
     height, width = values.shape
     result = np.zeros((2, height, width + -width % BLOCK), np.float32)
-    step, _, spread = difference_limits(radius)
+    step, limits, spread = window_sampling(radius)
     reach = _STEPS * step
     offsets = np.arange(-reach, reach + 1, step)
     grid = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.int64)
     known = framed(np.nan_to_num(values), reach)
     valid = framed((~np.isnan(values)).astype(np.float32), reach)
-    _fit(known, valid, color_planes(image, reach), grid, reach, spread, result)
+    _fit(known, valid, color_planes(image, reach), grid, limits.ravel(), reach, spread, result)
     return np.ascontiguousarray(result[:, :, :width])
 
 
-def difference_limits(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
-    """Return pixels between samples, the largest difference of each, row by row, and the inverse window spread."""
+def window_sampling(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
+    """Return pixels between samples, (9, 9) float32 largest differences of theirs, and the inverse window spread.
+
+    The kernels of devices take the same.
+    """
     step = max(1, radius // _STEPS)
     offsets = np.arange(-_STEPS, _STEPS + 1) * step
     distance = np.sqrt((offsets[:, None] ** 2 + offsets[None, :] ** 2).astype(np.float64)).astype(np.float32)
-    return step, np.float32(1.0) + np.float32(0.15) * distance, np.float32(3.0 / radius**2)
+    limits = (1.0 + np.float64(np.float32(0.15)) * distance.astype(np.float64)).astype(np.float32)  # rounded once
+    return step, limits, np.float32(3.0 / radius**2)
 
 
 @parallel_jit
-def _fit(values, valid, planes, grid, margin, spread, result):  # type: ignore[no-untyped-def]
+def _fit(values, valid, planes, grid, limits, margin, spread, result):  # type: ignore[no-untyped-def]
     # Weights and differences of all samples first (SIMD over the block), then one sum after another.
     _, height, width = result.shape
     count = grid.shape[0]
@@ -89,7 +93,7 @@ def _fit(values, valid, planes, grid, margin, spread, result):  # type: ignore[n
         offset = np.empty(BLOCK, np.float32)
         for x in range(0, width, BLOCK):
             first = x + margin
-            _near_samples(values, valid, planes, grid, y + margin, first, near, apart)
+            _near_samples(values, valid, planes, grid, limits, y + margin, first, near, apart)
             _sum_moments(near, apart, grid, sums)
             _solve(sums, slope_x, slope_y, offset)
             _reweight(near, apart, grid, slope_x, slope_y, offset, weights)
@@ -106,15 +110,14 @@ def _fit(values, valid, planes, grid, margin, spread, result):  # type: ignore[n
 
 
 @jit
-def _near_samples(values, valid, planes, grid, y, x, near, apart):  # type: ignore[no-untyped-def]
+def _near_samples(values, valid, planes, grid, limits, y, x, near, apart):  # type: ignore[no-untyped-def]
     red0, green0, blue0 = planes[0, y, x : x + BLOCK], planes[1, y, x : x + BLOCK], planes[2, y, x : x + BLOCK]
     value0 = values[y, x : x + BLOCK]
     for k in range(grid.shape[0]):
         v, u = y + grid[k, 0], x + grid[k, 1]
-        limit = np.float32(1.0) + np.float32(0.15) * np.float32(np.sqrt(float(grid[k, 0] ** 2 + grid[k, 1] ** 2)))
         red, green, blue = planes[0, v, u : u + BLOCK], planes[1, v, u : u + BLOCK], planes[2, v, u : u + BLOCK]
         value, known = values[v, u : u + BLOCK], valid[v, u : u + BLOCK]
-        out, difference = near[k], apart[k]
+        out, difference, limit = near[k], apart[k], limits[k]
         for i in range(BLOCK):
             difference[i] = value[i] - value0[i]
         for i in range(BLOCK):

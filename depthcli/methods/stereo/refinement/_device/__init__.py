@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from depthcli.algorithms.plane_fitting.window_slopes import BLOCK, difference_limits
+from depthcli.algorithms.plane_fitting.window_slopes import BLOCK, window_sampling
 from depthcli.device import DeviceArray, Kernels
 from depthcli.methods.stereo.on_device import PIXELS, DeviceContext, DeviceMap
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
@@ -52,7 +52,7 @@ def slanted_median(method: SlantedMedian, disparity: DeviceMap, context: DeviceC
     image = context.pair.color[0]
     known, trust = device.empty((height, width), np.float32), device.empty((height, width), np.float32)
     device.launch(_SLANTED, "split_values", (count,), (256,), disparity.values, known, trust, count)
-    step, limits, spread = difference_limits(method.slope_radius)
+    step, limits, spread = window_sampling(method.slope_radius)
     gradient = device.empty((2, height, width), np.float32)
     device.launch(
         _SLANTED, "slopes", (width, height), PIXELS, known, trust, image, device.upload(limits), gradient, height,
