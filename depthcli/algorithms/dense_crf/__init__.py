@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.dense_crf._mean_field_kernels import join_lattices, start, update
+from depthcli.algorithms.dense_crf._mean_field_kernels import join_lattices, update
 from depthcli.algorithms.dense_crf.permutohedral import BAND, Lattice, blur
 from depthcli.core import memory
 from depthcli.kernels.lanes import LANES
@@ -77,15 +77,15 @@ def mean_field(
     n_rows = sum(lattice.vertices + 1 for lattice in joined.lattices)
     partial, near, far = (_aligned(rows * width) for rows in (joined.vertex.size, n_rows, n_rows))
     energies, marginals = np.ascontiguousarray(unary).reshape(-1), q.reshape(-1)
-    start(energies, marginals, labels, slots, weights, corners, joined.bands, width, partial)
-    for step in range(iterations if corners else 0):
+    last = iterations if corners else 0
+    for step in range(last + 1):
         slot = row = 0
-        for lattice in joined.lattices:
+        for lattice in joined.lattices if step else ():
             blur(lattice, width, partial[slot * width :], near[row * width :], far[row * width :])
             slot, row = slot + lattice.vertex.size, row + lattice.vertices + 1
         update(
             energies, marginals, labels, near, slots, joined.vertex, weights, corners, joined.own,
-            min(truncation, labels), joined.bands, width, step + 1 < iterations, partial,
+            min(truncation, labels), joined.bands, width, step > 0, step < last, partial,
         )  # fmt: skip
     return q
 

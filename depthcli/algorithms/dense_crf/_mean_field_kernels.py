@@ -24,33 +24,20 @@ def join_lattices(slots, weights, density, share, weight, offset, column, all_sl
 
 
 @parallel_jit
-def start(unary, q, labels, slots, weights, corners, bands, width, partial):  # type: ignore[no-untyped-def]
-    """Write the initial marginals, softmax(-unary), to ``q`` and spread them over the lattices."""
-    count = q.size // labels
-    for b in prange(bands.shape[0]):
-        _clear(partial, bands, b, width)
-        tile, total = np.zeros(_TILE * width, np.float32), np.ones(_TILE, np.float32)
-        stop = min(count, (b + 1) * BAND)
-        for first in range(b * BAND, stop, _TILE):
-            size = min(_TILE, stop - first)
-            for p in range(size):
-                for k in range(labels):
-                    tile[np.uint64(p * width + k)] = unary[np.uint64((first + p) * labels + k)]
-            _softmax(tile, width, labels, width, size, total)
-            _write(tile, width, total, q, first, labels, size)
-            _spread(tile, width, total, slots, weights, corners, first, size, width, partial)
+def update(  # type: ignore[no-untyped-def]
+    unary, q, labels, near, slots, vertex, weights, corners, own, truncation, bands, width, receive, send, partial,
+):  # fmt: skip
+    """Write marginals of all points to ``q``: read their messages (if ``receive``), spread the result (if ``send``).
 
-
-@parallel_jit
-def update(unary, q, labels, near, slots, vertex, weights, corners, own, truncation, bands, width, more, partial):  # type: ignore[no-untyped-def]
-    """Run one step of mean field for all points: read messages, write marginals to ``q``, spread them (if ``more``)."""
+    Without messages they are those of the energies alone, softmax(-unary).
+    """
     count = own.size
     # Rows of a tile lie one behind the other, with zeros between them for the windows that reach beyond their ends.
     margin = truncation - 1
     lead = -(-margin // LANES) * LANES
     stride = -(-(labels + margin) // LANES) * LANES
     for b in prange(bands.shape[0]):
-        if more:
+        if send:
             _clear(partial, bands, b, width)
         # Windows read as far behind the last row as they are long.
         message = np.zeros(_TILE * stride + 4 * lead + LANES, np.float32)
@@ -59,17 +46,19 @@ def update(unary, q, labels, near, slots, vertex, weights, corners, own, truncat
         stop = min(count, (b + 1) * BAND)
         for first in range(b * BAND, stop, _TILE):
             size = min(_TILE, stop - first)
-            _read(
-                near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride, spare
-            )  # fmt: skip
-            # min(|k|, T) is T less a triangle, which is a window of length T over another one. T times the sum
-            # of all messages is the same for every label of a point, and makes no difference to its marginals.
-            _window(message, truncation, once)
-            _window(once, truncation, twice)
+            if receive:
+                _read(
+                    near, width, slots, vertex, weights, corners, own, q, labels, first, size, message, lead, stride,
+                    spare,
+                )  # fmt: skip
+                # min(|k|, T) is T less a triangle, which is a window of length T over another one. T times the sum
+                # of all messages is the same for every label of a point, and makes no difference to its marginals.
+                _window(message, truncation, once)
+                _window(once, truncation, twice)
             _energies(unary, labels, first, size, twice, lead - margin, stride, once)
             _softmax(once, stride, labels, width, size, total)
             _write(once, stride, total, q, first, labels, size)
-            if more:
+            if send:
                 _spread(once, stride, total, slots, weights, corners, first, size, width, partial)
 
 
