@@ -1,12 +1,17 @@
-"""Solvers and building blocks that several methods share; arrays in, arrays out.
+"""Solvers and building blocks that several methods share. Each stands alone: arrays in, arrays out.
+
+Images are (H, W, 3) uint8 RGB, maps (H, W) float32 with NaN where nothing is known, labels int32 that count from 0.
 
 | module | computes |
 |---|---|
 | ``graph_cut``, ``alpha_expansion`` | labels of least energy: two labels exactly; many, on any graph |
-| ``trws`` | values of pixels of least energy, each from candidates of its own |
-| ``dense_crf`` | marginals of labels where all pairs of points influence each other |
-| ``segmentation``, ``regions`` | partitions of an image; graphs of their regions, merging |
-| ``keypoints`` | distinctive points with descriptors |
+| ``trws`` | values of pixels of small energy, each from candidates of its own, by messages along trees (TRW-S) |
+| ``dense_crf`` | marginals of labels where all pairs of points influence each other (a conditional random field) |
+| ``segmentation`` | partitions of an image into regions, one file a method |
+| ``regions`` | of label maps: connected components, the pixels of every region, the graph of neighbors, merging |
+| ``keypoints`` | distinctive points with descriptors, one file a method |
 | ``plane_fitting`` | planes and polynomials through known values, robust to outliers |
-| ``filters``, ``joint_bilateral``, ``resampling`` | local filters, filling of gaps, values of volumes between voxels |
+| ``joint_bilateral`` | gaps filled by means of similar color |
+| ``filters`` | local mean and variance, masks of discontinuities, OpenCV's filters in one thread |
+| ``resampling`` | volumes: values between voxels, means of blocks, shifts |
 """

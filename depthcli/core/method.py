@@ -1,9 +1,9 @@
 """Algorithms as files: a folder of modules is a registry of methods.
 
-A *method* is one algorithm: one module holding one frozen pydantic model whose fields are its
-parameters and whose ``__call__`` runs it. A *family* is the package the modules lie in. In a config
-a method is written by its module's name, ``census``, or with parameters,
-``{method: census, window: [9, 7]}``. Adding a method is adding a file; nothing else is edited.
+A *method* is one algorithm: one module with one frozen pydantic model, whose fields are its parameters and whose
+``__call__`` runs it. A *family* is the package that the modules lie in. In a config a method is written as its module's
+name, ``census``, or with parameters, ``{method: census, window: [9, 7]}``. Adding a method is adding a file; nothing
+else is edited.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Method(BaseModel):
 
     @classmethod
     def method_name(cls) -> str:
-        """Name of the method in a config: the name of its module."""
+        """Return the name of the method in a config, that of its module."""
         return cls.__module__.rpartition(".")[2]
 
     @model_serializer(mode="wrap")
@@ -79,16 +79,19 @@ class Family:
 
     @classmethod
     def of(cls, package: str) -> Family:
-        """The family declared for ``package`` (with the default key if none was)."""
+        """Return the family declared for ``package``, with the default key if none was."""
         return cls._known.get(package) or cls(package)
 
     def names(self) -> list[str]:
-        """All method names, sorted."""
+        """Return the names of all methods, sorted."""
         path = importlib.import_module(self.package).__path__
         return sorted(m.name for m in pkgutil.iter_modules(path) if not m.name.startswith("_"))
 
     def named(self, name: str) -> str | None:
-        """The method's own name for ``name``: in any case, with hyphens or underscores, or an abbreviation."""
+        """Return the name of the method that ``name`` stands for, None where there is none.
+
+        ``name`` may be in any case, with hyphens or underscores, or one of the method's ``aliases``.
+        """
         plain = name.lower().replace("-", "_").replace(" ", "_")
         known = self.names()
         if plain in known:
@@ -102,7 +105,7 @@ class Family:
         return _load(self.package, name)
 
     def parse(self, value: Any) -> Method:
-        """Build a method from its name, a mapping, or itself.
+        """Return the method that a config's ``value`` describes: a name, a mapping, or a method itself.
 
         Raises
         ------
@@ -159,7 +162,7 @@ def _device_package(family: str) -> Any | None:
 
 
 def method_of(package: str, key: str = "method") -> Any:
-    """Pydantic metadata for a field that holds a method of ``package``.
+    """Return the pydantic metadata of a field that holds a method of ``package``.
 
     >>> class Config(BaseModel):
     ...     cost: Annotated[CostMeasure, *method_of("depthcli.methods.stereo.cost")]
@@ -187,10 +190,12 @@ class RootConfig(BaseModel):
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
-        own = {key: value for key, value in data.items() if key in cls.model_fields and key != cls.flattened}
         name = data.get(cls.flattened)
-        if cls.flattened not in data or isinstance(name, BaseModel):
-            return data if isinstance(name, BaseModel) else own
+        if isinstance(name, BaseModel):
+            return data
+        own = {key: value for key, value in data.items() if key in cls.model_fields and key != cls.flattened}
+        if cls.flattened not in data:
+            return own
         rest = {key: value for key, value in data.items() if key not in cls.model_fields}
         return {**own, cls.flattened: {**rest, cls.flattened: name} if isinstance(name, str) else name}
 
