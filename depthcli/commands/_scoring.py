@@ -116,7 +116,7 @@ class Scoring:
             size=protocol.size(truth),
             disparities=largest if isinstance(largest := row.get("max_disparity"), int) and largest > 0 else 0,
             warning="; ".join(filter(None, [start.warning, *warnings])),
-            pooled=protocol.pooling_data(estimate, truth),
+            pooling_data=protocol.pooling_data(estimate, truth),
         )
         if self.output is not None:
             if points := protocol.points(estimate, truth):

@@ -96,13 +96,6 @@ class Benchmark(ABC):
         """Return path in the archive -> content for the files of one map."""
 
 
-def _png(values: NDArray[np.float32], name: str) -> bytes:
-    data = encode_disparity_png(values)
-    if data is None:
-        raise OutputError(f"{name}: cannot be encoded as PNG")
-    return data
-
-
 class MiddleburyV3Benchmark(Benchmark):
     """PFM maps and times in the folders ``trainingX`` and ``testX``, X being the resolution."""
 
@@ -154,7 +147,7 @@ class MiddleburyV3Benchmark(Benchmark):
         kind = "_s" if submission.sparse else ""
         return {
             f"{folder}/disp0{submission.method}{kind}.pfm": encode_pfm(values),
-            f"{folder}/time{submission.method}.txt": f"{_seconds(entry)}\n".encode(),
+            f"{folder}/time{submission.method}.txt": f"{round(entry.seconds, 6)}\n".encode(),
         }
 
 
@@ -185,7 +178,7 @@ class Eth3dBenchmark(Benchmark):
         """Return ``SCENE.pfm`` and ``SCENE.txt``."""
         return {
             f"low_res_two_view/{entry.scene}.pfm": encode_pfm(values),
-            f"low_res_two_view/{entry.scene}.txt": f"runtime {_seconds(entry)}\n".encode(),
+            f"low_res_two_view/{entry.scene}.txt": f"runtime {round(entry.seconds, 6)}\n".encode(),
         }
 
 
@@ -209,7 +202,10 @@ class Kitti2015Benchmark(Benchmark):
     def files(self, entry: Entry, values: NDArray[np.float32], submission: Submission) -> dict[str, bytes]:
         """Return the one file of a map, ``NNNNNN_10.png``."""
         name = f"{self.folder}{entry.scene}.png"
-        return {name: _png(values, name)}
+        data = encode_disparity_png(values)
+        if data is None:
+            raise OutputError(f"{name}: cannot be encoded as PNG")
+        return {name: data}
 
 
 class Kitti2012Benchmark(Kitti2015Benchmark):
@@ -231,7 +227,3 @@ def benchmark(name: str) -> Benchmark:
     if found is None:
         raise ConfigError(f"--for: no benchmark called {name!r}; one of: {', '.join(BENCHMARKS)}")
     return found()
-
-
-def _seconds(entry: Entry) -> float:
-    return round(entry.seconds, 6)

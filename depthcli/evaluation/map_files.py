@@ -19,10 +19,12 @@ class MapFiles:
     ----------
     places : path of the map of ``{scene}`` in the run folder, without the ending; the first that exists is taken
     suffixes : endings of a map; the first that exists is taken
+    other_places : names of other forms that ``candidates`` knows, in words
     """
 
     places: tuple[str, ...]
     suffixes: tuple[str, ...]
+    other_places: tuple[str, ...] = ()
 
     def candidates(self, folder: Path, scene: str) -> Iterator[Path]:
         """Yield the paths that the map of a scene may have, in order of preference; they need not exist."""
@@ -42,7 +44,7 @@ class MapFiles:
 
     def searched(self, names: Sequence[str]) -> str:
         """Return the places that ``find`` looks at, in words for an error message."""
-        places = ", ".join(place.replace("{scene}", "SCENE") + ".*" for place in self.places)
+        places = ", ".join([*(f"{place}.*" for place in self.places), *self.other_places]).replace("{scene}", "SCENE")
         short = names[0].rpartition("/")[2]
         several = "" if short in names else f"; several scenes are called {short}, so that the name needs its folder"
         return f" (looked for {places}{several})"
@@ -70,6 +72,7 @@ class DisparityFiles(MapFiles):
 
     places: tuple[str, ...] = ("{scene}/disp_left", "{scene}", "disp_0/{scene}", "low_res_two_view/{scene}")
     suffixes: tuple[str, ...] = MAP_SUFFIXES
+    other_places: tuple[str, ...] = ("{scene}/disp0METHOD.pfm",)
 
     def candidates(self, folder: Path, scene: str) -> Iterator[Path]:
         """Yield also result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, else ``disp0METHOD_s.pfm``."""
@@ -82,7 +85,3 @@ class DisparityFiles(MapFiles):
         if len(named) > 1:
             raise InputError(f"{inside}: both {named[0].name} and {named[1].name}; keep one method in a folder")
         yield from named
-
-    def searched(self, names: Sequence[str]) -> str:
-        """Return the places in words, the kit's names among them."""
-        return super().searched(names).replace("(looked for ", "(looked for SCENE/disp0METHOD.pfm, ")

@@ -215,24 +215,19 @@ def _figure(height: float = 3.4, fixed: bool = False) -> Iterator[tuple[Axes, li
 def cache_below(folder: Path | None) -> Iterator[None]:
     """Let matplotlib cache fonts below ``folder``, while the block runs, where there is no temporary folder."""
     place = ""
-    if folder is not None and "matplotlib" not in sys.modules and not _has_temporary_folder():
-        with suppress(OSError):  # who writes there says it better
-            folder.mkdir(parents=True, exist_ok=True)
-            place = os.environ[_CACHE_VARIABLE] = tempfile.mkdtemp(prefix=_CACHE_PREFIX, dir=folder.absolute())
+    try:
+        tempfile.gettempdir()
+    except OSError:
+        if folder is not None and "matplotlib" not in sys.modules:
+            with suppress(OSError):  # where nothing can be written there, writing the results says so
+                folder.mkdir(parents=True, exist_ok=True)
+                place = os.environ[_CACHE_VARIABLE] = tempfile.mkdtemp(prefix=_CACHE_PREFIX, dir=folder.absolute())
     try:
         yield
     finally:
         if place:
             del os.environ[_CACHE_VARIABLE]
             shutil.rmtree(place, ignore_errors=True)
-
-
-def _has_temporary_folder() -> bool:
-    try:
-        tempfile.gettempdir()
-    except OSError:
-        return False
-    return True
 
 
 def _line(axes: Axes, i: int, name: str, points: Sequence[tuple[float, float]], marker: str | None = None) -> None:

@@ -86,7 +86,7 @@ class MapResult:
     disparities : number of disparities that the run searched, 0 where its report does not say
     warning : what looks wrong with the map, or empty
     error : why there is no map to score, or empty
-    pooled : arrays that the protocol keeps to pool several scenes (``Protocol.keep``), or None
+    pooling_data : what the protocol needs beside the scores to pool several scenes, or None
     """
 
     run: str
@@ -102,7 +102,7 @@ class MapResult:
     disparities: int = 0
     warning: str = ""
     error: str = ""
-    pooled: Any = field(default=None, repr=False, compare=False)
+    pooling_data: Any = field(default=None, repr=False, compare=False)
 
     def value(self, metric: str, region: str, threshold: float | None = None, convention: str | None = None) -> float:
         """Return one number of this result; KeyError where no score fits, or several do."""

@@ -63,7 +63,7 @@ def section_tables(section: Section) -> list[Table]:
     if len(section.scenes) > 1 and (len(section.runs) > 1 or not section.protocol.presentation.scene_rows):
         made.append(headline_by_scene(section))
     for run in section.runs:
-        kept = [result.pooled for result in section.results_of(run) if result.pooled is not None]
+        kept = [result.pooling_data for result in section.results_of(run) if result.pooling_data is not None]
         made += section.protocol.presentation.tables(run, kept) if kept else []
     return made
 

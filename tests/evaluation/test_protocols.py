@@ -126,7 +126,7 @@ def test_a_users_threshold_is_the_headlines(name, threshold):
     assert judge.wrong(truth.disparity + np.float32(2), truth).all() == (threshold == 1)
 
 
-def test_mean_of_a_map_that_answers_nothing_is_not_taken_over_fewer():
+def test_a_map_without_values_counts_as_the_worst_in_means():
     truth = everywhere(np.full((2, 2), 5, np.float32))
     judge = make("middlebury-v2")
     maps = (truth.disparity, np.full((2, 2), np.nan, np.float32))
@@ -230,17 +230,17 @@ def test_v3_refuses_what_is_no_exact_half_or_quarter(shape):
 
 
 @pytest.mark.parametrize(
-    ("name", "width", "asked", "factor"),
+    ("name", "width", "resolution", "factor"),
     [
         ("Motorcycle", 741, None, 4), ("Motorcycle", 1482, None, 2), ("Motorcycle", 2964, None, 1),
         ("Jadeplant", 658, None, 4), ("Teddy", 450, None, 4), ("Teddy", 900, None, 2), ("ArtL", 347, None, 4),
         ("set/Teddy", 1800, None, 1), ("MyDesk", 700, None, 1), ("MyDesk", 700, "H", 2), ("Motorcycle", 741, "F", 1),
     ],
 )  # fmt: skip
-def test_v3_thresholds_are_those_of_the_full_size(tmp_path, name, width, asked, factor):
+def test_v3_thresholds_are_those_of_the_full_size(tmp_path, name, width, resolution, factor):
     write_pfm(tmp_path / "disp0GT.pfm", np.full((1, width), 20, np.float32))
     scene = StereoScene(name=name, folder=tmp_path, left=tmp_path, disparity_left=tmp_path / "disp0GT.pfm")
-    judge = make("middlebury-v3", resolution=asked)
+    judge = make("middlebury-v3", resolution=resolution)
     truth = judge.truth(scene)
     assert truth.factor == factor
     for off, expected in ((2.0, 0), (2.25, 100)):
@@ -435,7 +435,7 @@ def test_noise_is_not_taken_for_a_scale():
 
 
 def disturbed(truth: np.ndarray, holes: bool) -> np.ndarray:
-    """The truth with a saw of up to 1.4 px, outliers of 9.5 px, and, where asked for, holes and empty rows."""
+    """The truth with a saw of up to 1.4 px, outliers of 9.5 px, and, if requested, holes and empty rows."""
     y, x = np.indices(truth.shape)
     values = np.where(np.isnan(truth), np.float32(20), truth)
     values += ((7 * x + 13 * y) % 23 - 11).astype(np.float32) / 8

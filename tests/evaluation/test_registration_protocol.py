@@ -56,7 +56,9 @@ def result(scene: str, expected: np.ndarray | None, true: np.ndarray, run: str =
     if expected is None:
         return replace(start, scores=tuple(PROTOCOL.missing(truth)), error="no map")
     estimate = expected.astype(np.float32).ravel()
-    return replace(start, scores=tuple(PROTOCOL.scores(estimate, truth)), pooled=PROTOCOL.pooling_data(estimate, truth))
+    return replace(
+        start, scores=tuple(PROTOCOL.scores(estimate, truth)), pooling_data=PROTOCOL.pooling_data(estimate, truth)
+    )
 
 
 def errors_along_x(seed: int, shape: tuple[int, int, int] = WIDE) -> tuple[np.ndarray, np.ndarray]:

@@ -113,7 +113,7 @@ HOSTILE = (
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_no_name_is_more_than_a_text(name: str):
+def test_names_are_written_as_plain_text(name: str):
     """A name changes neither the number of lines nor of columns, and is no HTML, link, code, command or escape."""
     plain, odd = (Table(each, ("run", each), ((each, Number(1.0)), ("b", Number(2.0))), each) for each in ("x", name))
     for write in (Table.text, Table.markdown, Table.latex):

@@ -170,7 +170,7 @@ def test_tables_sort_and_choose(browser: Any, made: Path):
     visit.close()
 
 
-def test_it_fits_a_phone_and_asks_nobody(browser: Any, made: Path):
+def test_it_fits_a_phone_and_loads_nothing_from_a_network(browser: Any, made: Path):
     visit = Visit(browser, made / "report.html", width=390)
     assert visit.page.evaluate("document.documentElement.scrollWidth") <= 390
     visit.page.locator(".thumbs a").first.click()

@@ -126,7 +126,7 @@ def test_everything_is_in_the_file_and_nothing_else(made: Path):
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", text)
 
 
-def test_a_name_is_only_a_name(made: Path):
+def test_hostile_names_are_escaped(made: Path):
     page = read(made)
     assert set(page.scripts) == {"page", "scores", "data-0", "data-1", "code-4", "code-5"}
     assert ODD in page.text
@@ -347,7 +347,7 @@ def test_volumes_are_cut_across_every_axis():
     assert sum(512 * 512 if cut.axis == 0 else 300 * 512 for cut in taken) < 4_000_000
 
 
-def test_colors_are_told_apart():
+def test_kinds_of_pixel_and_their_colors():
     flags = ("011111", "000110", "001010", "000001")
     known, hidden, wrong, missing = (np.array([[c == "1" for c in row]]) for row in flags)
     kind = pixel_kinds(known, hidden, wrong, missing)

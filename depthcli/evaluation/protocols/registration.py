@@ -226,11 +226,11 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Pool the scenes of one region."""
         if len(results) == 1:
             return list(results[0].scores)
-        answered = [r for r in results if r.pooled is not None and np.isfinite(r.pooled[1]).any()]
+        answered = [r for r in results if r.pooling_data is not None and np.isfinite(r.pooling_data[1]).any()]
         if not answered:
             return super().mean(results)
         n_points, n_answered = (sum(r.scores[0].region_pixels for r in each) for each in (results, answered))
-        drawn = [_drawn(r.pooled, _MAX_POOLED / n_points) for r in answered]
+        drawn = [_drawn(r.pooling_data, _MAX_POOLED / n_points) for r in answered]
         made = point_scores(results[0].scores[0].region, *(np.concatenate([each[k] for each in drawn]) for k in (0, 1)))
         return [_with_missing(score, 1 - n_answered / n_points, n_points) for score in made]
 
