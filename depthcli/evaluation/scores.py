@@ -139,13 +139,6 @@ class Tally:
         ]
 
 
-def pooled_density(scores: Sequence[Score]) -> float:
-    """Return the density over the regions' pixels of several scenes together; NaN where there is no pixel."""
-    sizes = [s.region_pixels for s in scores]
-    answered = math.fsum(n * s.density for n, s in zip(sizes, scores, strict=True) if n)
-    return answered / sum(sizes) if any(sizes) else math.nan
-
-
 def percent(part: int, whole: int) -> float:
     """Return ``part`` as a percentage of ``whole``; NaN where that is 0."""
     return 100.0 * part / whole if whole else math.nan
