@@ -246,27 +246,31 @@ function setButtons() {
   }));
 }
 
-function show(again = true) {
+function show() {
   setButtons();
   setLegend();
-  if (again) setPanels();
+  setPanels();
   setReadout();
   draw();
 }
 
+function change(what) {
+  Object.assign(state, what);
+  show();
+}
+
 function choose(source, right = false) {
   if (state.mode === "all") setMode("flip");
-  if (right && state.mode === "swipe") state.other = source;
-  else state.source = source;
-  panels[0].source = state.source;
-  panels[0].canvas.nextSibling.textContent = titleOf(state.source) + (state.mode === "swipe" ? ` | ${titleOf(state.other)}` : "");
-  show(false);
+  change({ [right && state.mode === "swipe" ? "other" : "source"]: source });
 }
 
 function setMode(mode) {
-  state.mode = mode;
-  show();
+  change({ mode });
   fit();
+}
+
+function setLayer(layer) {
+  if (![...$("layers").children].find((button) => button.dataset.layer === layer).disabled) change({ layer });
 }
 
 const axes = () => [...new Set(scene.views.map((each) => each.axis))];
@@ -287,17 +291,6 @@ function setAxis(axis) {
 function step(by) {
   const slices = slicesOf(view.axis);
   setSlice(slices[slices.indexOf(state.cut) + by]);
-}
-
-function setOpacity(share) {
-  state.opacity = share;
-  show(false);
-}
-
-function setLayer(layer) {
-  if ([...$("layers").children].find((button) => button.dataset.layer === layer).disabled) return;
-  state.layer = layer;
-  show(false);
 }
 
 async function open(number, source) {
@@ -347,8 +340,8 @@ $("back").onclick = () => go(state.number - 1);
 $("on").onclick = () => go(state.number + 1);
 $("axis").onchange = () => setAxis(Number($("axis").value));
 $("slice").oninput = () => setSlice(slicesOf(view.axis)[Number($("slice").value)]);
-$("opacity").oninput = () => setOpacity($("opacity").value / 100);
-$("measure").onchange = () => { state.measure = $("measure").value; show(false); };
+$("opacity").oninput = () => change({ opacity: $("opacity").value / 100 });
+$("measure").onchange = () => change({ measure: $("measure").value });
 $("closer").onclick = () => zoom(1.5, ...middle());
 $("wider").onclick = () => zoom(1 / 1.5, ...middle());
 $("fit").onclick = fit;
@@ -366,7 +359,7 @@ addEventListener("keydown", (event) => {
     s: () => setLayer("status"), c: () => setLayer("confidence"), r: fit, "+": $("closer").onclick, "=": $("closer").onclick,
     "-": $("wider").onclick, ArrowLeft: $("back").onclick, ArrowRight: $("on").onclick,
     ArrowUp: () => step(1), ArrowDown: () => step(-1), v: () => setAxis(axes()[(axes().indexOf(view.axis) + 1) % axes().length]),
-    o: () => view.image && setOpacity(state.opacity < 1 ? 1 : .6) };
+    o: () => view.image && change({ opacity: state.opacity < 1 ? 1 : .6 }) };
   if (digit && Number(digit[1]) > 0) {
     if (Number(digit[1]) <= page.runs.length) choose(Number(digit[1]) - 1, event.shiftKey);
   } else if (event.key in keys) keys[event.key]();
