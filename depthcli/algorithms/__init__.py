@@ -9,6 +9,7 @@ Images are (H, W, 3) uint8 RGB, maps (H, W) float32 with NaN where nothing is kn
 | ``dense_crf`` | marginals of labels where all pairs of points influence each other (a conditional random field) |
 | ``segmentation`` | partitions of an image into regions, one file a method |
 | ``regions`` | of label maps: connected components, the pixels of every region, the graph of neighbors, merging |
+| ``adjacency`` | the neighbors of each node of a graph, and of each region of a label map |
 | ``keypoints`` | distinctive points with descriptors, one file a method |
 | ``plane_fitting`` | planes and polynomials through known values, robust to outliers |
 | ``joint_bilateral`` | gaps filled by means of similar color |

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from depthcli.algorithms.adjacency import adjacency
 from depthcli.algorithms.graph_cut import binary_cut
-from depthcli.algorithms.regions import adjacency
 from depthcli.kernels.jit import jit
 
 

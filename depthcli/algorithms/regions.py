@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.adjacency import region_adjacency
 from depthcli.kernels.jit import jit
 
 
@@ -174,38 +175,12 @@ def region_graph(labels: NDArray[np.int32], image: NDArray[Any]) -> RegionGraph:
     sizes = np.bincount(flat, minlength=count)
     channels = image.reshape(flat.size, -1).T.astype(np.float64, order="C")
     sums = np.stack([np.bincount(flat, channel, count) for channel in channels], axis=1)
-    keys = []
-    for one, other in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
-        touching = one != other
-        keys.append(_pair_keys(one[touching], other[touching], count))
-    pairs, boundary = np.unique(np.concatenate(keys), return_counts=True)
-    return _graph(sizes.astype(np.int64), sums.astype(np.float64), pairs, boundary)
-
-
-def adjacency(
-    count: int, edges: NDArray[np.int32], weights: NDArray[Any]
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[Any]]:
-    """Return the neighbors of all nodes 0 .. count - 1 of an undirected graph, one node after the other.
-
-    Parameters
-    ----------
-    edges : (E, 2) int32, each edge once
-    weights : (E,) any number of an edge, such as its cost or the length of the common boundary
-
-    Returns
-    -------
-    starts : (count + 1,) int64; node n has the elements ``starts[n] .. starts[n + 1] - 1`` of the other arrays
-    neighbors : (2 E,) int32
-    weights : (2 E,) those of the edges to these neighbors
-    """
-    source = edges.T.ravel()
-    order = np.argsort(source, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(np.bincount(source, minlength=count))]).astype(np.int64)
-    return starts, edges[:, ::-1].T.ravel()[order], np.tile(weights, 2)[order]
-
-
-def _pair_keys(one: NDArray[np.int32], other: NDArray[np.int32], count: int) -> NDArray[np.int64]:
-    return np.minimum(one, other).astype(np.int64) * count + np.maximum(one, other)
+    starts, neighbors, boundary = region_adjacency(labels, count)
+    regions = np.repeat(np.arange(count), np.diff(starts))
+    once = regions < neighbors
+    pairs, boundary = regions[once] * count + neighbors[once], boundary[once]
+    order = np.argsort(pairs)
+    return _graph(sizes.astype(np.int64), sums.astype(np.float64), pairs[order], boundary[order])
 
 
 def _graph(
@@ -225,8 +200,8 @@ def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> t
     sums = np.stack([np.bincount(group, column, count) for column in graph.sums.T], axis=1).astype(np.float64)
     first, second = group[graph.edges.T]
     separate = first != second
-    keys = _pair_keys(first[separate], second[separate], count)
-    pairs, place = np.unique(keys, return_inverse=True)
+    first, second = first[separate].astype(np.int64), second[separate]
+    pairs, place = np.unique(np.minimum(first, second) * count + np.maximum(first, second), return_inverse=True)
     boundary = np.bincount(place, graph.boundary[separate], len(pairs)).astype(np.int64)
     return _graph(sizes, sums, pairs, boundary), group
 

@@ -1,17 +1,22 @@
 """Refinement of Kinect depth maps: gaps filled, depth edges moved to color edges, noise smoothed (thesis chapter 4).
 
-In: an ``RgbdFrame``, color and depth. Out: a ``RefinedDepth`` with depth, status and standard deviation. In between all
-pipelines compute with the sensor's disparity, in pixels, which is proportional to inverse depth: ``disparity`` has
-what they begin and end with (measured disparity, its noise, the way back to depth).
+In: an ``RgbdFrame``, color (H, W, 3) uint8 and depth (H, W) float32, m. Out: a ``RefinedDepth`` with depth, status and
+standard deviation. Start at ``pipeline``: one file a pipeline, its steps in order. All pipelines compute with the
+sensor's disparity, in pixels, which is proportional to inverse depth; ``disparity`` has what they begin and end with:
+the measured disparity, its noise, the way back to depth.
 
-| pipeline, one file each in ``pipeline`` | steps, in order (module: decision) |
+A sensor shows near surfaces too wide and throws *shadows*, gaps on the far side of a step (``shadows``).
+
+| pipeline | steps, in order (module: decision) |
 |---|---|
-| ``plane_votes``, the most accurate | 1. ``outlines``: which measurements are correct. 2. Planes through windows of \
-these (``algorithms.plane_fitting.window_planes``). 3. ``shadows``: which surfaces a gap allows. 4. ``plane_voting``: \
-candidates for the other pixels. 5. ``candidate_choice``: which candidate |
-| ``dsrm``, of the thesis | 1. ``depth_edges``: which measurements are unreliable. 2. Layers of segments, from fine to \
-coarse (``algorithms.segmentation``). 3. ``model``: a surface for each segment. 4. ``surfaces``: which neighbor a \
-segment without one joins. 5. ``layers``: median of the layers, and which measurements it replaces |
+| ``plane_votes``, the most accurate | 1. ``correct_probability`` and ``hidden_openings``: which measurements are \
+correct. 2. Planes through windows of these (``algorithms.plane_fitting.window_planes``). 3. ``shadows``: which \
+surfaces a gap allows. 4. ``candidates`` for the other pixels, by votes of the planes. 5. ``candidate_choice``: which \
+candidate |
+| ``dsrm``, of the thesis (depth-guided segments, robust model) | 1. ``depth_edges``: which measurements are \
+unreliable. 2. Segments, from fine to coarse (``algorithms.segmentation``). 3. ``model``: a surface for each segment. \
+4. ``segment_surfaces``: which neighbor a segment without one joins, and the detail that surfaces leave out. 5. \
+``layers``: median of the segmentations, and which measurements it replaces |
 | ``sequence`` | as ``dsrm``, but segments and surfaces are carried from frame to frame |
 | ``shadow_smoother``, at video rate | 1. ``depth_edges`` and ``shadows``: confidence of each pixel. 2. Smoothing |
 | the others | filters of libraries, for comparison |

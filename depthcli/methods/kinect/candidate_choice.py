@@ -42,7 +42,7 @@ def choose_candidates(
     Parameters
     ----------
     pixels : (N, 2) int32, the unreliable pixels in raster order
-    values, shares : (N, K) of :func:`depthcli.methods.kinect.plane_voting.cast_votes`
+    values, shares : (N, K) of :func:`depthcli.methods.kinect.candidates.cast_votes`
     lab : (H, W, 3) uint8
     disparity : (H, W) float32 measured, pixels, NaN = unknown
     p_correct : (H, W) float32, probability that a measured value is correct

@@ -17,8 +17,8 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.depth_edges import edge_distance
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level
 from depthcli.methods.kinect.model import SurfaceModel
+from depthcli.methods.kinect.segment_surfaces import add_detail, join_segments
 from depthcli.methods.kinect.shadows import max_disparity_in_gaps
-from depthcli.methods.kinect.surfaces import add_detail, join_segments
 
 CORE_DISTANCE = 6
 """Distance from a depth edge above which an unreliable pixel is probably correct, pixels; thin objects have no others.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.methods.registration.search import Curves
+from depthcli.methods.registration.search import CurveMeasures
 from depthcli.methods.registration.smoothing import gaussian
 
 _STRUCTURED_QUANTILE = 0.8  # of the gradient, above which a voxel counts as structured; chosen by hand
@@ -26,7 +26,7 @@ def structured_voxels(volume: NDArray[np.float32], inside: NDArray[np.bool_]) ->
     return structured
 
 
-def expected_error(searches: list[Curves], measure: str, iso: float, sigma: float) -> NDArray[np.float32]:
+def expected_error(searches: list[CurveMeasures], measure: str, iso: float, sigma: float) -> NDArray[np.float32]:
     """Average a measure in mm over searches and surroundings, weighted by the inverse variance of the displacement.
 
     An error is smooth where a registration is, and the curves of places without texture, or of a feature that is blind

@@ -18,7 +18,15 @@ from depthcli.kernels.jit import threads
 from depthcli.methods.registration.feature import Feature
 from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.millimeters import expected_error, monotone, structured_voxels
-from depthcli.methods.registration.search import COSTLY, MEASURES, SURER_IF_LARGER, Curves, Span, search, search_bytes
+from depthcli.methods.registration.search import (
+    COSTLY,
+    MEASURES,
+    SURER_IF_LARGER,
+    CurveMeasures,
+    SearchShape,
+    search,
+    search_bytes,
+)
 from depthcli.methods.registration.smoothing import gaussian
 
 _LENGTHS = ("eshift", "vshift", "shift")  # measures in mm
@@ -82,7 +90,7 @@ class RegistrationConfidence(BaseModel):
     intensity_range: tuple[float, float] | None = Field(
         None, description="intensities are clamped to this first; null: CT numbers (below -500) to -1000 .. 400"
     )
-    search: Span = Field("cube", description="displacements: the whole cube, three planes or three axes")
+    search: SearchShape = Field("cube", description="displacements: the whole cube, three planes or three axes")
     radius: int = Field(5, ge=1, le=12, description="largest displacement searched, working voxels")
     half_window: int = Field(3, ge=0, le=6, description="half of the window that costs are averaged in, working voxels")
     stride: int = Field(
@@ -164,10 +172,10 @@ class RegistrationConfidence(BaseModel):
 
     def _searches(
         self, fixed: NDArray[np.float32], warped: NDArray[np.float32], iso: float, clock: Clock
-    ) -> tuple[list[Curves], list[Curves]]:
+    ) -> tuple[list[CurveMeasures], list[CurveMeasures]]:
         # Search with every feature, and with the first one at every coarser resolution.
-        fine: list[Curves] = []
-        coarse: list[Curves] = []
+        fine: list[CurveMeasures] = []
+        coarse: list[CurveMeasures] = []
         shape = _every_nth(fixed, self.stride).shape
         for level in range(self.levels):
             for feature in self.features if level == 0 else self.features[:1]:
@@ -210,7 +218,7 @@ class RegistrationConfidence(BaseModel):
         return 8 * voxels + max(making, searching + 2 * channels * voxels) + kept
 
     def _error(
-        self, fine: list[Curves], coarse: list[Curves], iso: float
+        self, fine: list[CurveMeasures], coarse: list[CurveMeasures], iso: float
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         # Expected error and displacement, mm: of coarse searches where the error is beyond the fine one.
         length = self.measure if self.measure in _LENGTHS else "eshift"
@@ -243,7 +251,7 @@ def _halved(volume: NDArray[np.float32], times: int) -> NDArray[np.float32]:
     return volume
 
 
-def _enlarged(curves: Curves, shape: tuple[int, ...], times: int) -> Curves:
+def _enlarged(curves: CurveMeasures, shape: tuple[int, ...], times: int) -> CurveMeasures:
     if times == 0:
         return curves
     whole = (shape[0], shape[1], shape[2])
@@ -252,7 +260,7 @@ def _enlarged(curves: Curves, shape: tuple[int, ...], times: int) -> Curves:
     def enlarge(values: NDArray[np.float32]) -> NDArray[np.float32]:
         return resample(values, whole, step, (0.0, 0.0, 0.0))
 
-    return Curves(
+    return CurveMeasures(
         {name: enlarge(values) for name, values in curves.maps.items()},
         np.stack([enlarge(values) for values in curves.displacement]),
         enlarge(curves.variance),

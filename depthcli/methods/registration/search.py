@@ -12,7 +12,7 @@ from depthcli.core import memory
 from depthcli.kernels.jit import threads
 from depthcli.methods.registration._search_kernels import PLANES, search_tiles
 
-Span = Literal["cube", "planes", "axes"]
+SearchShape = Literal["cube", "planes", "axes"]
 
 MEASURES = {
     "eshift": "expected length of the displacement under exp(-(c - c_min) / (k s)), s = deviation of the curve, mm",
@@ -43,12 +43,12 @@ _MAX_TILE_WIDTH = 128  # voxels
 
 
 @dataclass(frozen=True)
-class Curves:
+class CurveMeasures:
     """Measures of the cost curves of all measured voxels.
 
     Attributes
     ----------
-    maps : measure -> (z, y, x) float32, at every ``stride``-th voxel
+    maps : measure -> (z, y, x) float32, at every ``stride``-th voxel; those of ``COSTLY`` only if requested
     displacement : (3, z, y, x) float32, expected displacement (z, y, x), mm
     variance : (z, y, x) float32, of the displacement about its expectation, mm^2, summed over the axes
     border : (z, y, x) bool, the cheapest displacement lies on the border of the search
@@ -60,7 +60,7 @@ class Curves:
     border: NDArray[np.bool_]
 
 
-def displacements(shape: tuple[int, int, int], radius: int, span: Span = "cube") -> NDArray[np.int64]:
+def displacements(shape: tuple[int, int, int], radius: int, span: SearchShape = "cube") -> NDArray[np.int64]:
     """Return (K, 3) displacements (z, y, x) in voxels, by length, zero first; none along axes of one voxel."""
     sides = [np.arange(-radius, radius + 1) if size > 1 else np.zeros(1, np.int64) for size in shape]
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -79,11 +79,11 @@ def search(
     radius: int = 5,
     half_window: int = 3,
     sharpness: int = 10,
-    span: Span = "cube",
+    span: SearchShape = "cube",
     costly: bool = False,
     stride: int = 1,
     tile: tuple[int, int, int] | None = None,
-) -> Curves:
+) -> CurveMeasures:
     """Compare every voxel with those around its place in the other volume.
 
     Costs are means of |fixed - warped| over channels and a (2 h + 1)^3 window, on a scale of 0 to 1; outside
@@ -139,11 +139,10 @@ def search(
     )  # fmt: skip
     planes = dict(zip(PLANES, out, strict=True))
     displacement = out[2:5] * np.float32(spacing)
-    left_out = {"vshift"}
-    maps = {name: planes[name] for name in MEASURES if name not in left_out}
-    maps["vshift"] = np.sqrt((displacement**2).sum(axis=0))
-    variance = np.maximum(planes["square"] - maps["vshift"] ** 2, 0)
-    return Curves({name: maps[name] for name in MEASURES if name in maps}, displacement, variance, planes["border"] > 0)
+    planes["vshift"] = np.sqrt((displacement**2).sum(axis=0))
+    variance = np.maximum(planes["square"] - planes["vshift"] ** 2, 0)
+    maps = {name: planes[name] for name in MEASURES if costly or name not in COSTLY}
+    return CurveMeasures(maps, displacement, variance, planes["border"] > 0)
 
 
 def _around(offsets: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -14,17 +14,17 @@ from depthcli.methods.kinect.disparity import nearest_fill
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother, weighted_smoothing
 from depthcli.methods.kinect.pipeline.guided import Guided
 from depthcli.methods.kinect.pipeline.inpaint import Inpaint
-from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateral
-from depthcli.methods.kinect.pipeline.nearest import Nearest
+from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
+from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
 from depthcli.methods.kinect.shadows import fill_shadows
 
 METHODS = [
-    FastGlobalSmoother(), Guided(), Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateral(), Nearest(),
+    FastGlobalSmoother(), Guided(), Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateralFill(), NearestFill(),
     Realsense(), ShadowSmoother(),
 ]  # fmt: skip
-FILLS_ONLY = (Inpaint, JointBilateral, Nearest)
+FILLS_ONLY = (Inpaint, JointBilateralFill, NearestFill)
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,12 @@ from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, simulate_kinect
-from depthcli.methods.kinect.outlines import MIN_OFFSET, correct_probability, outline_offsets
+from depthcli.methods.kinect.candidates import LEVELS, ShadowPrior, Voters, cast_votes
+from depthcli.methods.kinect.correct_probability import MIN_OFFSET, correct_probability, outline_offsets
+from depthcli.methods.kinect.hidden_openings import hidden_openings
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
-from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateral
+from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
-from depthcli.methods.kinect.plane_voting import LEVELS, ShadowPrior, Voters, cast_votes, hidden_openings
 from depthcli.methods.kinect.shadows import shadow_background, shadow_confidence, shadow_limits
 from tests.naive import kinect_votes as naive
 
@@ -206,7 +207,7 @@ def test_errors_are_below_those_of_library_filters_everywhere(kind):
     assert refined.depth.density == 1
     assert error[sample.measured].mean() < 0.5 * raw[sample.measured].mean()
     assert error[sample.mismatch].mean() < 0.4 * raw[sample.mismatch].mean()
-    for peer in (JointBilateral(), FastGlobalSmoother()):
+    for peer in (JointBilateralFill(), FastGlobalSmoother()):
         other = np.abs(frame.fb / peer(frame).depth.values - sample.truth)
         assert error[sample.gap].mean() < 0.5 * other[sample.gap].mean()
         assert error[sample.mismatch].mean() < other[sample.mismatch].mean()
@@ -239,7 +240,7 @@ def test_tiny_and_narrow_frames(shape):
     color = rng.integers(0, 255, (*shape, 3), dtype=np.uint8)
     depth = np.where(rng.random(shape) < 0.5, 2.0, np.nan).astype(np.float32)
     depth.flat[0] = 2.0
-    for method in (PlaneVotes(), JointBilateral(), FastGlobalSmoother()):
+    for method in (PlaneVotes(), JointBilateralFill(), FastGlobalSmoother()):
         refined = method(RgbdFrame(color, depth)).depth
         known = refined.values[~np.isnan(refined.values)]
         np.testing.assert_allclose(known, 2.0, rtol=1e-3)
@@ -248,7 +249,7 @@ def test_tiny_and_narrow_frames(shape):
 
 def test_nothing_known_is_an_error():
     frame = RgbdFrame(np.zeros((8, 9, 3), np.uint8), np.full((8, 9), np.nan, np.float32))
-    for method in (PlaneVotes(), JointBilateral(), FastGlobalSmoother()):
+    for method in (PlaneVotes(), JointBilateralFill(), FastGlobalSmoother()):
         with pytest.raises(ValueError, match="no pixel"):
             method(frame)
 

@@ -7,8 +7,8 @@ import pytest
 
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.methods.kinect.model.polynomial import Polynomial
+from depthcli.methods.kinect.segment_surfaces import add_detail, join_segments
 from depthcli.methods.kinect.shadows import max_disparity_in_gaps
-from depthcli.methods.kinect.surfaces import add_detail, join_segments
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.naive import kinect as naive
 

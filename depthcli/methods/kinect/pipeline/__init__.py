@@ -13,7 +13,7 @@ from depthcli.core.method import Method, method_of
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 
-Disparity = NDArray[np.float32]
+DisparityArray = NDArray[np.float32]
 """A map in pixels, (H, W), NaN = unknown."""
 
 
@@ -44,7 +44,7 @@ class FilterPipeline(KinectPipeline):
     """A refinement that filters the disparity; its noise is the sigma of measured pixels, filled ones have none."""
 
     @abstractmethod
-    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
         """Compute the refined disparity.
 
         Parameters

@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.algorithms.filters import single_thread
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
-from depthcli.methods.kinect.pipeline import Disparity, FilterPipeline
+from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
 
 
 class FastGlobalSmoother(FilterPipeline):
@@ -30,7 +30,7 @@ class FastGlobalSmoother(FilterPipeline):
     edge_confidence: float = Field(0.01, ge=0, le=1, description="confidence of the unreliable pixels")
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
 
-    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
         if self.edge_band:

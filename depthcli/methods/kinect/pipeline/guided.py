@@ -11,7 +11,7 @@ from pydantic import Field
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
 from depthcli.methods.kinect.disparity import nearest_fill
-from depthcli.methods.kinect.pipeline import Disparity, FilterPipeline
+from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
 
 
 class Guided(FilterPipeline):
@@ -22,7 +22,7 @@ class Guided(FilterPipeline):
     radius: int = Field(8, ge=1, le=100, description="of the filter's windows, pixels")
     epsilon: float = Field(40.0, gt=0, description="variance of the color that counts as none, square grey levels")
 
-    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
         filled = nearest_fill(measured)
         clock.stop("fill")
         values = np.asarray(cv2.ximgproc.guidedFilter(frame.color, filled, self.radius, self.epsilon), np.float32)

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
-from depthcli.methods.kinect.pipeline import Disparity, FilterPipeline
+from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
 
 _ALGORITHMS = {"telea": cv2.INPAINT_TELEA, "navier-stokes": cv2.INPAINT_NS}
 
@@ -26,7 +26,7 @@ class Inpaint(FilterPipeline):
     algorithm: Literal["telea", "navier-stokes"] = Field("telea", description="fast marching, or fluid dynamics")
     radius: float = Field(3.0, gt=0, le=50, description="neighborhood that a pixel is filled from, pixels")
 
-    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
         gaps = np.isnan(measured)
         values = np.where(gaps, np.float32(0), measured)
         if gaps.any():

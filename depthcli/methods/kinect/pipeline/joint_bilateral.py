@@ -10,10 +10,10 @@ from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.method import Odd
 from depthcli.core.result import Clock
-from depthcli.methods.kinect.pipeline import Disparity, FilterPipeline
+from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
 
 
-class JointBilateral(FilterPipeline):
+class JointBilateralFill(FilterPipeline):
     """Fill every gap with the mean of the known values around, weighted by distance and similarity of color.
 
     Repeated from the gap's rim inwards, until nothing is left that a window can reach.
@@ -25,7 +25,7 @@ class JointBilateral(FilterPipeline):
     sigma_space: float = Field(5.0, gt=0, description="standard deviation of the weight by distance, pixels")
     sigma_color: float = Field(15.0, gt=0, description="standard deviation of the weight by color, grey levels")
 
-    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
         values = joint_bilateral_fill(frame.color, measured, self.window, self.sigma_space, self.sigma_color)
         clock.stop("fill")
         return values

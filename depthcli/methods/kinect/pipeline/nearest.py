@@ -7,15 +7,15 @@ from typing import ClassVar
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
 from depthcli.methods.kinect.disparity import nearest_fill
-from depthcli.methods.kinect.pipeline import Disparity, FilterPipeline
+from depthcli.methods.kinect.pipeline import DisparityArray, FilterPipeline
 
 
-class Nearest(FilterPipeline):
+class NearestFill(FilterPipeline):
     """Every gap pixel takes the disparity of the nearest known one; measured values stay."""
 
     bytes_per_pixel: ClassVar[int] = 50
 
-    def filtered(self, frame: RgbdFrame, measured: Disparity, noise: float, clock: Clock) -> Disparity:
+    def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
         values = nearest_fill(measured)
         clock.stop("fill")
         return values

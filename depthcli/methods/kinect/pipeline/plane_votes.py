@@ -12,10 +12,11 @@ from depthcli.algorithms.plane_fitting.window_planes import RADIUS, window_plane
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.kinect.candidate_choice import AGREEMENT, choose_candidates
+from depthcli.methods.kinect.candidates import LEVELS, ShadowPrior, Voters, cast_votes
+from depthcli.methods.kinect.correct_probability import correct_probability
 from depthcli.methods.kinect.disparity import measured_disparity, nearest_fill, noise_level, refined_depth
-from depthcli.methods.kinect.outlines import correct_probability
+from depthcli.methods.kinect.hidden_openings import hidden_openings
 from depthcli.methods.kinect.pipeline import KinectPipeline
-from depthcli.methods.kinect.plane_voting import LEVELS, ShadowPrior, Voters, cast_votes, hidden_openings
 from depthcli.methods.kinect.shadows import GAP_FACTOR, shadow_background, shadow_confidence, shadow_limits
 
 
@@ -23,7 +24,7 @@ class PlaneVotes(KinectPipeline):
     """Replace unreliable measurements and fill gaps by the votes of the planes around.
 
     1. Unreliable pixels: gaps, and measurements that are probably wrong by their place beside depth edges. How far
-       true outlines lie inside measured ones is estimated from the frame (``depthcli.methods.kinect.outlines``).
+       true outlines lie inside measured ones is estimated from the frame (``kinect.correct_probability``).
     2. Robust planes around every reliable pixel, which are the result there.
     3. Votes of these planes, weighted by color and distance, in a histogram for each unreliable pixel: its modes are
        candidates. The limits that shadows set count as far as the frame's gaps are shadows.

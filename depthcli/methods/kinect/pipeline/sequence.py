@@ -18,7 +18,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.layers import Layer, Measurement, combine
 from depthcli.methods.kinect.pipeline import SequencePipeline
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
-from depthcli.methods.kinect.surfaces import SHADOW_PENALTY
+from depthcli.methods.kinect.segment_surfaces import SHADOW_PENALTY
 
 _FILLED, _FALLBACK, _CARRIED = int(DepthStatus.GAP_FILLED), int(DepthStatus.FALLBACK), int(DepthStatus.CARRIED)
 

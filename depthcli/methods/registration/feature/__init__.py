@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.method import Method, method_of
 
-Volume = NDArray[np.float32]
+VolumeArray = NDArray[np.float32]
 """(Z, Y, X), finite, of cubic voxels."""
 Channels = NDArray[np.uint8]
 """(C, Z, Y, X)."""
@@ -23,7 +23,7 @@ class VolumeFeature(Method):
     """Largest number of channels, for estimates of memory."""
 
     @abstractmethod
-    def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
+    def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
         """Compute the channels of both volumes, on one scale; the inputs are not modified."""
 
 

@@ -8,12 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from depthcli.algorithms.resampling import shifted
-from depthcli.methods.registration.feature import Channels, Volume, VolumeFeature
+from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature
 from depthcli.methods.registration.feature._levels import levels
 from depthcli.methods.registration.smoothing import gaussian
 
 
-class Gradient(VolumeFeature):
+class GradientFeature(VolumeFeature):
     """Central differences of the smoothed volumes: blind to slow changes of brightness."""
 
     channels: ClassVar[int] = 3
@@ -21,11 +21,11 @@ class Gradient(VolumeFeature):
     sigma: float = Field(1.0, ge=0, le=4, description="smoothing before the differences, voxels")
     outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
 
-    def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
+    def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
         one, other = (self._derivatives(volume) for volume in (fixed, warped))
         return levels(one, other, self.outliers)
 
-    def _derivatives(self, volume: Volume) -> Volume:
+    def _derivatives(self, volume: VolumeArray) -> VolumeArray:
         smooth = gaussian(volume, self.sigma)
         axes = [axis for axis in range(3) if volume.shape[axis] > 1] or [2]
         steps = [tuple(int(a == axis) for a in range(3)) for axis in axes]

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from depthcli.methods.registration.feature import Channels, Volume, VolumeFeature
+from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature
 from depthcli.methods.registration.feature._levels import levels
 
 
@@ -17,6 +17,6 @@ class Intensity(VolumeFeature):
 
     outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
 
-    def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
+    def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
         one, other = levels(fixed, warped, self.outliers)
         return one[None], other[None]

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from depthcli.methods.registration.feature import Channels, Volume, VolumeFeature
+from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature
 from depthcli.methods.registration.feature._levels import levels
 from depthcli.methods.registration.smoothing import gaussian
 
@@ -21,11 +21,11 @@ class LocalNcc(VolumeFeature):
     floor: float = Field(0.05, gt=0, le=1, description="smallest deviation, share of the volume's own")
     outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
 
-    def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
+    def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
         one, other = levels(self._normalized(fixed), self._normalized(warped), self.outliers)
         return one[None], other[None]
 
-    def _normalized(self, volume: Volume) -> Volume:
+    def _normalized(self, volume: VolumeArray) -> VolumeArray:
         centered = volume - np.float32(volume.mean(dtype=np.float64))
         mean = gaussian(centered, self.sigma)
         variance = gaussian(centered * centered, self.sigma) - mean * mean

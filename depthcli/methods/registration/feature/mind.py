@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from depthcli.methods.registration.feature import Channels, Volume, VolumeFeature
+from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature
 from depthcli.methods.registration.feature._self_similarity import descriptor, steps
 
 
@@ -18,6 +18,6 @@ class Mind(VolumeFeature):
     sigma: float = Field(0.8, gt=0.2, le=4, description="Gaussian weight of a patch, voxels")
     distance: int = Field(1, ge=1, le=4, description="distance of the neighbors, voxels")
 
-    def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
+    def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
         pairs = [(step, (0, 0, 0)) for step in steps(fixed.shape, self.distance)]
         return descriptor(fixed, pairs, self.sigma), descriptor(warped, pairs, self.sigma)

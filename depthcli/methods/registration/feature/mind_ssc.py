@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from depthcli.methods.registration.feature import Channels, Volume, VolumeFeature
+from depthcli.methods.registration.feature import Channels, VolumeArray, VolumeFeature
 from depthcli.methods.registration.feature._self_similarity import descriptor, steps
 
 
@@ -18,7 +18,7 @@ class MindSsc(VolumeFeature):
     sigma: float = Field(0.8, gt=0.2, le=4, description="Gaussian weight of a patch, voxels")
     distance: int = Field(1, ge=1, le=4, description="distance of the neighbors, voxels")
 
-    def __call__(self, fixed: Volume, warped: Volume) -> tuple[Channels, Channels]:
+    def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
         around = steps(fixed.shape, self.distance)
         both = [(a, b) for k, a in enumerate(around) for b in around[:k]]
         # Opposite neighbors are left out: their patches are the least alike, and say the least. A line has no others.

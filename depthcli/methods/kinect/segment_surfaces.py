@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.adjacency import region_adjacency
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces, surface_at
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
@@ -47,7 +48,7 @@ def join_segments(
     if modelled.all() or not modelled.any():
         return owners
     mean, segment_center, limits = _statistics(labels, color, limit, count)
-    starts, neighbors, boundary = _neighbors(labels, count)
+    starts, neighbors, boundary = region_adjacency(labels, count)
     _join(
         owners, mean, segment_center, limits, starts, neighbors, boundary,
         surfaces.coefficients, surfaces.center, surfaces.bounds, surfaces.unit,
@@ -84,53 +85,6 @@ def _statistics(labels, color, limit, count):  # type: ignore[no-untyped-def]
         if 3 * sums[s, 6] > sums[s, 0]:
             limits[s] = limit_sums[s] / sums[s, 6]
     return mean, segment_center, limits
-
-
-@jit
-def _neighbors(labels, count):  # type: ignore[no-untyped-def]
-    # The neighbors of s are ``neighbors[starts[s]:starts[s + 1]]``, with the length of the common boundary in pixels.
-    height, width = labels.shape
-    starts = np.zeros(count + 1, np.int64)
-    for y in range(height):
-        for x in range(width):
-            s = labels[y, x]
-            for step in range(2):
-                y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
-                if y2 < height and x2 < width and labels[y2, x2] != s:
-                    starts[s + 1] += 1
-                    starts[labels[y2, x2] + 1] += 1
-    for s in range(count):
-        starts[s + 1] += starts[s]
-    raw = np.empty(starts[count], np.int32)
-    free = starts[:count].copy()
-    for y in range(height):
-        for x in range(width):
-            s = labels[y, x]
-            for step in range(2):
-                y2, x2 = (y, x + 1) if step == 0 else (y + 1, x)
-                if y2 < height and x2 < width and labels[y2, x2] != s:
-                    t = labels[y2, x2]
-                    raw[free[s]] = t
-                    free[s] += 1
-                    raw[free[t]] = s
-                    free[t] += 1
-    # Each bucket, written over itself without repetitions.
-    place = np.full(count, -1, np.int64)
-    boundary = np.zeros(raw.size, np.int32)
-    end = 0
-    for s in range(count):
-        first, last = starts[s], starts[s + 1]
-        starts[s] = end
-        for k in range(first, last):
-            t = raw[k]
-            if place[t] < starts[s]:
-                place[t] = end
-                raw[end] = t
-                boundary[end] = 0
-                end += 1
-            boundary[place[t]] += 1
-    starts[count] = end
-    return starts, raw[:end], boundary[:end]
 
 
 @jit
