@@ -8,8 +8,8 @@ DATA is the folder of data sets. Only the tuning scenes of `stereo_groups.yaml` 
 other side (both images mirrored and swapped) where the right view's truth is known, and with the right image lit in
 another way; with them generated scenes, streets above all, and two tuning scenes of twice the size.
 CONFIG is a preset or config of fuse whose `maps` are to be chosen among; its present choice plays no part. FOLDER
-keeps what was measured in every scene for another run. ``--held-out`` trains on each half of the tuning scenes and
-says how the other half is chosen, error of the shares' largest without averaging; nothing is written.
+keeps the training samples of every scene for another run. ``--held-out`` trains on each half of the tuning scenes and
+prints the error of the likeliest maps of the other half, shares not averaged; nothing is written.
 
 The shipped network `accurate` is what the defaults give.
 
@@ -57,31 +57,32 @@ LOOKS = ((1, 0, 0), (0.3, 2, 0), (0.1, 1, 0), (1, 2, 1), (0.3, 0, 0.5), (0.05, 2
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A pair with truth.
+class TrainingScene:
+    """A pair with truth, and how it is used.
 
     Attributes
     ----------
-    half : 0 or 1; related scenes are together
-    weight : what it counts
-    part : one of so many pixels is taken
+    half : 0 or 1, the half of the tuning scenes that it belongs to; related scenes are together
+    weight : what it counts beside the others
+    pixel_step : one pixel of so many is taken, chosen at random
+    load : gives the pair, the largest disparity, true disparities (H, W), and masks by region
     """
 
     name: str
     half: int
     weight: float
-    part: int
+    pixel_step: int
     load: Callable[[], tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]]
 
 
-def scenes(data: Path) -> Iterator[Scene]:
+def scenes(data: Path) -> Iterator[TrainingScene]:
     """Yield all scenes to train on."""
     half = 0
     for folder, names in yaml.safe_load(GROUPS.read_text())["tuning"].items():
         if folder == "generated":
             for name, how in names.items():
                 for seed in how["seeds"]:
-                    yield Scene(
+                    yield TrainingScene(
                         f"{name}_{seed}", seed // 2 % 2, 0.3, 20, generated(how["kind"], seed, how["wall_contrast"])
                     )
             continue
@@ -89,16 +90,16 @@ def scenes(data: Path) -> Iterator[Scene]:
             half = 1 - half
             for variant, weight in VARIANTS.items():
                 if variant != "mirrored" or scene.truth().right is not None:
-                    name, part = f"{folder}_{scene.name}_{variant}", 20 if variant else 10
-                    yield Scene(name, half, weight, part, real(scene, variant))
+                    name, step = f"{folder}_{scene.name}_{variant}", 20 if variant else 10
+                    yield TrainingScene(name, half, weight, step, real(scene, variant))
     for scene in discover_scenes(data / "middlebury_half", patterns=["Cloth3", "Reindeer"]):
-        yield Scene(f"half_{scene.name}", 1, 0.7, 20, real(scene, ""))
+        yield TrainingScene(f"half_{scene.name}", 1, 0.7, 20, real(scene, ""))
     for k, kind in enumerate(KINDS):
         for look, (contrast, noise, light) in enumerate(LOOKS):
             seed = 200 + len(LOOKS) * k + look
             for more in (0, 100, 200, 300) if kind == "street" else (0,):
                 load = generated(kind, seed + more, contrast, noise, light)
-                yield Scene(f"{kind}_{seed + more}", seed % 2, GENERATED, 20, load)
+                yield TrainingScene(f"{kind}_{seed + more}", seed % 2, GENERATED, 20, load)
 
 
 def real(scene: Any, variant: str) -> Callable[[], Any]:
@@ -119,7 +120,7 @@ def real(scene: Any, variant: str) -> Callable[[], Any]:
 
 
 def lit(pair: StereoPair, seed: int) -> StereoPair:
-    """The right image under light that changes slowly over it, at another exposure, both with noise."""
+    """Return the pair with noise, the right image under slowly changing light and at another exposure."""
     import cv2
 
     rng = np.random.default_rng(seed)
@@ -156,7 +157,7 @@ def generated(kind: Any, seed: int, contrast: float, noise: float = 0, light: fl
 
 
 def propose(fusion: Fusion, pair: StereoPair, max_disparity: int) -> Proposals:
-    """Return the proposals of a fusion, which is run with a choice that records them."""
+    """Return the proposals of a fusion, by running it with a choice that records them."""
     recorded: list[Proposals] = []
 
     class Recorder(ChoiceMethod):
@@ -171,7 +172,7 @@ def propose(fusion: Fusion, pair: StereoPair, max_disparity: int) -> Proposals:
 
 
 def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]]) -> NDArray[np.float64]:
-    """(H, W): nonocc, all and disc count alike, each pixel of a region alike; all of them together 1."""
+    """Return (H, W) weights of sum 1 by which nonocc, all and disc count alike, and each pixel of a region alike."""
     total = np.zeros(truth.shape)
     for name in ("nonocc", "all", "disc"):
         region = masks[name] & np.isfinite(truth) & (truth > 0)
@@ -180,7 +181,7 @@ def pixel_weights(truth: NDArray[np.float32], masks: dict[str, NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Samples:
+class TrainingSamples:
     """Pixels of a scene: inputs (P, N, F) float16, errors (P, N) float32 pixels, weights (P,)."""
 
     inputs: NDArray[np.float16]
@@ -188,17 +189,19 @@ class Samples:
     weights: NDArray[np.float64]
 
     @classmethod
-    def of(cls, proposals: Proposals, truth: NDArray[np.float32], weights: NDArray[np.float64], part: int) -> Samples:
-        """Every ``part``-th pixel, by chance."""
+    def of(
+        cls, proposals: Proposals, truth: NDArray[np.float32], weights: NDArray[np.float64], pixel_step: int
+    ) -> TrainingSamples:
+        """Return one pixel of ``pixel_step`` known ones, chosen at random."""
         known = np.flatnonzero(weights.ravel() > 0)
-        pixels = np.sort(np.random.default_rng(5).choice(known, known.size // part, replace=False))
+        pixels = np.sort(np.random.default_rng(5).choice(known, known.size // pixel_step, replace=False))
         errors = np.abs(proposals.values.reshape(len(proposals.values), -1)[:, pixels] - truth.ravel()[pixels]).T
         rows = NetworkInputs.of(proposals).rows(pixels).astype(np.float16)
         return cls(rows, errors.astype(np.float32), weights.ravel()[pixels])
 
 
 def train(
-    samples: list[tuple[float, Samples]],
+    samples: list[tuple[float, TrainingSamples]],
     maps: tuple[str, ...],
     trained_on: list[str],
     seed: int,
@@ -233,14 +236,14 @@ def train(
             outputs = [np.concatenate([scaled, which], axis=1)]
             for weights, offsets in layers[:-1]:
                 outputs.append(np.maximum(outputs[-1] @ weights + offsets, 0))
-            answers = (outputs[-1] @ layers[-1][0] + layers[-1][1]).reshape(batch, count)
-            y = right[chosen]
-            odds = 1 / (1 + np.exp(-np.clip(answers, -30, 30)))
-            shares = np.exp(answers - answers.max(1, keepdims=True))
+            predicted = (outputs[-1] @ layers[-1][0] + layers[-1][1]).reshape(batch, count)
+            wanted = right[chosen]
+            chance = 1 / (1 + np.exp(-np.clip(predicted, -30, 30)))
+            shares = np.exp(predicted - predicted.max(1, keepdims=True))
             shares /= shares.sum(1, keepdims=True)
-            hit = (shares * y).sum(1, keepdims=True)
-            pull = np.where(hit > 1e-4, shares - shares * y / np.maximum(hit, 1e-4), 0)
-            gradient = (((odds - y) / count + pull) * counts[chosen][:, None] / batch).reshape(-1, 1)
+            hit = (shares * wanted).sum(1, keepdims=True)
+            pull = np.where(hit > 1e-4, shares - shares * wanted / np.maximum(hit, 1e-4), 0)
+            gradient = (((chance - wanted) / count + pull) * counts[chosen][:, None] / batch).reshape(-1, 1)
             done += 1
             speed = fastest * 0.5 * (1 + np.cos(np.pi * done / steps))
             for k in (2, 1, 0):
@@ -258,8 +261,8 @@ def train(
     return TrainedNetwork(maps, input_names(maps), mean, scale, fitted, tuple(trained_on))
 
 
-def answers(trained: TrainedNetwork, inputs: NDArray[Any]) -> NDArray[np.float32]:
-    """(P, N) float32: what a network says of (P, N, F) inputs, without the kernel."""
+def log_odds(trained: TrainedNetwork, inputs: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the log odds (P, N) float32 that a network gives for (P, N, F) inputs, computed without the kernel."""
     (w1, b1), (w2, b2), (w3, b3) = trained.layers
     scaled = np.clip((inputs.astype(np.float32) - trained.mean) * trained.scale, -4, 4)
     hidden = np.maximum(scaled @ w1 + b1, 0)
@@ -279,17 +282,17 @@ def main() -> int:
     options = parser.parse_args()
     fusion = load_config(FuseConfig, find_config("fuse", options.config), ("maps.choice=energy", "confidence=[]"))
     assert fusion.maps is not None
-    all_samples: list[tuple[int, float, Samples]] = []
+    all_samples: list[tuple[int, float, TrainingSamples]] = []
     trained_on = []
     for scene in scenes(options.data):
         file = options.samples / f"{scene.name}.npz" if options.samples else None
         if file is not None and file.exists():
             stored = np.load(file)
-            samples = Samples(stored["inputs"], stored["errors"], stored["weights"])
+            samples = TrainingSamples(stored["inputs"], stored["errors"], stored["weights"])
         else:
             pair, max_disparity, truth, masks = scene.load()
             proposals = propose(fusion, pair, max_disparity)
-            samples = Samples.of(proposals, truth, pixel_weights(truth, masks), scene.part)
+            samples = TrainingSamples.of(proposals, truth, pixel_weights(truth, masks), scene.pixel_step)
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 np.savez(file, inputs=samples.inputs, errors=samples.errors, weights=samples.weights)
@@ -298,7 +301,7 @@ def main() -> int:
         print(f"{scene.name}: {100 * (samples.errors.min(1) > 1).mean():.2f} % out of reach", file=sys.stderr)
     kinds = fusion.maps.kinds
 
-    def network_of(samples: list[tuple[float, Samples]]) -> TrainedNetwork:
+    def network_of(samples: list[tuple[float, TrainingSamples]]) -> TrainedNetwork:
         return train(samples, kinds, trained_on, options.seed, options.epochs, tuple(options.units))
 
     if options.held_out:
@@ -306,7 +309,7 @@ def main() -> int:
             trained = network_of([(w, one) for h, w, one in all_samples if h != half])
             for name, (h, w, one) in zip(trained_on, all_samples, strict=True):
                 if h == half and w == 1:
-                    errors = np.take_along_axis(one.errors, answers(trained, one.inputs).argmax(1)[:, None], axis=1)
+                    errors = np.take_along_axis(one.errors, log_odds(trained, one.inputs).argmax(1)[:, None], axis=1)
                     wrong = 100 * float((one.weights * (errors[:, 0] > 1)).sum() / one.weights.sum())
                     print(f"{name}: {wrong:.2f} % wrong")
         return 0

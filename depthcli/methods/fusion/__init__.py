@@ -17,8 +17,6 @@ of the command's config. Start reading at :meth:`.pipeline.Fusion.fuse`; what fo
 
 from __future__ import annotations
 
-from depthcli.methods.fusion.measures import FusedMeasure
 from depthcli.methods.fusion.pipeline import Fusion
-from depthcli.methods.fusion.votes import Consensus
 
-__all__ = ["Consensus", "FusedMeasure", "Fusion"]
+__all__ = ["Fusion"]

@@ -94,7 +94,7 @@ def _smoothed(maps: NDArray[np.float32], support: ColorSupport, fill: Any, *inpu
         fill(maps, first, *inputs, block)
         support.sum(block)
         for k in range(first, min(count, first + BLOCK_DEPTH)):
-            out[k] = block[:, :, k - first] * support.share
+            out[k] = block[:, :, k - first] * support.inverse_sum
     return out
 
 

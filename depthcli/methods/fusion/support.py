@@ -21,10 +21,10 @@ class Support:
 
     Attributes
     ----------
-    share : (H, W) float32, 1 / (sum of the weights of a pixel's support)
+    inverse_sum : (H, W) float32, 1 / (sum of the weights of a pixel's support)
     """
 
-    share: NDArray[np.float32]
+    inverse_sum: NDArray[np.float32]
 
     @abstractmethod
     def sum(self, block: NDArray[np.float32]) -> None:
@@ -32,9 +32,9 @@ class Support:
 
     def _normalize(self, shape: tuple[int, int]) -> None:
         ones = np.ones((*shape, BLOCK_DEPTH), np.float32)
-        self.share = np.ones(shape, np.float32)
+        self.inverse_sum = np.ones(shape, np.float32)
         self.sum(ones)
-        self.share = np.float32(1.0) / ones[:, :, 0]
+        self.inverse_sum = np.float32(1.0) / ones[:, :, 0]
 
 
 class ColorSupport(Support):

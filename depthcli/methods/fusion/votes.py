@@ -90,7 +90,7 @@ class Ballot:
         """Return (N, H, W) float32 in [0, 1], the share of the votes that (N, H, W) ``disparities`` got."""
         shares = np.zeros(disparities.shape, np.float32)
         for first, block in self._blocks(fading=False):
-            _look_up(block, self.support.share, disparities, first, shares)
+            _look_up(block, self.support.inverse_sum, disparities, first, shares)
         return np.minimum(shares, np.float32(1.0))
 
     def costs(self, base: CostVolume | None, strength: float, largest: int) -> CostVolume:
@@ -110,7 +110,7 @@ class Ballot:
             known, scale = base.costs, largest / (1.0 + strength)
             gain = scale / base.scale
         for first, block in self._blocks(fading=base is None):
-            _add(block, self.support.share, known, np.float32(gain), np.float32(strength * scale), first, out)
+            _add(block, self.support.inverse_sum, known, np.float32(gain), np.float32(strength * scale), first, out)
         return CostVolume(out, scale)
 
 
@@ -129,18 +129,18 @@ def _cast(disparities: Any, weights: Any, first: int, tolerance: int, fading: bo
 
 
 @parallel_jit
-def _look_up(block: Any, share: Any, disparities: Any, first: int, shares: Any) -> None:
+def _look_up(block: Any, inverse_sum: Any, disparities: Any, first: int, shares: Any) -> None:
     count, height, width = disparities.shape
     for y in prange(height):
         for m in range(count):
             for x in range(width):
                 k = disparities[m, y, x] - first
                 if 0 <= k < 16:
-                    shares[m, y, x] = max(block[y, x, k], np.float32(0.0)) * share[y, x]
+                    shares[m, y, x] = max(block[y, x, k], np.float32(0.0)) * inverse_sum[y, x]
 
 
 @parallel_jit
-def _add(block: Any, share: Any, base: Any, gain: Any, strength: Any, first: int, out: Any) -> None:
+def _add(block: Any, inverse_sum: Any, base: Any, gain: Any, strength: Any, first: int, out: Any) -> None:
     height, width, n_disparities = out.shape
     one, half = np.float32(1.0), np.float32(0.5)
     for y in prange(height):
@@ -148,7 +148,7 @@ def _add(block: Any, share: Any, base: Any, gain: Any, strength: Any, first: int
             cells = out[y, x, first : min(n_disparities, first + 16)]
             known = base[y, x, first : min(n_disparities, first + 16)]
             votes = block[y, x]
-            s = share[y, x]
+            s = inverse_sum[y, x]
             for k in range(cells.size):
                 absent = one - min(max(votes[k] * s, np.float32(0.0)), one)
                 cells[k] = np.uint16(np.int32(np.float32(known[k]) * gain + strength * absent + half))

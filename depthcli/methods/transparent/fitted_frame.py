@@ -67,7 +67,7 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, rule: UnreliableRegions, 
     agrees |= np.abs(samples.values - measured) <= _SENSOR_TOLERANCE * noise
     samples, measured = samples.chosen(agrees), measured[agrees]
     # Through glass the sensor measures a farther surface. Where it knows none, a sample is half a contradiction.
-    nearer = rule.beyond((samples.values - measured) / noise) / _SENSOR_TOLERANCE
+    nearer = rule.beyond_systematic((samples.values - measured) / noise) / _SENSOR_TOLERANCE
     marks = np.clip(np.nan_to_num(nearer, nan=0.5), 0, 1)
     clock.stop("samples")
     rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: frame.shape[0], : frame.shape[1]])

@@ -122,7 +122,7 @@ class UnreliableRegions(BaseModel):
         region = self._contradicted(region, sensor, samples, noise) & np.isfinite(sensor)
         return _with_samples(region, samples)
 
-    def beyond(self, deviations: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    def beyond_systematic(self, deviations: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """Subtract the error that samples may share from differences, in standard deviations."""
         rest: NDArray[np.floating[Any]] = np.sign(deviations) * np.maximum(np.abs(deviations) - self.systematic, 0)
         return rest
@@ -132,7 +132,7 @@ class UnreliableRegions(BaseModel):
     ) -> NDArray[np.float64]:
         away = samples.distance(sensor.shape)
         fading = np.exp(-(away**2.0) / (2 * (self.reach * sensor.shape[1]) ** 2))
-        off = self.beyond((sensor - fit) / np.sqrt(noise**2 + (self.model_error * sigma) ** 2.0))
+        off = self.beyond_systematic((sensor - fit) / np.sqrt(noise**2 + (self.model_error * sigma) ** 2.0))
         score = np.clip(confidence * off * off / 2 - self.score_threshold, *_SCORE_RANGE) * fading
         # Samples that agree with the sensor are no evidence beside their surface, however far the fit is continued.
         gain = np.clip((contradiction - self.contradiction) / self.contradiction, 0, 1)
@@ -155,7 +155,7 @@ class UnreliableRegions(BaseModel):
 
     def _contradicted(self, region: Any, sensor: Any, samples: Samples, noise: float) -> NDArray[np.bool_]:
         labels, area = _pieces(region)
-        nearer = self.beyond((samples.values - sensor[samples.rows, samples.columns]) / noise)
+        nearer = self.beyond_systematic((samples.values - sensor[samples.rows, samples.columns]) / noise)
         known = np.isfinite(nearer)
         at = labels[samples.rows, samples.columns][known]
         total = np.bincount(at, np.clip(nearer[known], -_MAX_SAMPLE_EVIDENCE, _MAX_SAMPLE_EVIDENCE), area.size)

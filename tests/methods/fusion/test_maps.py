@@ -25,7 +25,7 @@ class PixelAlone:
     """A support of the pixel alone: the costs themselves."""
 
     def __init__(self, shape):
-        self.share = np.ones(shape, np.float32)
+        self.inverse_sum = np.ones(shape, np.float32)
 
     def sum(self, block):
         pass

@@ -33,15 +33,17 @@ class DenseCrf(TransparentPipeline):
     unreliable: UnreliableRegions | None = Field(
         default_factory=UnreliableRegions, description="where the sensor is unreliable; null: nowhere"
     )
-    labels: int = Field(64, ge=2, le=512, description="steps of inverse depth")
-    sensor_weight: float = Field(1.0, ge=0, description="cost of a label beside the sensor's value, a label")
-    sample_weight: float = Field(2.0, ge=0, description="cost of a label beside a sample, a label")
-    fit_weight: float = Field(1.0, ge=0, description="cost of a label beside the fit, a label; wants unreliable")
+    labels: int = Field(64, ge=2, le=512, description="number of labels: steps of inverse depth")
+    sensor_weight: float = Field(1.0, ge=0, description="cost per label of distance from the sensor's value")
+    sample_weight: float = Field(2.0, ge=0, description="cost per label of distance from a sample")
+    fit_weight: float = Field(1.0, ge=0, description="cost per label of distance from the planes; needs unreliable")
     dense_weight: float = Field(
-        1.0, ge=0, description="cost of a label beside the dense map of stereo, a label; where there is one"
+        1.0, ge=0, description="cost per label of distance from the dense map of stereo, where there is one"
     )
-    truncation: float = Field(6.0, gt=0, description="largest distance from a value that costs more, labels")
-    smooth_truncation: int = Field(8, ge=1, description="largest difference of two pixels that costs more, labels")
+    truncation: float = Field(6.0, gt=0, description="distance from a value beyond which costs no longer grow, labels")
+    smooth_truncation: int = Field(
+        8, ge=1, description="difference of two pixels beyond which costs no longer grow, labels"
+    )
     bilateral_weight: float = Field(
         1.0, ge=0, description="weight of smoothness between pixels of similar place and color"
     )
@@ -55,7 +57,7 @@ class DenseCrf(TransparentPipeline):
         4.0, ge=0, description="distance of unreliable pixels from others in the kernels, standard deviations"
     )
     band: int = Field(8, ge=0, description="pixels around unreliable ones and holes that are labelled with them")
-    iterations: int = Field(2, ge=0, le=100, description="steps of mean field")
+    iterations: int = Field(2, ge=0, le=100, description="iterations of mean field inference")
 
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
@@ -63,24 +65,20 @@ class DenseCrf(TransparentPipeline):
             sensor, samples = inverse_depth(frame.depth), Samples.of(inverse_depth(frame.sparse))
             blank = np.full(frame.shape, np.nan, np.float32)
             fitted = FittedFrame(sensor, samples, 0.0, blank, blank, np.zeros(frame.shape, np.bool_))
-            region = np.ones(frame.shape, np.bool_)
+            region = replaced = set_by_labels = np.ones(frame.shape, np.bool_)
         else:
             fitted = fit_frame(frame, self.fit, self.unreliable, clock)
-            labelled = (fitted.unreliable | np.isnan(fitted.sensor)).astype(np.uint8)
-            region = cv2.dilate(labelled, np.ones((2 * self.band + 1,) * 2, np.uint8)) > 0
+            replaced, set_by_labels = fitted.unreliable, fitted.unreliable | np.isnan(fitted.sensor)
+            square = np.ones((2 * self.band + 1,) * 2, np.uint8)
+            region = cv2.dilate(set_by_labels.astype(np.uint8), square) > 0
         values, sigma = fitted.sensor.astype(np.float64), np.full(frame.shape, fitted.noise)
         if region.any():
             means, deviation = self._label(frame, fitted, region, clock)
-            chosen = np.ones(means.size, np.bool_)
-            if self.unreliable is not None:
-                chosen = (fitted.unreliable | np.isnan(fitted.sensor))[region]
-            at = tuple(axis[chosen] for axis in np.nonzero(region))
-            values[at], sigma[at] = means[chosen], deviation[chosen]
+            chosen = set_by_labels[region]
+            values[set_by_labels], sigma[set_by_labels] = means[chosen], deviation[chosen]
         figures = {"labelled": float(region.mean()), "samples": float(fitted.samples.values.size)}
-        if self.unreliable is None:
-            result = refined_depth(frame, values, region, clock, sigma, figures=figures)
-        else:
-            result = refined_depth(frame, values, fitted.unreliable, clock, sigma, fitted.sampled(values), figures)
+        sampled = None if self.unreliable is None else fitted.sampled(values)
+        result = refined_depth(frame, values, replaced, clock, sigma, sampled, figures)
         clock.stop("decode")
         return result
 
