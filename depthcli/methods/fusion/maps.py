@@ -78,9 +78,9 @@ class MapFusion(BaseModel):
         return (
             "median",
             "own",
-            *(one.matcher.method_name() for one in self.matchers),
-            *(one.optimization.method_name() for one in self.optimizations),
-            *(one.segmentation.method_name() for one in self.segmentations),
+            *(source.matcher.method_name() for source in self.matchers),
+            *(source.optimization.method_name() for source in self.optimizations),
+            *(source.segmentation.method_name() for source in self.segmentations),
         )
 
     def __call__(
@@ -114,7 +114,7 @@ class MapFusion(BaseModel):
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the peak working memory of the matchers for images of ``shape``, bytes."""
-        return max((one.matcher.peak_bytes(shape, max_disparity) for one in self.matchers), default=0)
+        return max((source.matcher.peak_bytes(shape, max_disparity) for source in self.matchers), default=0)
 
     def bytes_beside(self, shape: tuple[int, int]) -> int:
         """Estimate the memory that mixing needs beside the fused costs, bytes."""

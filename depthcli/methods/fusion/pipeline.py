@@ -139,9 +139,9 @@ class Fusion(AdjustingMatcher):
         """
         clock = Clock()
         pair = adjusted(pair, max_disparity, self.adjust, clock)
-        others = []
+        other_maps = []
         if self.maps is not None:  # before the fused costs: then their matchers need no memory beside them
-            others = [one.matcher(pair, max_disparity).disparity for one in self.maps.matchers]
+            other_maps = [source.matcher(pair, max_disparity).disparity for source in self.maps.matchers]
             clock.stop("other_maps")
         fused = self.fuse(pair, max_disparity, volumes or {}, clock)
         volume = fused.volume
@@ -154,12 +154,14 @@ class Fusion(AdjustingMatcher):
                 result.confidence["consensus"] = fused.ballot.shares(left.astype(np.int32)[None])[0]
                 clock.stop("confidence")
             if self.maps is not None:
-                again = [
-                    finish(pair, volume, one.optimization, self.refinement, (), clock)[0].disparity
-                    for one in self.maps.optimizations
+                reoptimized = [
+                    finish(pair, volume, source.optimization, self.refinement, (), clock)[0].disparity
+                    for source in self.maps.optimizations
                 ]
-                result.disparity, more = self.maps(pair, volume, right, [result.disparity, *others, *again], clock)
-                result.confidence |= {name: values for name, values in more.items() if name in self.confidence}
+                result.disparity, confidences = self.maps(
+                    pair, volume, right, [result.disparity, *other_maps, *reoptimized], clock
+                )
+                result.confidence |= {name: values for name, values in confidences.items() if name in self.confidence}
         result.figures |= {f"weight_{k}": float(mean) for k, mean in enumerate(fused.weights.mean(axis=(1, 2)))}
         return result
 

@@ -72,12 +72,10 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, rule: UnreliableRegions, 
     clock.stop("samples")
     rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: frame.shape[0], : frame.shape[1]])
     planes = fit(samples, frame.color, noise, (rows, columns), marks=marks.astype(np.float32))
-    values, sigma, confidence, contradiction = (
-        part.reshape(frame.shape) for part in (planes.values, planes.sigma, planes.confidence, planes.mark)
-    )
     clock.stop("fit")
-    unreliable = rule(sensor, values, sigma, confidence, contradiction, samples, noise, frame.color)
+    unreliable = rule(sensor, planes, samples, noise, frame.color)
     clock.stop("unreliable")
+    values, sigma = planes.values.reshape(frame.shape), planes.sigma.reshape(frame.shape)
     return FittedFrame(sensor, samples, noise, values, sigma, unreliable)
 
 

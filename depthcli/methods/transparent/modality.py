@@ -43,7 +43,7 @@ def learned_weights(
         return GREY
     structure = _structure(color)[rows, columns].astype(np.float64)
     target = _structure(infrared)[rows, matched].astype(np.float64)
-    weights = nonnegative_least_squares(structure, target)
+    weights = solve_nnls(structure, target)
     total = float(weights.sum())
     if total <= 0:
         return GREY
@@ -57,21 +57,19 @@ def mixed(color: NDArray[np.uint8], weights: tuple[float, ...]) -> NDArray[np.ui
     return np.clip(np.rint(mix), 0, 255).astype(np.uint8)
 
 
-def nonnegative_least_squares(matrix: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+def solve_nnls(matrix: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
     """Minimize |A x - b| over x >= 0 for a few columns, by trying the solution on every subset of them."""
     count = matrix.shape[1]
     normal, right = matrix.T @ matrix, matrix.T @ target
     best, lowest = np.zeros(count), 0.0
-    for size in range(1, count + 1):
-        for chosen in itertools.combinations(range(count), size):
-            part = np.ix_(chosen, chosen)
-            values = np.linalg.lstsq(normal[part], right[list(chosen)], rcond=None)[0]
-            if (values < 0).any():
-                continue
-            cost = float(values @ normal[part] @ values - 2 * values @ right[list(chosen)])
-            if cost < lowest:
-                best, lowest = np.zeros(count), cost
-                best[list(chosen)] = values
+    for subset in itertools.chain(*(itertools.combinations(range(count), n) for n in range(1, count + 1))):
+        chosen = list(subset)
+        part = normal[np.ix_(chosen, chosen)]
+        values = np.linalg.lstsq(part, right[chosen], rcond=None)[0]
+        cost = float(values @ part @ values - 2 * values @ right[chosen])
+        if (values >= 0).all() and cost < lowest:
+            best, lowest = np.zeros(count), cost
+            best[chosen] = values
     return best
 
 

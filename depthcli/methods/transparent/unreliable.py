@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.algorithms.graph_cut import STEPS, edge_ends, grid_cut
 from depthcli.algorithms.plane_fitting.least_squares import MAD_TO_SIGMA
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes
 from depthcli.algorithms.plane_fitting.samples import Samples
 
 # The first three are those of the figures of scripts/transparent_experiments.py, which varies none of them.
@@ -91,10 +92,7 @@ class UnreliableRegions(BaseModel):
     def __call__(
         self,
         sensor: NDArray[np.float32],
-        fit: NDArray[np.float32],
-        sigma: NDArray[np.float32],
-        confidence: NDArray[np.float32],
-        contradiction: NDArray[np.float32],
+        planes: SamplePlanes,
         samples: Samples,
         noise: float,
         image: NDArray[np.uint8],
@@ -104,9 +102,8 @@ class UnreliableRegions(BaseModel):
         Parameters
         ----------
         sensor : (H, W) inverse depth, NaN = unknown
-        fit, sigma, confidence : (H, W) planes through the samples, as in
-            :class:`~depthcli.algorithms.plane_fitting.sample_planes.SamplePlanes`
-        contradiction : (H, W) in [0, 1], how far these samples contradict the sensor at their own pixels
+        planes : through the samples at all pixels, row by row; marks in [0, 1] say how far samples contradict the
+            sensor at their own pixels
         samples : those that were fitted
         noise : their standard deviation
         image : (H, W, 3) uint8
@@ -117,7 +114,7 @@ class UnreliableRegions(BaseModel):
         """
         if samples.values.size == 0:
             return np.zeros(sensor.shape, np.bool_)
-        score = self._score(sensor, fit, sigma, confidence, contradiction, samples, noise)
+        score = self._score(sensor, planes, samples, noise)
         region = grid_cut(score, self._weights(image))
         region = self._contradicted(region, sensor, samples, noise) & np.isfinite(sensor)
         return _with_samples(region, samples)
@@ -127,20 +124,20 @@ class UnreliableRegions(BaseModel):
         rest: NDArray[np.floating[Any]] = np.sign(deviations) * np.maximum(np.abs(deviations) - self.systematic, 0)
         return rest
 
-    def _score(
-        self, sensor: Any, fit: Any, sigma: Any, confidence: Any, contradiction: Any, samples: Samples, noise: float
-    ) -> NDArray[np.float64]:
-        away = samples.distance(sensor.shape)
+    def _score(self, sensor: Any, planes: SamplePlanes, samples: Samples, noise: float) -> NDArray[np.float64]:
+        away = samples.distance(sensor.shape).ravel()
         fading = np.exp(-(away**2.0) / (2 * (self.reach * sensor.shape[1]) ** 2))
-        off = self.beyond_systematic((sensor - fit) / np.sqrt(noise**2 + (self.model_error * sigma) ** 2.0))
-        score = np.clip(confidence * off * off / 2 - self.score_threshold, *_SCORE_RANGE) * fading
+        off = self.beyond_systematic(
+            (sensor.ravel() - planes.values) / np.sqrt(noise**2 + (self.model_error * planes.sigma) ** 2.0)
+        )
+        score = np.clip(planes.confidence * off * off / 2 - self.score_threshold, *_SCORE_RANGE) * fading
         # Samples that agree with the sensor are no evidence beside their surface, however far the fit is continued.
-        gain = np.clip((contradiction - self.contradiction) / self.contradiction, 0, 1)
+        gain = np.clip((planes.mark - self.contradiction) / self.contradiction, 0, 1)
         score = np.where(score > 0, score * gain, score)
         # Through glass the sensor measures a farther surface, never a nearer one.
         score = np.where(off > 0, np.minimum(score, -self.score_threshold), score)
         known: NDArray[np.float64] = np.where(np.isfinite(off), score, 0.0)
-        return known
+        return known.reshape(sensor.shape)
 
     def _weights(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.float64], ...]:
         color = image.astype(np.float64)

@@ -18,7 +18,7 @@ from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.transparent.cross_modal import CrossModal, MatchSelection
-from depthcli.methods.transparent.modality import GREY, learned_weights, mixed, nonnegative_least_squares
+from depthcli.methods.transparent.modality import GREY, learned_weights, mixed, solve_nnls
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.scenes import DATA
 
@@ -101,7 +101,7 @@ def test_least_squares_without_negative_values():
     rng = np.random.default_rng(0)
     for _ in range(20):
         matrix, target = rng.normal(size=(30, 3)), rng.normal(size=30)
-        np.testing.assert_allclose(nonnegative_least_squares(matrix, target), nnls(matrix, target)[0], atol=1e-9)
+        np.testing.assert_allclose(solve_nnls(matrix, target), nnls(matrix, target)[0], atol=1e-9)
 
 
 def test_weights_of_the_channels_are_learned_from_the_sensor():

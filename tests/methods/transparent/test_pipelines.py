@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from depthcli.algorithms.plane_fitting.sample_planes import SamplePlanes
 from depthcli.algorithms.plane_fitting.samples import Samples
 from depthcli.batch.presets import find_config, list_presets
 from depthcli.core.config_file import load_config
@@ -123,19 +124,19 @@ def test_a_region_without_contradicting_samples_is_reliable():
     fit[:, 30:] = 1.5
     rows, columns = np.mgrid[0:40:2, 0:30:2]
     samples = Samples(rows.ravel().astype(np.int32), columns.ravel().astype(np.int32), np.ones(rows.size, np.float32))
-    maps = (np.full(shape, 0.01, np.float32), np.ones(shape, np.float32))
+    ones = np.ones(fit.size, np.float32)
+    planes = SamplePlanes(fit.ravel(), np.float32(0.01) * ones, ones, ones)
     image = np.full((*shape, 3), 80, np.uint8)
-    maps = (*maps, np.ones(shape, np.float32))
     rule = UnreliableRegions(reach=10.0)
-    assert not rule(sensor, fit, *maps, samples, 0.01, image).any()
-    there = Samples(
+    assert not rule(sensor, planes, samples, 0.01, image).any()
+    contradicting = Samples(
         np.append(samples.rows, [9, 20, 31]).astype(np.int32),
         np.append(samples.columns, [45, 45, 45]).astype(np.int32),
         np.append(samples.values, [1.5, 1.5, 1.5]).astype(np.float32),
     )
-    assert rule(sensor, fit, *maps, there, 0.01, image)[:, 30:].mean() > 0.9
-    alone = there.chosen(np.arange(there.values.size) <= samples.values.size)
-    assert not rule(sensor, fit, *maps, alone, 0.01, image).any(), "one sample, where 150 were to be expected"
+    assert rule(sensor, planes, contradicting, 0.01, image)[:, 30:].mean() > 0.9
+    alone = contradicting.chosen(np.arange(contradicting.values.size) <= samples.values.size)
+    assert not rule(sensor, planes, alone, 0.01, image).any(), "one sample, where 150 were to be expected"
 
 
 def test_a_sensor_that_measures_nearer_surfaces_stays():
