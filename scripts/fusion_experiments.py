@@ -65,8 +65,8 @@ def equal_of(config: dict[str, Any]) -> dict[str, Any]:
     return {**config, **EQUAL, "vote_aggregation": "constant_window", "vote_optimization": "winner_takes_all"}
 
 
-class Bench:
-    """Runs configs over scenes, remembers every figure."""
+class Experiments:
+    """Runs configs over scenes and keeps every figure."""
 
     def __init__(self, data: Path, quick: bool) -> None:
         self.scenes = [s for name in SETS for s in discover_scenes(data / name, [StereoScene])]
@@ -88,17 +88,17 @@ class Bench:
     def table(self, title: str, configs: dict[str, dict[str, Any]], base: str | None = None, **how: Any) -> Table:
         """One row a config: mean, and against ``base`` wins, mean difference, worst ratio and p."""
         scenes = how.pop("scenes", self.scenes)
-        found: dict[str, list[float]] = {}
+        rates_of: dict[str, list[float]] = {}
         for name, config in configs.items():
             model = Fusion.model_validate(config)
-            found[name] = self.bad(scenes, lambda pair, top, model=model: model(pair, top).disparity.values, **how)
-            for scene, rate in zip(scenes, found[name], strict=True):
+            rates_of[name] = self.bad(scenes, lambda pair, top, model=model: model(pair, top).disparity.values, **how)
+            for scene, rate in zip(scenes, rates_of[name], strict=True):
                 self.rows.append({"experiment": title, "config": name, "scene": scene.name, "bad": round(rate, 3)})
         rows = []
-        for name, rates in found.items():
+        for name, rates in rates_of.items():
             cells = [name, Number(float(np.mean(rates)))]
             if base is not None:
-                against = compare(found[base], rates)
+                against = compare(rates_of[base], rates)
                 cells += [f"{against.wins}/{against.scenes}", Number(against.mean_difference)]
                 cells += [Number(against.worst_ratio, 3), Number(against.p_value, 4)]
             rows.append(tuple(cells))
@@ -106,7 +106,7 @@ class Bench:
         return Table(title, header, tuple(rows), f"{len(scenes)} scenes" + (f"; against {base}" if base else ""))
 
 
-def confidences(bench: Bench) -> list[Table]:
+def confidences(bench: Experiments) -> list[Table]:
     """6.4.1: AUC of every measure for each similarity, CW 11, all known pixels; also of the final map's."""
     tables = []
     chosen = [s for s in bench.scenes if s.name.rpartition("/")[2] in ("Teddy", "Cones")]
@@ -145,7 +145,7 @@ def _areas(maps: dict[str, Any], known: np.ndarray, wrong: np.ndarray) -> tuple[
     return areas, lines
 
 
-def windows(bench: Bench) -> list[Table]:
+def windows(bench: Experiments) -> list[Table]:
     """6.4.2: sizes of the consensus window, for both kinds of support."""
     tables, lines = [], []
     for support in ("window", "color"):
@@ -162,8 +162,8 @@ def windows(bench: Bench) -> list[Table]:
     return tables
 
 
-def fusion(bench: Bench) -> list[Table]:
-    """6.4.3: all measures; what is due to confidence, consensus and votes."""
+def fusion(bench: Experiments) -> list[Table]:
+    """6.4.3: all measures; what comes from confidence, consensus and votes."""
     configs = {SHORT[cost]: {"measures": [cost], **EQUAL} for cost in ALL}
     configs["equal"] = preset("equal")
     for confidence in ("pkr", "mlm", "lrc"):
@@ -181,7 +181,7 @@ def fusion(bench: Bench) -> list[Table]:
     return [bench.table("Fusion of all measures, CW 11", configs, "equal")]
 
 
-def pairs(bench: Bench) -> list[Table]:
+def pairs(bench: Experiments) -> list[Table]:
     """6.4.4: AD fused with each other measure."""
     tables = []
     for cost in ALL[1:]:
@@ -192,7 +192,7 @@ def pairs(bench: Bench) -> list[Table]:
     return tables
 
 
-def later_stages(bench: Bench) -> list[Table]:
+def later_stages(bench: Experiments) -> list[Table]:
     """6.4.5 and 6.4.7: does the gain survive other aggregations, optimizers, refinement, segments?"""
     tables = []
     for name in ("consensus", "cross", "adaptive-weight", "scanline", "accurate"):
@@ -221,7 +221,7 @@ def after_segments() -> dict[str, Any]:
                   consensus={"softness": 8, "vote_cost": 0.2})  # fmt: skip
 
 
-def kitti(bench: Bench) -> list[Table]:
+def kitti(bench: Experiments) -> list[Table]:
     """6.4.8: driving scenes, 3 px."""
     configs = {"equal": equal_of(preset("consensus")), "consensus": preset("consensus")}
     tables = [bench.table("KITTI, CW 11", configs, "equal", scenes=bench.kitti, protocol="kitti_2012")]
@@ -229,7 +229,7 @@ def kitti(bench: Bench) -> list[Table]:
     return [*tables, bench.table("KITTI, preset kitti", configs, "equal", scenes=bench.kitti, protocol="kitti_2012")]
 
 
-def cross_modal(bench: Bench) -> list[Table]:
+def cross_modal(bench: Experiments) -> list[Table]:
     """6.4.9: the right view as another sensor would see it; AD misleads."""
 
     def infrared(pair: StereoPair) -> StereoPair:
@@ -241,7 +241,7 @@ def cross_modal(bench: Bench) -> list[Table]:
     return [bench.table("Cross-modal pairs", configs, "equal", change=infrared)]
 
 
-def seconds(bench: Bench) -> list[Table]:
+def seconds(bench: Experiments) -> list[Table]:
     """6.4.6: time by stage on Cones, best of nine."""
     scene = next(s for s in bench.scenes if s.name.rpartition("/")[2] == "Cones")
     pair, top = scene.load(), scene.max_disparity or 0
@@ -273,7 +273,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    bench = Bench(arguments.data, arguments.quick)
+    bench = Experiments(arguments.data, arguments.quick)
     document = []
     for name in arguments.only:
         text = "\n".join(table.markdown() for table in EXPERIMENTS[name](bench))

@@ -53,14 +53,14 @@ CASES: dict[str, dict[str, Any]] = {
     "2 %, 30 % wrong": {"share": 0.02, "outliers": 0.3},
     "10 %, 30 % wrong": {"share": 0.10, "outliers": 0.3},
 }
-_FB = 24.0  # pixel meters
+_FB = 24.0  # focal length times baseline of the emulated camera, pixels x meters
 Map = NDArray[np.float32]
-Scene = tuple[NDArray[np.uint8], Map, Map, NDArray[np.bool_]]
+HalvedScene = tuple[NDArray[np.uint8], Map, Map, NDArray[np.bool_]]
 
 
-def halved(item: RgbdScene) -> Scene:
+def halved(files: RgbdScene) -> HalvedScene:
     """Return color, sensor, truth and mask at half size."""
-    frame, truth = item.load(), item.truth()
+    frame, truth = files.load(), files.truth()
     height, width = frame.shape
     color = cv2.resize(frame.color, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     cut = slice(0, height // 2 * 2, 2), slice(0, width // 2 * 2, 2)
@@ -68,14 +68,14 @@ def halved(item: RgbdScene) -> Scene:
     return np.asarray(color, np.uint8), *(np.ascontiguousarray(part) for part in (sensor, depth, mask))
 
 
-def measures(found: Map, scene: Scene) -> dict[str, float]:
+def errors(estimate: Map, scene: HalvedScene) -> dict[str, float]:
     """Return MAE and RMSE in mm, REL and deltas in the mask; MAE outside over the sensor's; MAE beside the outline."""
     _, sensor, truth, mask = scene
-    known = np.isfinite(truth) & np.isfinite(found)
+    known = np.isfinite(truth) & np.isfinite(estimate)
     inside, outside = known & mask, known & ~mask & np.isfinite(sensor)
-    error = 1000 * np.abs(found.astype(np.float64) - truth)
-    ratio = np.maximum(found / truth, truth / found)[inside]
-    outline = known & _beside(mask)
+    error = 1000 * np.abs(estimate.astype(np.float64) - truth)
+    ratio = np.maximum(estimate / truth, truth / estimate)[inside]
+    outline = known & _near_outline(mask)
     return {
         "MAE": float(error[inside].mean()),
         "RMSE": float(np.sqrt((error[inside] ** 2).mean())),
@@ -83,22 +83,21 @@ def measures(found: Map, scene: Scene) -> dict[str, float]:
         **{f"d{limit:.2f}": float(100 * np.mean(ratio < limit)) for limit in (1.05, 1.10, 1.25)},
         "outside": float(error[outside].mean() / (1000 * np.abs(sensor - truth)[outside].mean())),
         "outline": float(error[outline].mean()),
-        "coverage": float(100 * np.isfinite(found)[np.isfinite(truth) & mask].mean()),
+        "coverage": float(100 * np.isfinite(estimate)[np.isfinite(truth) & mask].mean()),
     }
 
 
 def accuracy(folder: Path, presets: list[str]) -> None:
     """Print a line a preset and kind of samples: the mean over the scenes, then MAE by scene."""
-    items = [item for item in discover_scenes(folder, (RgbdScene,)) if isinstance(item, RgbdScene)]
-    scenes = {item.name: halved(item) for item in items}
+    scenes = [halved(files) for files in discover_scenes(folder, (RgbdScene,)) if isinstance(files, RgbdScene)]
     for preset in presets:
         config = load_config(TransparentConfig, find_config("transparent", preset), [])
         for case, settings in CASES.items():
             rows = []
-            for scene in scenes.values():
+            for scene in scenes:
                 color, sensor, truth, _ = scene
                 sparse = sparse_samples(truth, color, **settings)
-                rows.append(measures(config.pipeline(SparseFrame(color, sensor, sparse=sparse)).depth.values, scene))
+                rows.append(errors(config.pipeline(SparseFrame(color, sensor, sparse=sparse)).depth.values, scene))
             mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
             digits = {"REL": 4, "outside": 3}
             line = "  ".join(f"{key} {value:.{digits.get(key, 1 if key[0] == 'd' else 2)}f}"
@@ -114,15 +113,15 @@ def cross_modal(folders: list[Path]) -> None:
     stereo = configs["kinect"].stereo
     assert stereo is not None
     rows = []
-    for item in (item for folder in folders for item in discover_scenes(folder, (StereoScene,))):
-        if not isinstance(item, StereoScene) or item.right is None or not item.has_truth:
+    for files in (files for folder in folders for files in discover_scenes(folder, (StereoScene,))):
+        if not isinstance(files, StereoScene) or files.right is None or not files.has_truth:
             continue
-        pair, truth = item.load(), item.truth()
+        pair, truth = files.load(), files.truth()
         scene = glass_of_pair(pair.left, pair.right, truth.disparity)
         known = np.isfinite(scene.disparity)
         visible = truth.masks.get("nonocc", known) & known
         matchers = {
-            name: stereo.model_copy(update={"max_disparity": item.max_disparity, **changes})
+            name: stereo.model_copy(update={"max_disparity": files.max_disparity, **changes})
             for name, changes in (
                 ("early", {}), ("late", {"channels": "late"}), ("grey", {"channels": "grey"}),
             )
@@ -134,20 +133,20 @@ def cross_modal(folders: list[Path]) -> None:
             ("AD grey", grey, "absolute_difference"), ("census grey", grey, "census"),
             ("AD", learned, "absolute_difference"), ("census", learned, "census"), ("zncc", learned, "zncc"),
         ):  # fmt: skip
-            left = _window(measure, StereoPair(mix, scene.infrared), item.max_disparity)
+            left = _window(measure, StereoPair(mix, scene.infrared), files.max_disparity)
             row[f"bad {name}"] = 100 * float(np.mean(np.abs(left - scene.disparity)[visible] > 1))
         for name, matcher in matchers.items():
-            found = matcher.match(scene.color, scene.infrared, scene.sensor)
-            row[f"bad {name}"] = 100 * float(np.mean(np.abs(found.dense - scene.disparity)[visible] > 1))
+            matches = matcher.match(scene.color, scene.infrared, scene.sensor)
+            row[f"bad {name}"] = 100 * float(np.mean(np.abs(matches.dense - scene.disparity)[visible] > 1))
             if name == "early":
-                kept = np.isfinite(found.sparse)
+                kept = np.isfinite(matches.sparse)
                 row["kept"] = 100 * float(kept.mean())
-                row["kept bad"] = 100 * float(np.mean(np.abs(found.sparse - scene.disparity)[kept & known] > 1))
+                row["kept bad"] = 100 * float(np.mean(np.abs(matches.sparse - scene.disparity)[kept & known] > 1))
         frame, _ = matchers["early"](
             RgbIrFrame(scene.color, scene.infrared, depth_of_disparity(scene.sensor, _FB), None, _FB), Clock()
         )
         inside, outside = known & scene.mask, known & ~scene.mask & np.isfinite(scene.sensor)
-        outline = known & _beside(scene.mask)
+        outline = known & _near_outline(scene.mask)
         row["sensor out"] = float(np.abs(scene.sensor - scene.disparity)[outside].mean())
         for name, config in configs.items():
             values = disparity_of_depth(config.pipeline(frame).depth.values, _FB)
@@ -155,7 +154,7 @@ def cross_modal(folders: list[Path]) -> None:
             row[f"{name} in"], row[f"{name} out"] = float(np.nanmean(error[inside])), float(np.nanmean(error[outside]))
             row[f"{name} outline"] = float(np.nanmean(error[outline]))
         rows.append(row)
-        print(f"{item.name:12} " + "  ".join(f"{key} {value:.2f}" for key, value in row.items()), flush=True)
+        print(f"{files.name:12} " + "  ".join(f"{key} {value:.2f}" for key, value in row.items()), flush=True)
     for name, mean in (("mean", np.mean), ("median", np.median)):
         figures = {key: float(mean([row[key] for row in rows])) for key in rows[0]}
         print(f"{name:12} " + "  ".join(f"{key} {value:.2f}" for key, value in figures.items()))
@@ -167,7 +166,7 @@ def _window(measure: str, pair: StereoPair, top: int) -> NDArray[np.uint16]:
     return winners(fusion.fuse(pair, top, {}).volume.costs)[0]
 
 
-def _beside(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _near_outline(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the pixels within 5 of the mask's outline."""
     square, plane = np.ones((11, 11), np.uint8), mask.astype(np.uint8)
     return np.asarray(cv2.dilate(plane, square) > cv2.erode(plane, square), np.bool_)
@@ -193,7 +192,7 @@ def speed(width: int, height: int, labels: int) -> None:
     ours, theirs = [], []
     for _ in range(5):
         ours.append(_seconds(lambda: mean_field(unary, kernels, 8, 5)))
-        theirs.append(_peer(color, unary, label))
+        theirs.append(_pydensecrf_seconds(color, unary, label))
     best = [min(times, key=lambda pair: pair[0]) for times in (ours, theirs)]
     text = "  ".join(f"{name} {wall:.3f} s ({cpu:.3f} s CPU)" for name, (wall, cpu) in zip(
         ("ours", "pydensecrf"), best, strict=True))  # fmt: skip
@@ -206,7 +205,7 @@ def _seconds(run: Any) -> tuple[float, float]:
     return time.perf_counter() - wall, time.process_time() - cpu
 
 
-def _peer(color: NDArray[np.uint8], unary: Map, label: Map) -> tuple[float, float]:
+def _pydensecrf_seconds(color: NDArray[np.uint8], unary: Map, label: Map) -> tuple[float, float]:
     try:
         import pydensecrf.densecrf as dcrf  # type: ignore[import-not-found]
     except ImportError:
