@@ -162,9 +162,9 @@ def _print_result(
     rows: list[Row] = []
     documents, texts = [], []
     for section in report.by_protocol:
-        headline, sign = section.protocol.headline, -1 if section.protocol.headline.larger_is_better else 1
+        headline = section.protocol.headline
         figures = {run: section.figure(run).value for run in report.runs}
-        order = sorted(report.runs, key=lambda run: (math.isnan(figures[run]), sign * figures[run]))
+        order = sorted(report.runs, key=lambda run: (math.isnan(figures[run]), headline.sign * figures[run]))
         found = effects(axes, {chosen[run]: figures[run] for run in report.runs}, headline.larger_is_better)
         for run in order:
             settings = {axis.key: value for axis, value in zip(axes, chosen[run], strict=True)}

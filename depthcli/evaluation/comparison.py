@@ -67,11 +67,12 @@ class Section:
     @cached_property
     def _means(self) -> dict[tuple[str, bool], dict[Key, Score]]:
         """(run, over the common scenes alone) -> (metric, region) -> mean."""
-        return {
-            (run, common): {score.key: score for score in self.protocol.mean(self.results_of(run, common))}
-            for run in self.runs
-            for common in (False, True)
-        }
+
+        def means(run: str, common: bool) -> dict[Key, Score]:
+            return {score.key: score for score in self.protocol.mean(self.results_of(run, common))}
+
+        made = {(run, False): means(run, False) for run in self.runs}
+        return made | {(run, True): means(run, True) if self.incomplete else made[run, False] for run in self.runs}
 
     def mean(self, run: str, key: Key, common: bool = False) -> Score:
         """Return a run's mean over all scenes or the common ones; NaN where there is none."""
@@ -83,15 +84,15 @@ class Section:
         It is the headline over the protocol's regions for it.
         """
         keys = [(self.protocol.headline, region) for region in self.protocol.figure_regions(self.regions)]
+        if len(keys) == 1:  # the mean of that region, which a protocol may compute in its own way
+            return self.mean(run, keys[0], common)
         pairs = [
             (result.by_key[key], self.protocol.weight(result.scene))
             for result in self.results_of(run, common)
             for key in keys
             if key in result.by_key
         ]
-        if len(keys) == 1 or not pairs:  # the mean of that region, which a protocol may compute in its own way
-            return self.mean(run, keys[0], common)
-        return self.protocol.pool(*zip(*pairs, strict=True))
+        return self.protocol.pool(*zip(*pairs, strict=True)) if pairs else self.mean(run, keys[0], common)
 
     def records(self) -> list[Record]:
         """Return the means of every run, metric and region, over all scenes (``MEAN``) and common ones."""
@@ -133,24 +134,16 @@ class Section:
         """Return the means over all scenes of one metric at many thresholds."""
         return self.protocol.pooled((r.dense, r.scene) for r in self.results_of(run))
 
-    def lower_is_better(self, run: str) -> list[float]:
+    def signed_headlines(self, run: str) -> list[float]:
         """Return one run's headline in the main region by scene, signed so that lower is better; NaN without a map."""
         headline = self.protocol.headline
         scores = [None if r.error else r.by_key.get((headline, self.regions[0])) for r in self.results_of(run)]
-        sign = -1 if headline.larger_is_better else 1
-        return [math.nan if score is None else sign * score.value for score in scores]
+        return [math.nan if score is None else headline.sign * score.value for score in scores]
 
     def average_rank(self, keys: Sequence[Key]) -> dict[str, float]:
         """Return run -> mean rank over the common scenes and (metric, region) pairs; equal values share a rank."""
-        grid = [
-            [
-                (-1 if key[0].larger_is_better else 1) * r.by_key[key].value
-                for r in self.results_of(run, common=True)
-                for key in keys
-                if key in r.by_key
-            ]
-            for run in self.runs
-        ]
+        results = [self.results_of(run, common=True) for run in self.runs]
+        grid = [[key[0].sign * r.by_key[key].value for r in row for key in keys if key in r.by_key] for row in results]
         ranks = average_ranks(np.array(grid, np.float64).reshape(len(self.runs), -1))
         return {run: float(rank) for run, rank in zip(self.runs, ranks, strict=True)}
 
@@ -221,7 +214,7 @@ class EvaluationReport:
         """Compare every further run with the first, by protocol: the headline in the main region of common scenes."""
         made = []
         for section in self.by_protocol:
-            values = [section.lower_is_better(run) for run in self.runs]
+            values = [section.signed_headlines(run) for run in self.runs]
             made += [(section, run, compare(values[0], v)) for run, v in zip(self.runs[1:], values[1:], strict=True)]
         return made
 

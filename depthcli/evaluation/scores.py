@@ -50,6 +50,11 @@ class Metric:
         return self.label or (self.name if self.threshold is None else f"{self.name} {self.threshold:g}")
 
     @property
+    def sign(self) -> int:
+        """Factor that makes lower values the better ones."""
+        return -1 if self.larger_is_better else 1
+
+    @property
     def heading_with_unit(self) -> str:
         """The heading, with the unit behind a comma where there is one."""
         return f"{self.heading}, {self.unit}" if self.unit else self.heading

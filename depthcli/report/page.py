@@ -147,10 +147,10 @@ def _section_data(section: Section) -> dict[str, Any]:
     headline, runs = section.protocol.headline, section.runs
     figures = {run: section.figure(run).value for run in runs}
     known = [run for run in runs if not math.isnan(figures[run])]
-    best = sorted(known, key=lambda run: -figures[run] if headline.larger_is_better else figures[run])
+    best = sorted(known, key=lambda run: headline.sign * figures[run])
     order = best + [run for run in runs if run not in known]
     longest = max((figures[run] for run in known), default=0.0) or 1.0
-    signed = {run: section.lower_is_better(run) for run in runs}
+    signed = {run: section.signed_headlines(run) for run in runs}
     keys = dict.fromkeys([*((headline, region) for region in section.regions), *section.keys])
     n_keys = max(1, _MAX_CELLS // max(1, len(section.scenes) * len(runs)), len(section.regions))
     narrow = tables.section_tables(section)
