@@ -20,7 +20,7 @@ _REFITS = 5  # largest number of least squares after RANSAC
 
 
 @dataclass(frozen=True)
-class Planes:
+class SegmentPlanes:
     """Disparity planes ``d = a x + b y + c``.
 
     Attributes
@@ -37,14 +37,42 @@ class Planes:
     def __len__(self) -> int:
         return len(self.support)
 
-    def __getitem__(self, index: Any) -> Planes:
-        return Planes(self.coefficients[index], self.support[index], self.center[index])
+    def __getitem__(self, index: Any) -> SegmentPlanes:
+        return SegmentPlanes(self.coefficients[index], self.support[index], self.center[index])
 
     @classmethod
-    def joined(cls, *sets: Planes) -> Planes:
+    def joined(cls, *sets: SegmentPlanes) -> SegmentPlanes:
         """Return all planes of several sets, in order."""
         columns = ((planes.coefficients, planes.support, planes.center) for planes in sets)
         return cls(*(np.concatenate(parts) for parts in zip(*columns, strict=True)))
+
+    def distinct(
+        self, slope_tolerance: float, offset_tolerance: float, max_planes: int
+    ) -> tuple[SegmentPlanes, NDArray[np.int32]]:
+        """Select planes without near-duplicates, the best supported first, at most ``max_planes`` of them.
+
+        A plane is a near-duplicate where a better supported one has slopes within ``slope_tolerance`` and,
+        at the center of the lesser one, a disparity within ``offset_tolerance`` pixels.
+
+        Returns
+        -------
+        planes : SegmentPlanes
+        representative : (L,) int32, for every plane given the index of the one that stands for it; -1 for none
+        """
+        order = np.argsort(-self.support, kind="stable")
+        by_support = self[order]
+        representative = np.full(len(self), -1, np.int32)
+        kept = _distinct(
+            by_support.coefficients, by_support.center, slope_tolerance, offset_tolerance, max_planes, representative
+        )
+        return by_support[kept], representative[np.argsort(order)]
+
+    def at(self, choice: NDArray[np.int32], max_disparity: float) -> NDArray[np.float32]:
+        """Evaluate the plane ``choice`` (H, W) at every pixel, limited to [0, ``max_disparity``]: (H, W) float32."""
+        a, b, c = self.coefficients.T
+        x, y = np.arange(choice.shape[1]), np.arange(choice.shape[0])[:, None]
+        disparity = a[choice] * x + b[choice] * y + c[choice]
+        return np.asarray(np.clip(disparity, 0, max_disparity), np.float32)
 
 
 class SegmentPlaneFit(BaseModel):
@@ -60,7 +88,7 @@ class SegmentPlaneFit(BaseModel):
     )  # fmt: skip
     seed: int = Field(0, ge=0, le=2**31 - 1, description="of the RANSAC samples, with the number of the segment")
 
-    def __call__(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> Planes:
+    def __call__(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> SegmentPlanes:
         """Fit one plane to each of the segments ``chosen`` (K,), none of them empty.
 
         Where no three pixels span a plane of an allowed slope, it is the flat one of the median disparity.
@@ -72,15 +100,15 @@ class SegmentPlaneFit(BaseModel):
         """
         return self._planes(values, members, chosen, self.trials, self.max_slope, self.flatness)
 
-    def constant(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> Planes:
+    def constant(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> SegmentPlanes:
         """Return the plane of constant disparity, the median, of each of the segments ``chosen``."""
         return self._planes(values, members, chosen, 0, 0.0, 0.0)
 
     def _planes(
         self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64],
         trials: int, max_slope: float, flatness: float,
-    ) -> Planes:  # fmt: skip
-        planes = Planes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
+    ) -> SegmentPlanes:  # fmt: skip
+        planes = SegmentPlanes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))
         _fit(
             values.ravel(), values.shape[1], members.order, members.starts, np.asarray(chosen, np.int64),
             self.tolerance, trials, max_slope, flatness, self.seed, planes.coefficients, planes.support, planes.center,
@@ -230,30 +258,6 @@ def _misfit(px, py, pd, stride, a, b, c, tolerance, enough):  # type: ignore[no-
     return total
 
 
-def distinct(
-    planes: Planes, slope_tolerance: float, offset_tolerance: float, max_planes: int
-) -> tuple[Planes, NDArray[np.int32]]:
-    """Select planes without near-duplicates, the best supported first, at most ``max_planes`` of them.
-
-    A plane is a near-duplicate where a better supported one has slopes within ``slope_tolerance`` and,
-    at the center of the lesser one, a disparity within ``offset_tolerance`` pixels.
-
-    Returns
-    -------
-    planes : Planes
-    representative : (L,) int32, for every plane given the index of the one that stands for it; -1 for none
-    """
-    order = np.argsort(-planes.support, kind="stable")
-    sorted_planes = planes[order]
-    stands_for = np.full(len(planes), -1, np.int32)
-    kept = _distinct(
-        sorted_planes.coefficients, sorted_planes.center, slope_tolerance, offset_tolerance, max_planes, stands_for
-    )
-    representative = np.empty(len(planes), np.int32)
-    representative[order] = stands_for
-    return sorted_planes[kept], representative
-
-
 @jit
 def _distinct(coefficients, center, slope_tolerance, offset_tolerance, max_planes, stands_for):  # type: ignore[no-untyped-def]
     kept = np.empty(coefficients.shape[0], np.int64)
@@ -275,14 +279,3 @@ def _distinct(coefficients, center, slope_tolerance, offset_tolerance, max_plane
             kept[count] = k
             count += 1
     return kept[:count].copy()
-
-
-def evaluate(planes: NDArray[np.float64], choice: NDArray[np.int32], max_disparity: float) -> NDArray[np.float32]:
-    """Evaluate the plane ``choice`` (H, W) at every pixel, limited to [0, ``max_disparity``]: (H, W) float32."""
-    height, width = choice.shape
-    a, b, c = planes.T
-    x = np.arange(width)[None]
-    y = np.arange(height)[:, None]
-    disparity = a[choice] * x + b[choice] * y + c[choice]
-    limited: NDArray[np.float32] = np.clip(disparity, 0, max_disparity).astype(np.float32)
-    return limited

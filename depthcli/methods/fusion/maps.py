@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, evaluate
+from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import Members
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.core.frames import StereoPair
@@ -136,7 +136,7 @@ class MapFusion(BaseModel):
             count = int(labels.max()) + 1
             members = Members.of(labels, _largest_agreement(agreeing, labels, count).ravel(), count)
             fitted = self.planes(median, members, np.arange(count))
-            planes.append(evaluate(fitted.coefficients, labels, max_disparity))
+            planes.append(fitted.at(labels, max_disparity))
         sources = (*self.matchers, *self.optimizations, *self.segmentations)
         weights = np.array([0.0, 1.0, *(source.weight for source in sources)], np.float32)
         filled = np.zeros((len(weights), *pair.shape), np.uint8)

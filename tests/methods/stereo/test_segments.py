@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from depthcli.algorithms.plane_fitting.segment_planes import Planes, SegmentPlaneFit, distinct, evaluate
+from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
 from depthcli.algorithms.regions import Members, region_graph
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
@@ -44,7 +44,7 @@ def _matches(*points):
 
 def _planes(*rows):
     count = len(rows)
-    return Planes(np.array(rows, float), np.arange(count, 0, -1), np.zeros((count, 2)))
+    return SegmentPlanes(np.array(rows, float), np.arange(count, 0, -1), np.zeros((count, 2)))
 
 
 @pytest.mark.parametrize("radius", [0, 1, 3, 12])
@@ -172,10 +172,10 @@ def test_degenerate_segments_get_a_flat_plane():
 
 def test_near_duplicates_are_dropped_and_represented():
     planes = _planes((0, 0, 5), (0.001, 0, 5.1), (0, 0, 9), (0.5, 0, 5))
-    kept, stands_for = distinct(planes, 0.01, 0.25, 10)
+    kept, stands_for = planes.distinct(0.01, 0.25, 10)
     assert kept.coefficients.tolist() == [[0, 0, 5], [0, 0, 9], [0.5, 0, 5]]
     assert stands_for.tolist() == [0, 0, 1, 2]
-    assert distinct(planes, 0.01, 0.25, 1)[1].tolist() == [0, 0, -1, -1]
+    assert planes.distinct(0.01, 0.25, 1)[1].tolist() == [0, 0, -1, -1]
 
 
 @pytest.mark.parametrize("truncation", [np.inf, 1.5])
@@ -230,7 +230,7 @@ def test_only_segments_that_are_not_a_plane_are_cut():
 
 
 def test_planes_are_evaluated_inside_the_range():
-    values = evaluate(np.array([[1.0, 0, 0], [0, 2.0, 1]]), np.array([[0, 0, 1], [1, 1, 0]]), 2.5)
+    values = _planes((1.0, 0, 0), (0, 2.0, 1)).at(np.array([[0, 0, 1], [1, 1, 0]]), 2.5)
     assert values.tolist() == [[0, 1, 1], [2.5, 2.5, 2]]
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.alpha_expansion import alpha_expansion, potts_energy
-from depthcli.algorithms.plane_fitting.segment_planes import Planes, SegmentPlaneFit, distinct
+from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
 from depthcli.algorithms.regions import Members, joined_regions
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.segments.energy import Energy, smoothness
@@ -32,7 +32,7 @@ class Candidates(SegmentPlaneFit):
     same_offset: float = Field(0.25, ge=0, le=16384, description="planes this similar at their center too are, pixels")
     max_planes: int = Field(400, ge=1, le=5000, description="number of planes kept, the best supported ones")
 
-    def of_segments(self, segments: SegmentedImage) -> Planes | None:
+    def of_segments(self, segments: SegmentedImage) -> SegmentPlanes | None:
         """Return the planes of segments that are large and trusted enough; None where no pixel is trusted."""
         sizes, trusted, values = segments.graph.sizes, segments.trusted.sizes, segments.first.values
         chosen = np.flatnonzero((sizes > self.min_size) & (trusted >= np.maximum(self.min_trusted * sizes, 3)))
@@ -43,11 +43,11 @@ class Candidates(SegmentPlaneFit):
             everything = Members.of(np.zeros_like(segments.labels), segments.first.trusted, 1)
             return self.constant(values, everything, np.zeros(1, np.int64))
         own = self(values, segments.trusted, chosen)
-        return Planes.joined(own, self.constant(values, segments.trusted, chosen)) if self.flat else own
+        return SegmentPlanes.joined(own, self.constant(values, segments.trusted, chosen)) if self.flat else own
 
-    def distinct(self, planes: Planes) -> tuple[Planes, NDArray[np.int32]]:
+    def distinct(self, planes: SegmentPlanes) -> tuple[SegmentPlanes, NDArray[np.int32]]:
         """Return the planes without near-duplicates, and for every plane given the index of its representative."""
-        return distinct(planes, self.same_slope, self.same_offset, self.max_planes)
+        return planes.distinct(self.same_slope, self.same_offset, self.max_planes)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Assignment:
     energy_before, energy : where every segment has its cheapest plane, and of ``labels``
     """
 
-    planes: Planes
+    planes: SegmentPlanes
     labels: NDArray[np.int32]
     energy_before: float
     energy: float
@@ -89,7 +89,7 @@ def assign(
     for k in range(rounds):
         if initial is not None:
             group_planes, group = regrouped(segments, initial, candidates)
-            planes, representative = candidates.distinct(Planes.joined(group_planes, own_planes))
+            planes, representative = candidates.distinct(SegmentPlanes.joined(group_planes, own_planes))
             initial = np.where(group >= 0, representative[group], -1).astype(np.int32)
             clock.stop("planes")
         unary = energy(segments, volume, planes)
@@ -108,12 +108,12 @@ def assign(
 
 def regrouped(
     segments: SegmentedImage, labels: NDArray[np.int32], fit: SegmentPlaneFit
-) -> tuple[Planes, NDArray[np.int64]]:
+) -> tuple[SegmentPlanes, NDArray[np.int64]]:
     """Return planes fitted to groups of connected segments that share a label.
 
     Returns
     -------
-    planes : Planes
+    planes : SegmentPlanes
     group : (n,) index of the plane of every segment's group; -1 where the group is too small for one
     """
     edges = segments.graph.edges

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from depthcli.algorithms.keypoints import Detection
-from depthcli.algorithms.plane_fitting.segment_planes import evaluate
 from depthcli.algorithms.regions import region_graph
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.algorithms.segmentation.mean_shift import MeanShift
@@ -82,7 +81,7 @@ class SegmentSteps(Step):
         if assignment is None:
             disparity = outputs.empty_map(labels.shape)
         else:
-            values = evaluate(assignment.planes.coefficients, assignment.labels[labels], max_disparity)
+            values = assignment.planes.at(assignment.labels[labels], max_disparity)
             disparity = outputs.map_with_status(values, first)
         disparity = refined(disparity, self.refinement, RefinementContext(pair, optimized, first.right))
         clock.stop("refinement")
