@@ -46,27 +46,20 @@ def read_disparity(
         Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
     """
     values = read_plane(path)
-    if np.issubdtype(values.dtype, np.integer):
-        if scale is None:
-            scale = scale_8bit if values.dtype.itemsize == 1 else KITTI_SCALE
+    codes = values.dtype.kind in "iu"
+    if scale is None and codes:
+        scale = scale_8bit if values.dtype.itemsize == 1 else KITTI_SCALE
         if scale is None:
             raise InputError(
                 f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale, "
                 "or by --scale"
             )
-        disparity = (values / np.float64(scale)).astype(np.float32)
-        disparity[values <= 0] = np.nan
-        return _plausible(disparity, path)
     with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
-        disparity = values.astype(np.float32)
-        if scale is not None and scale != 1:
-            disparity = disparity / np.float32(scale)
-    disparity[~np.isfinite(disparity)] = np.nan
-    return _plausible(disparity, path)
-
-
-def _plausible(disparity: NDArray[np.float32], path: Path | str) -> NDArray[np.float32]:
-    """The map itself, with a warning where most of its values are no disparities of an image of its size."""
+        if codes:
+            disparity = (values / np.float64(scale)).astype(np.float32)
+        else:
+            disparity = values.astype(np.float32) / np.float32(scale or 1)
+    disparity[(values <= 0) if codes else ~np.isfinite(disparity)] = np.nan
     width = disparity.shape[1]
     with np.errstate(invalid="ignore"):
         n_beyond = np.count_nonzero(np.abs(disparity) > width)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import math
 import struct
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,20 @@ _MAX_OFFSET = 1 << 30  # of the voxels, behind extensions
 _VALUE_BYTES = {2: 1, 4: 2, 8: 4, 16: 4, 64: 8, 256: 1, 512: 2, 768: 4, 1024: 8, 1280: 8}
 
 
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The bytes of a ``.nii`` or ``.nii.gz`` file; InputError where they are no gzip file, or one that is cut off."""
+    with open_regular(path) as file:
+        if not path.name.lower().endswith(".gz"):
+            yield file
+            return
+        try:
+            with gzip.GzipFile(fileobj=file) as unpacked:
+                yield unpacked
+        except (OSError, EOFError, zlib.error):
+            raise InputError("cut off, or not a gzip file") from None
+
+
 def check_whole(path: Path) -> NDArray[np.int64]:
     """Refuse a NIfTI file that SimpleITK would fill up with zeros or mend in silence.
 
@@ -34,38 +50,17 @@ def check_whole(path: Path) -> NDArray[np.int64]:
     none for other formats
     """
     bad: list[NDArray[np.int64]] = []
-    header, length = b"", 0
-    fields: dict[str, Any] = {}
-
-    def take(block: bytes) -> None:
-        kind = fields["float"]
-        if kind:
-            values = np.frombuffer(block, kind, len(block) // np.dtype(kind).itemsize)
-            places = np.flatnonzero(~np.isfinite(values))
-            if places.size:
-                bad.append(places + (length - fields["offset"]) // np.dtype(kind).itemsize)
-
-    with open_regular(path) as file:
-        if path.name.lower().endswith(".nii.gz"):
-            try:
-                with gzip.GzipFile(fileobj=file) as unpacked:
-                    header = unpacked.read(_HEADER_BYTES)
-                    fields = _fields(header)
-                    length = len(header) + len(unpacked.read(max(0, fields["offset"] - _HEADER_BYTES)))
-                    while block := unpacked.read(1 << 24):
-                        take(block)
-                        length += len(block)
-            except (OSError, EOFError, zlib.error):
-                raise InputError("cut off, or not a gzip file") from None
-        elif path.suffix.lower() == ".nii":
-            header = file.read(_HEADER_BYTES)
-            fields = _fields(header)
-            length = file.seek(max(_HEADER_BYTES, fields["offset"]))
-            while block := file.read(1 << 24):
-                take(block)
-                length += len(block)
-        else:
-            return np.zeros(0, np.int64)
+    if not path.name.lower().endswith((".nii", ".nii.gz")):
+        return np.zeros(0, np.int64)
+    with _opened(path) as file:
+        fields = _fields(file.read(_HEADER_BYTES))
+        length = file.seek(fields["offset"])
+        while block := file.read(1 << 24):
+            if kind := fields["float"]:
+                values = np.frombuffer(block, kind, len(block) // np.dtype(kind).itemsize)
+                places = np.flatnonzero(~np.isfinite(values))
+                bad.append(places + (length - fields["offset"]) // values.itemsize)
+            length += len(block)
     if length < fields["offset"] + fields["bytes"]:
         raise InputError(f"cut off: {length} bytes, its header promises {fields['offset'] + fields['bytes']}")
     return np.concatenate(bad) if bad else np.zeros(0, np.int64)
@@ -105,14 +100,8 @@ def _fields(header: bytes) -> dict[str, Any]:
 
 def read_header(path: Path) -> dict[str, Any]:
     """Return the header fields of a NIfTI file; InputError where it has none."""
-    with open_regular(path) as file:
-        try:
-            if path.name.lower().endswith(".nii.gz"):
-                with gzip.GzipFile(fileobj=file) as unpacked:
-                    return _fields(unpacked.read(_HEADER_BYTES))
-            return _fields(file.read(_HEADER_BYTES))
-        except (OSError, EOFError, zlib.error):
-            raise InputError("cut off, or not a gzip file") from None
+    with _opened(path) as file:
+        return _fields(file.read(_HEADER_BYTES))
 
 
 def encode_header(grid: Grid, vector: bool) -> bytes:

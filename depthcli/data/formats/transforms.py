@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
 from depthcli.data.formats.files import naming, open_regular, read_bytes
+from depthcli.data.formats.plain_text import numbers
 from depthcli.data.formats.volumes import library_errors, place, simple_itk, suffix_of
 
 TRANSFORM_SUFFIXES = (".tfm", ".txt", ".h5", ".hdf5", ".mat", ".xfm")
@@ -120,61 +120,44 @@ def _elastix_transform(fields: dict[str, list[str]]) -> Any:
     sitk = simple_itk()
     name = fields.get("Transform", [""])[0]
 
-    def numbers(key: str, default: list[float] | None = None, count: int | None = None) -> list[float]:
-        if key not in fields and default is not None:
-            return default
-        count = count or (len(default) if default else None)
-        try:
-            values = [float(value) for value in fields[key]]
-        except (KeyError, ValueError):
-            values = []
-        if not values or not np.isfinite(values).all() or count not in (None, len(values)):
-            raise InputError(f"no usable {key}")
-        return values
+    def values(key: str, count: int, default: list[float] | None = None) -> list[float]:
+        found: list[float] = numbers(fields.get(key, default), key, (count,)).tolist()
+        return found
 
-    if numbers("FixedImageDimension", [3.0]) != [3.0]:
+    if values("FixedImageDimension", 1, [3.0]) != [3.0]:
         raise InputError("not a transform of three dimensions")
-    parameters = numbers("TransformParameters")
-    makers: dict[str, tuple[int, Callable[[], Any]]] = {
-        "TranslationTransform": (3, lambda: sitk.TranslationTransform(3, parameters)),
-        "EulerTransform": (6, lambda: _euler(parameters, numbers("CenterOfRotationPoint", count=3), fields)),
-        "AffineTransform": (
-            12,
-            lambda: sitk.AffineTransform(parameters[:9], parameters[9:], numbers("CenterOfRotationPoint", count=3)),
-        ),
-    }
-    if name in makers:
-        wanted, make = makers[name]
-        if len(parameters) != wanted:
-            raise InputError(f"{name} with {len(parameters)} parameters, want {wanted}")
-        return make()
+    parameters = values("TransformParameters", -1)
+    wanted = {"TranslationTransform": 3, "EulerTransform": 6, "AffineTransform": 12}.get(name)
+    if wanted not in (None, len(parameters)):
+        raise InputError(f"{name} with {len(parameters)} parameters, want {wanted}")
+    if name == "TranslationTransform":
+        return sitk.TranslationTransform(3, parameters)
+    if name == "AffineTransform":
+        return sitk.AffineTransform(parameters[:9], parameters[9:], values("CenterOfRotationPoint", 3))
+    if name == "EulerTransform":
+        transform = sitk.Euler3DTransform()
+        transform.SetComputeZYX(fields.get("ComputeZYX", ["false"])[0] == "true")
+        transform.SetCenter(values("CenterOfRotationPoint", 3))
+        transform.SetParameters(parameters)
+        return transform
     if name not in ("BSplineTransform", "RecursiveBSplineTransform"):
         raise InputError(f"a {name} is not read; write the field with transformix -def all")
-    size = [int(n) for n in numbers("GridSize")]
-    order = numbers("BSplineTransformSplineOrder", [3.0])[0]
+    x, y, z = (int(n) for n in values("GridSize", 3))
+    order = values("BSplineTransformSplineOrder", 1, [3.0])[0]
     if order not in _SPLINE_ORDERS:
         raise InputError(f"B-splines of order {order:.6g}, want 1, 2 or 3")
-    if len(size) != 3 or min(size) < 1 or len(parameters) != 3 * size[0] * size[1] * size[2]:
-        raise InputError(f"{len(parameters)} B-spline parameters do not fit a grid of {size}")
+    if min(x, y, z) < 1 or len(parameters) != 3 * x * y * z:
+        raise InputError(f"{len(parameters)} B-spline parameters do not fit a grid of {[x, y, z]}")
     # elastix writes the direction column by column.
-    axes = np.array(numbers("GridDirection", [1, 0, 0, 0, 1, 0, 0, 0, 1])).reshape(3, 3).T
-    spacing, index = np.array(numbers("GridSpacing", count=3)), np.array(numbers("GridIndex", [0.0, 0.0, 0.0]))
+    axes = np.array(values("GridDirection", 9, [1, 0, 0, 0, 1, 0, 0, 0, 1])).reshape(3, 3).T
+    spacing, index = np.array(values("GridSpacing", 3)), np.array(values("GridIndex", 3, [0.0, 0.0, 0.0]))
     if min(spacing) <= 0:
         raise InputError("no usable GridSpacing")
-    origin = np.array(numbers("GridOrigin", count=3)) + axes @ (spacing * index)
-    grid = Grid((size[0], size[1], size[2]), tuple(spacing), tuple(origin), tuple(axes.ravel()))
+    origin = np.array(values("GridOrigin", 3)) + axes @ (spacing * index)
+    grid = Grid((x, y, z), tuple(spacing), tuple(origin), tuple(axes.ravel()))
     images = []
     for component in np.array(parameters).reshape(3, *grid.shape):
         image = sitk.GetImageFromArray(component)
         place(image, grid)
         images.append(image)
     return sitk.BSplineTransform(images, int(order))
-
-
-def _euler(parameters: list[float], center: list[float], fields: dict[str, list[str]]) -> Any:
-    sitk = simple_itk()
-    transform = sitk.Euler3DTransform()
-    transform.SetComputeZYX(fields.get("ComputeZYX", ["false"])[0] == "true")
-    transform.SetCenter(center)
-    transform.SetParameters(parameters)
-    return transform

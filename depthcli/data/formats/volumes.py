@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import gzip
-import json
 import os
 import warnings
 from collections.abc import Callable, Iterator
@@ -18,17 +17,19 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.errors import DepthcliError, InputError
+from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
 from depthcli.data.formats.files import atomic_path, naming, read_bytes, shown
 from depthcli.data.formats.headers import image_size
 from depthcli.data.formats.images import IMAGE_SUFFIXES, read_grey
 from depthcli.data.formats.nifti import check_whole, encode_header, read_header
+from depthcli.data.formats.plain_text import json_object, numbers
 from depthcli.data.formats.volume_headers import META_SUFFIXES, NRRD_SUFFIXES, check_volume, files_behind
 
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img")
 """Endings of volume files; ``.img`` is DIR-Lab's raw format, with its size in ``meta.json``."""
 
+_MAX_SIDE = 1 << 20  # voxels; no volume is as wide
 _ITK_READERS = {
     **dict.fromkeys((".nii", ".nii.gz"), "NiftiImageIO"),
     **dict.fromkeys(META_SUFFIXES, "MetaImageIO"),
@@ -110,7 +111,7 @@ def read_image(path: Path) -> Any:
 
 def files_read_with(path: Path) -> tuple[Path, ...]:
     """Return the files that are read beside a volume: those with its values, or with its size."""
-    return (_dirlab_meta(path),) if suffix_of(path) == ".img" else files_behind(path)
+    return (path.with_name("meta.json"),) if suffix_of(path) == ".img" else files_behind(path)
 
 
 def _reader(path: Path) -> Any:
@@ -195,21 +196,17 @@ def quiet() -> Iterator[None]:
         os.close(sink)
 
 
-def _dirlab_meta(path: Path) -> Path:
-    return path.parent / "meta.json"
-
-
 def _dirlab_grid(path: Path) -> Grid:
-    meta_file = _dirlab_meta(path)
+    """The grid of a raw file, by the ``size`` and ``spacing`` (x, y, z) of the meta.json beside it."""
+    meta_file = path.with_name("meta.json")
     try:
-        meta = json.loads(read_bytes(meta_file, 1 << 20))
-        size = tuple(int(n) for n in meta["size"])
-        spacing = tuple(float(s) for s in meta["spacing"])
-    except (DepthcliError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        meta = json_object(read_bytes(meta_file, 1 << 20))
+        size, spacing = (numbers(meta.get(key), key, (3,)) for key in ("size", "spacing"))
+    except InputError:
         raise InputError(f'a raw file wants "size" and "spacing" (x, y, z) in {shown(meta_file)}') from None
-    if len(size) != 3 or len(spacing) != 3 or min(size) < 1 or not all(np.isfinite(s) and s > 0 for s in spacing):
+    if min(size) < 1 or min(spacing) <= 0 or max(size) > _MAX_SIDE:
         raise InputError(f"{shown(meta_file)}: want three positive sizes and spacings")
-    return Grid((size[0], size[1], size[2]), (spacing[0], spacing[1], spacing[2]))
+    return Grid((int(size[0]), int(size[1]), int(size[2])), tuple(spacing.tolist()))
 
 
 def _dirlab(path: Path) -> Volume:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,20 +95,18 @@ class VolumePairScene(Scene):
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
         """The pair of ``--fixed`` and ``--warped``, or of ``--moving`` with its transform."""
-        names = ("warped", "moving", "displacement", "transform", "mask")
-        files: dict[str, Path] = {name: values[name] for name in names if values.get(name) is not None}
+        roles = {"warped": "moving_warped"} | {name: name for name in ("moving", "displacement", "transform", "mask")}
+        files: dict[str, Any] = {role: values[name] for name, role in roles.items() if values.get(name) is not None}
         fixed = values.get("fixed")
         if fixed is None:
             if files:
-                raise ConfigError(f"--{next(iter(files))} wants --fixed beside it")
+                raise ConfigError(f"--{next(n for n in roles if roles[n] in files)} wants --fixed beside it")
             return None
-        if "warped" not in files and not ("moving" in files and ("displacement" in files or "transform" in files)):
+        if "moving_warped" not in files and not (
+            "moving" in files and ("displacement" in files or "transform" in files)
+        ):
             raise ConfigError("--fixed wants --warped, or --moving with --displacement or --transform, beside it")
-        return cls(
-            name=name_of(fixed, _GENERIC_NAMES), folder=fixed.parent, fixed=fixed, moving_warped=files.get("warped"),
-            moving=files.get("moving"), transform=files.get("transform"), displacement=files.get("displacement"),
-            mask=files.get("mask"),
-        )  # fmt: skip
+        return cls(name=name_of(fixed, _GENERIC_NAMES), folder=fixed.parent, fixed=fixed, **files)
 
     @property
     def input_files(self) -> dict[str, Path]:
@@ -149,20 +148,13 @@ class VolumePairScene(Scene):
         fixed = read_volume(self.fixed)
         grid = fixed.grid
         blocks = _blocks(grid, max_voxels)
-        inside = None
-        if self.mask is not None:
-            mask = read_volume(self.mask)
-            _check_grid(self.mask, mask.grid, grid)
-            inside = mask.values > 0
-            if not inside.any():
-                raise InputError(f"{self.mask}: no voxel is set")
-            del mask
+        inside = None if self.mask is None else self._read_like(self.mask, grid) > 0
+        if inside is not None and not inside.any():
+            raise InputError(f"{self.mask}: no voxel is set")
         first = block_means(self._usable(fixed.values, inside, self.fixed), blocks)
         if self.moving_warped is not None:
             del fixed
-            warped = read_volume(self.moving_warped)
-            _check_grid(self.moving_warped, warped.grid, grid)
-            moved, source = warped.values, self.moving_warped
+            moved, source = self._read_like(self.moving_warped, grid), self.moving_warped
         elif self.moving is not None:
             moved, source = self._warp(fixed, convention)
             del fixed
@@ -204,13 +196,9 @@ class VolumePairScene(Scene):
             )
         fixed = read_volume(self.fixed)
         if self.error_true is not None:
-            dense = read_volume(self.error_true)
-            _check_grid(self.error_true, dense.grid, fixed.grid)
-            error = dense.values
+            error = self._read_like(self.error_true, fixed.grid)
             if self.mask is not None:
-                mask = read_volume(self.mask)
-                _check_grid(self.mask, mask.grid, fixed.grid)
-                error = np.where(mask.values > 0, error, np.float32(np.nan))
+                error = np.where(self._read_like(self.mask, fixed.grid) > 0, error, np.float32(np.nan))
             return RegistrationTruth(fixed.grid, np.zeros((0, 3)), error)
         points = self.landmarks(fixed.grid)
         assert points is not None and self.landmarks_moving is not None
@@ -240,6 +228,16 @@ class VolumePairScene(Scene):
                 f"volume, the first is point {int(np.flatnonzero(outside)[0]) + 1}"
             )
         return points
+
+    @staticmethod
+    def _read_like(file: Path, fixed: Grid) -> NDArray[np.float32]:
+        """The values of a volume on the fixed grid."""
+        from depthcli.data.formats.volumes import read_volume
+
+        volume = read_volume(file)
+        if not volume.grid.same_as(fixed):
+            raise InputError(f"{file}: another grid than the fixed volume's ({volume.grid.difference(fixed)})")
+        return volume.values
 
     def _warp(self, fixed: Volume, convention: str) -> tuple[NDArray[np.float32], Path]:
         """The moving volume on the fixed grid, and the file that is to blame where it holds what is no number."""
@@ -275,11 +273,6 @@ class VolumePairScene(Scene):
         return values
 
 
-def _check_grid(file: Path, grid: Grid, fixed: Grid) -> None:
-    if not grid.same_as(fixed):
-        raise InputError(f"{file}: another grid than the fixed volume's ({grid.difference(fixed)})")
-
-
 def _spacing(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:
     z, y, x = (s * n for s, n in zip(grid.spacing[::-1], blocks, strict=True))
     return z, y, x
@@ -292,9 +285,7 @@ def _blocks(grid: Grid, max_voxels: int | None) -> tuple[int, int, int]:
         return (1, 1, 1)
     axes = [a for a in range(3) if grid.shape[a] > 1]
     spacing = grid.spacing[::-1]
-    extent = 1.0
-    for a in axes:
-        extent *= grid.shape[a] * spacing[a]
+    extent = math.prod(grid.shape[a] * spacing[a] for a in axes)
     side = float((extent / max_voxels) ** (1 / len(axes)))
     z, y, x = (max(1, int(side / spacing[a] + 1e-6)) if a in axes else 1 for a in range(3))
     return z, y, x

@@ -7,7 +7,7 @@ better textured or nearer one (mismatch), and the far side of every left edge li
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -262,17 +262,13 @@ def make_kinect_sequence(
         grain = _COLOR_NOISE * rng.standard_normal(color.shape, np.float32)
         noisy = np.clip(np.rint(color + grain), 0, 255).astype(np.uint8)
         sample = simulate_kinect(noisy, truth, int(rng.integers(2**31)), fattening=fattening, noise=noise, discs=0)
-        samples.append(_with_spots(sample, spots))
+        samples.append(
+            replace(
+                sample,
+                disparity=np.where(spots, np.float32(np.nan), sample.disparity),
+                specular=np.isfinite(sample.truth) & spots & ~sample.occluded,
+                mismatch=sample.mismatch & ~spots,
+                measured=sample.measured & ~spots,
+            )
+        )
     return samples
-
-
-def _with_spots(sample: KinectSample, spots: Mask) -> KinectSample:
-    return KinectSample(
-        color=sample.color,
-        disparity=np.where(spots, np.float32(np.nan), sample.disparity),
-        truth=sample.truth,
-        occluded=sample.occluded,
-        specular=np.isfinite(sample.truth) & spots & ~sample.occluded,
-        mismatch=sample.mismatch & ~spots,
-        measured=sample.measured & ~spots,
-    )
