@@ -60,7 +60,12 @@ def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[Nam
     for pattern, files in zip((left, right), matches, strict=True):
         if not files:
             raise ConfigError(f"{pattern}: matches no image")
-    for key in (_wildcards, _whole_name, _last_number):
+    keys: tuple[Callable[[_Match], str], ...] = (
+        lambda file: _without_side(file.captured),
+        lambda file: _without_side(file.name),
+        lambda file: (re.findall(r"\d+", file.name) or [""])[-1],
+    )
+    for key in keys:
         sides = [_keyed(files, key) for files in matches]
         if set(sides[0]) & set(sides[1]):
             names = sorted(set(sides[0]) | set(sides[1]))
@@ -191,19 +196,6 @@ def _keyed(files: list[_Match], key: Callable[[_Match], str]) -> dict[str, Path]
     return {text: file.path for text, file in zip(keys, files, strict=True) if text in once}
 
 
-def _wildcards(file: _Match) -> str:
-    return _without_side(file.captured)
-
-
-def _whole_name(file: _Match) -> str:
-    return _without_side(file.name)
-
-
 def _without_side(name: str) -> str:
     plain = "/".join(re.sub(r"[-_. ]{2,}", "_", part).strip("-_. ") for part in _SIDES.sub("", name).split("/"))
     return plain.strip("/")
-
-
-def _last_number(file: _Match) -> str:
-    numbers = re.findall(r"\d+", file.name)
-    return numbers[-1] if numbers else ""

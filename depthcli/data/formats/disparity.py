@@ -117,7 +117,7 @@ def read_plane(path: Path | str) -> NDArray[Any]:
 
 
 def _decode_pfm(data: bytes, path: Path | str) -> NDArray[np.float32]:
-    height, width, channels, little, start = pfm_header(data)
+    (height, width, channels, _), little, start = pfm_header(data)
     n_values = width * height * channels
     want, got = n_values * 4, len(data) - start
     if want > got:

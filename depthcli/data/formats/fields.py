@@ -26,8 +26,6 @@ from depthcli.data.formats.nifti import check_whole, read_header
 from depthcli.data.formats.transforms import read_transform
 from depthcli.data.formats.volumes import place, read_image, read_volume, simple_itk, suffix_of
 
-FIELD_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")
-
 READINGS = {
     "itk": "displacement in mm, LPS (ITK, elastix, ANTs)",
     "niftyreg": "displacement in mm, RAS (NiftyReg)",

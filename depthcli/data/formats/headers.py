@@ -62,9 +62,7 @@ class ImageSize(NamedTuple):
 class PnmHeader(NamedTuple):
     """Header of a Netpbm image: ``top`` is its largest sample, ``start`` where the samples begin."""
 
-    height: int
-    width: int
-    channels: int
+    size: ImageSize
     top: int
     start: int
 
@@ -72,9 +70,7 @@ class PnmHeader(NamedTuple):
 class PfmHeader(NamedTuple):
     """Header of a PFM map: ``little`` endian or not, ``start`` where the values begin."""
 
-    height: int
-    width: int
-    channels: int
+    size: ImageSize
     little: bool
     start: int
 
@@ -182,7 +178,8 @@ def pnm_header(data: bytes) -> PnmHeader:
     width, height, top = (int(text) for text in header.groups())
     if not (width and height and 0 < top < 65536):
         raise InputError(f"bad PGM/PPM header ({width} x {height}, maximum {top})")
-    return PnmHeader(height, width, 3 if data[:2] in (b"P3", b"P6") else 1, top, header.end())
+    size = ImageSize(height, width, 3 if data[:2] in (b"P3", b"P6") else 1, 16 if top > 255 else 8)
+    return PnmHeader(size, top, header.end())
 
 
 def pfm_header(data: bytes) -> PfmHeader:
@@ -197,7 +194,7 @@ def pfm_header(data: bytes) -> PfmHeader:
         order = 0.0
     if not (width and height) or order == 0 or abs(order) == float("inf"):
         raise InputError(f"bad PFM header ({width} x {height}, scale {header[4].decode('latin-1')})")
-    return PfmHeader(height, width, 3 if header[1] == b"PF" else 1, order < 0, header.end())
+    return PfmHeader(ImageSize(height, width, 3 if header[1] == b"PF" else 1, 32), order < 0, header.end())
 
 
 def open_with_pillow(data: bytes) -> ImageFile:
@@ -234,16 +231,6 @@ def _png_size(data: bytes) -> ImageSize:
     if color not in _PNG_CHANNELS or bits not in (1, 2, 4, 8, 16):
         raise InputError(f"damaged PNG (color type {color}, {bits} bit)")
     return ImageSize(height, width, _PNG_CHANNELS[color], max(bits, 8))
-
-
-def _pnm_size(data: bytes) -> ImageSize:
-    header = pnm_header(data)
-    return ImageSize(header.height, header.width, header.channels, 16 if header.top > 255 else 8)
-
-
-def _pfm_size(data: bytes) -> ImageSize:
-    header = pfm_header(data)
-    return ImageSize(header.height, header.width, header.channels, 32)
 
 
 def _npy_size(data: bytes) -> ImageSize:
@@ -292,9 +279,9 @@ def _tiff_tags(data: bytes) -> Any:
 _SIZES: dict[str, Callable[[bytes], ImageSize]] = {
     "png": _png_size,
     "jpeg": _pillow_size,
-    "pnm": _pnm_size,
+    "pnm": lambda data: pnm_header(data).size,
     "tiff": _tiff_size,
     "bmp": _pillow_size,
-    "pfm": _pfm_size,
+    "pfm": lambda data: pfm_header(data).size,
     "npy": _npy_size,
 }

@@ -216,7 +216,7 @@ def _decode_with_opencv(data: bytes) -> NDArray[Any] | None:
 
 
 def _decode_pnm(data: bytes) -> Image:
-    height, width, channels, top, start = pnm_header(data)
+    (height, width, channels, bits), top, start = pnm_header(data)
     count = height * width * channels
     samples: NDArray[Any]
     if data[:2] in (b"P2", b"P3"):
@@ -229,7 +229,7 @@ def _decode_pnm(data: bytes) -> Image:
             raise InputError("damaged plain PGM/PPM (not a number)")
         samples = np.array(words).astype(np.uint32)
     else:
-        dtype = np.dtype(">u2" if top > 255 else "u1")
+        dtype = np.dtype(f">u{bits // 8}")
         missing = count * dtype.itemsize - (len(data) - start)
         if missing > 0:
             raise InputError(f"truncated: {missing} bytes are missing")
@@ -237,4 +237,4 @@ def _decode_pnm(data: bytes) -> Image:
     if samples.max() > top:
         raise InputError(f"damaged PGM/PPM (sample above the announced maximum {top})")
     shape = (height, width) if channels == 1 else (height, width, channels)
-    return cast(Image, samples.astype(np.uint16 if top > 255 else np.uint8).reshape(shape))
+    return cast(Image, samples.astype(f"u{bits // 8}").reshape(shape))

@@ -18,12 +18,13 @@ from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import InputError
 from depthcli.core.yaml_source import short
-from depthcli.data.formats.files import naming, read_bytes, shown
+from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.formats.plain_text import image_sides, json_object, key_values, numbers
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Meters of the units that a translation may be stored in."""
 
+_UNKNOWN = "no calibration of a kind that is known"
 _MAX_BYTES = 1 << 22  # a calibration has a few kilobytes
 _MAX_BASELINE = 20.0  # meters; a longer one is in another unit
 _SENSOR_BASELINES = (1e-4, 10.0)  # meters, of a color and an infrared camera; another one is in another unit
@@ -59,12 +60,14 @@ def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, came
     """
     texts = [read_bytes(path, _MAX_BYTES).decode("utf-8", "replace") for path in paths]
     with naming(paths[0]):
-        if any(text.lstrip().startswith(("%YAML", "<?xml", "<opencv_storage", "{")) for text in texts):
-            rig = _opencv(texts, UNITS[unit], fisheye)
-        elif re.search(r"^K_0\d:", texts[0], re.MULTILINE):
-            rig = _kitti(texts[0], cameras)
+        if re.search(r"^K_0\d:", texts[0], re.MULTILINE):
+            rig = _kitti(key_values(texts[0]), cameras)
+        elif "cam0" in (files := [_contents(text) for text in texts])[0]:
+            rig = _kalibr(files[0])
+        elif "camera_matrix" in files[0]:
+            rig = _ros(files)
         else:
-            rig = _of_yaml([_mapping(path, text) for path, text in zip(paths, texts, strict=True)])
+            rig = _opencv(files, UNITS[unit], fisheye)
         if rig.baseline > _MAX_BASELINE:
             raise InputError(f"a baseline of {rig.baseline:g} m; is the translation in millimeters? then say --unit mm")
         return rig
@@ -93,7 +96,7 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
     text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
     with naming(path):
         if path.suffix.lower() in (".yml", ".yaml"):
-            stored = _opencv([text], 1.0, False)
+            stored = _opencv([_contents(text)], 1.0, False)
             cameras = [stored.left, stored.right]
             rotation, translation = stored.rotation, stored.translation
         else:
@@ -137,9 +140,13 @@ _OpenCvLoader.add_multi_constructor(
 )
 
 
-def _opencv_fields(text: str) -> dict[str, Any]:
-    """Contents of a ``FileStorage``. OpenCV's own reader is not used: it never ends for some damaged files."""
+def _contents(text: str) -> dict[str, Any]:
+    """What a file of JSON, XML or YAML holds.
+
+    OpenCV's own reader is not used: for some damaged files it never ends, or ends the process.
+    """
     text = text.lstrip()
+    fields: Any = None
     try:
         if text.startswith("{"):
             fields = json.loads(text)
@@ -149,43 +156,40 @@ def _opencv_fields(text: str) -> dict[str, Any]:
         else:
             fields = yaml.load(re.sub(r"\A%YAML.*", "", text), _OpenCvLoader)  # a safe loader
     except (ValueError, RecursionError, yaml.YAMLError, ElementTree.ParseError) as error:
-        raise InputError("not a file of OpenCV's FileStorage") from error
+        raise InputError(f"{_UNKNOWN} ({type(error).__name__})") from error
     if not isinstance(fields, dict):
-        raise InputError("not a file of OpenCV's FileStorage")
+        raise InputError(f"{_UNKNOWN} (OpenCV, ROS, Kalibr, KITTI)")
     return fields
 
 
-def _opencv(texts: Sequence[str], meters: float, fisheye: bool) -> Rig:
+def _opencv(files: Sequence[dict[str, Any]], meters: float, fisheye: bool) -> Rig:
     fields: dict[str, Any] = {}
-    for text in texts:
-        fields = _opencv_fields(text) | fields
-        model = f"{fields.get('model')} {fields.get('distortion_model')}".lower()
+    for file in files:
+        model = f"{file.get('model')} {file.get('distortion_model')}".lower()
         fisheye = fisheye or "fisheye" in model or "equidistant" in model
+        fields = file | fields
     names = {part: next((name for name in known if name in fields), "") for part, known in _NAMES.items()}
     if missing := [part for part, name in names.items() if not name]:
-        raise InputError(f"no {', '.join(missing)}; want K1 D1 K2 D2 R T (or M1 ..., cameraMatrix1 ...)")
+        unknown = f"{_UNKNOWN}: " if len(missing) == len(names) else ""
+        raise InputError(
+            f"{unknown}no {', '.join(missing)}; want K1 D1 K2 D2 R T (or M1 ..., cameraMatrix1 ...) as OpenCV, "
+            "camera_matrix as ROS, cam0 as Kalibr, or K_02 as KITTI"
+        )
     size = None
     if {"image_width", "image_height"} <= set(fields):
         size = image_sides([fields["image_width"], fields["image_height"]], "image_width, image_height")
     elif "imageSize" in fields:
         size = image_sides(fields["imageSize"], "imageSize")
-    left, right = (
-        Camera(
-            _numbers(fields, names[f"K{n}"], (3, 3)),
-            tuple(_numbers(fields, names[f"D{n}"], (-1,)).tolist()),
-            size,
-            fisheye,
-        )
-        for n in (1, 2)
-    )
+    matrices = [_numbers(fields, names[f"K{n}"], (3, 3)) for n in (1, 2)]
+    lenses = [tuple(_numbers(fields, names[f"D{n}"], (-1,)).tolist()) for n in (1, 2)]
+    left, right = (Camera(matrices[k], lenses[k], size, fisheye) for k in (0, 1))
     turn = _numbers(fields, names["R"], (-1,))
     matrix = turn if turn.size == 9 else cv2.Rodrigues(numbers(turn.tolist(), names["R"], (3,)))[0]
     translation = _numbers(fields, names["T"], (3,)) * meters
     return Rig(left, right, np.asarray(matrix, np.float64).reshape(3, 3), translation)
 
 
-def _kitti(text: str, numbers_of_cameras: tuple[int, int]) -> Rig:
-    fields = key_values(text)
+def _kitti(fields: dict[str, str], numbers_of_cameras: tuple[int, int]) -> Rig:
     calibrated, rotations, translations = [], [], []
     for number in numbers_of_cameras:
         size = image_sides(fields.get(f"S_0{number}"), f"S_0{number}")
@@ -198,26 +202,6 @@ def _kitti(text: str, numbers_of_cameras: tuple[int, int]) -> Rig:
         translations.append(translation)
     rotation = rotations[1] @ rotations[0].T
     return Rig(calibrated[0], calibrated[1], rotation, translations[1] - rotation @ translations[0])
-
-
-def _mapping(path: Path, text: str) -> dict[str, Any]:
-    try:
-        data = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise InputError(f"no calibration of a kind that is known ({type(error).__name__})") from None
-    if not isinstance(data, dict):
-        raise InputError(f"{shown(path.name)}: no calibration of a kind that is known (OpenCV, ROS, Kalibr, KITTI)")
-    return data
-
-
-def _of_yaml(files: Sequence[dict[str, Any]]) -> Rig:
-    if "cam0" in files[0]:
-        return _kalibr(files[0])
-    if "camera_matrix" in files[0]:
-        if len(files) != 2:
-            raise InputError("one camera_info; give the left and the right one: --calibration L --calibration R")
-        return _ros(files[0], files[1])
-    raise InputError("no calibration of a kind that is known (OpenCV's K1 ..., ROS's camera_matrix, Kalibr's cam0)")
 
 
 def _kalibr(file: dict[str, Any]) -> Rig:
@@ -238,9 +222,11 @@ def _kalibr(file: dict[str, Any]) -> Rig:
     return Rig(calibrated[0], calibrated[1], place[:3, :3], place[:3, 3])
 
 
-def _ros(left: dict[str, Any], right: dict[str, Any]) -> Rig:
+def _ros(files: Sequence[dict[str, Any]]) -> Rig:
+    if len(files) != 2:
+        raise InputError("one camera_info; give the left and the right one: --calibration L --calibration R")
     calibrated, rotations = [], []
-    for name, camera in (("left", left), ("right", right)):
+    for name, camera in zip(("left", "right"), files, strict=True):
         model = str(camera.get("distortion_model", "plumb_bob"))
         if model not in _ROS:
             raise InputError(f"{name}: distortion_model {model}: want {', '.join(_ROS)}")
@@ -251,7 +237,7 @@ def _ros(left: dict[str, Any], right: dict[str, Any]) -> Rig:
         matrix = _numbers(camera, "camera_matrix", (3, 3), name)
         calibrated.append(Camera(matrix, tuple(distortion.tolist()), size, _ROS[model]))
         rotations.append(_numbers(camera, "rectification_matrix", (3, 3), name))
-    projection = _numbers(right, "projection_matrix", (3, 4), "right")
+    projection = _numbers(files[1], "projection_matrix", (3, 4), "right")
     if projection[0, 0] <= 0 or projection[0, 3] == 0:
         raise InputError("right: projection_matrix holds no baseline; is it the camera_info of a stereo calibration?")
     shift = np.array([projection[0, 3] / projection[0, 0], projection[1, 3] / projection[1, 1], 0.0])

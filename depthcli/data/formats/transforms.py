@@ -19,7 +19,6 @@ from depthcli.data.formats.files import naming, open_regular, read_bytes
 from depthcli.data.formats.plain_text import numbers
 from depthcli.data.formats.volumes import library_errors, place, simple_itk, suffix_of
 
-TRANSFORM_SUFFIXES = (".tfm", ".txt", ".h5", ".hdf5", ".mat", ".xfm")
 _MAX_BYTES = 1 << 30  # a text of B-spline parameters may be long
 _REWRITE = "import sys, SimpleITK as s; s.WriteTransform(s.ReadTransform(sys.argv[1]), sys.argv[2])"
 _MAX_SECONDS = 300  # for that; a large field of displacements takes some seconds

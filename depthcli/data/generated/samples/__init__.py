@@ -108,9 +108,6 @@ def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:
 @cache
 def samples() -> dict[str, Sample]:
     """Return name -> kind of sample, ``stereo`` first."""
-    names = sorted((m.name for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_")), key=_stereo_first)
+    names = [m.name for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_")]
+    names.sort(key=lambda name: (name != "stereo", name))
     return {name: importlib.import_module(f"{__name__}.{name}").SAMPLE for name in names}
-
-
-def _stereo_first(name: str) -> tuple[bool, str]:
-    return name != "stereo", name
