@@ -53,7 +53,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Curve:
+class ConfidenceCurve:
     """The sparsification curve of one confidence measure in one region.
 
     Attributes
@@ -96,7 +96,7 @@ class MapResult:
     source: str = ""
     scores: tuple[Score, ...] = ()
     dense: tuple[Score, ...] = ()
-    curves: tuple[Curve, ...] = ()
+    curves: tuple[ConfidenceCurve, ...] = ()
     seconds: float = math.nan
     size: int = 0
     disparities: int = 0

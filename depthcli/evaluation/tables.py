@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from depthcli.core.text import one_line
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.render import Number, Table, markdown_code, markdown_link, markdown_text
-from depthcli.evaluation.results import Curve
+from depthcli.evaluation.results import ConfidenceCurve
 from depthcli.evaluation.scores import Key, Score
 from depthcli.evaluation.statistics import mean_of_known
 
@@ -170,7 +170,7 @@ def comparisons(report: EvaluationReport) -> list[Table]:
 def further_tables(report: EvaluationReport) -> list[Table]:
     """Return the areas of the sparsification curves, and the maps that are missing; no table where there is none."""
     rows: list[tuple[str, ...]] = []
-    groups: dict[tuple[str, str, str, str], list[Curve]] = {}
+    groups: dict[tuple[str, str, str, str], list[ConfidenceCurve]] = {}
     for r in report.results:
         for c in r.curves:
             groups.setdefault((r.run, c.region, c.confidence, c.of), []).append(c)
@@ -286,7 +286,7 @@ def _n_scenes(section: Section, run: str, common: bool) -> str:
     return f"{len(section.scenes)}, {n_missing} missing*" if n_missing else str(len(section.scenes))
 
 
-def _areas(curves: Sequence[Curve]) -> tuple[str, ...]:
+def _areas(curves: Sequence[ConfidenceCurve]) -> tuple[str, ...]:
     areas = [c.line.areas() for c in curves]
     means = {name: mean_of_known(each[name] for each in areas) for name in areas[0]}
     means["ratio"] = means["auc"] / means["optimal"] if means["optimal"] > 0 else math.nan

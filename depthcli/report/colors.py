@@ -48,7 +48,7 @@ def map_picture(values: NDArray[np.floating[Any]], low: float, high: float) -> N
     return picture
 
 
-def error_picture(kind: NDArray[np.uint8], error: NDArray[np.floating[Any]], top: float) -> NDArray[np.uint8]:
+def shaded_picture(kind: NDArray[np.uint8], error: NDArray[np.floating[Any]], top: float) -> NDArray[np.uint8]:
     """Return (H, W, 3) RGB: hue by kind of pixel, lightness by error, the darkest from ``top`` on."""
     return error_scales()[kind, _index(error, 0.0, top, 64)]
 

@@ -145,7 +145,7 @@ class SceneView:
         top = float(f"{float(np.median(highs)) if highs else 1.0:.2g}") or 1.0
         self.data["top"] = top
         for run, (kind, error, _) in self._errors.items():
-            picture = self._blended(colors.error_picture(kind, error, top), kind == UNKNOWN)
+            picture = self._blended(colors.shaded_picture(kind, error, top), kind == UNKNOWN)
             self.thumbs.setdefault(run, {})["error"] = picture
         self._errors, self.image = {}, None
 

@@ -27,7 +27,7 @@ from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.pooling import Pooling
 from depthcli.evaluation.presentation import Presentation, error_picture, pixel_kinds
-from depthcli.evaluation.results import Curve
+from depthcli.evaluation.results import ConfidenceCurve
 from depthcli.evaluation.scores import Metric, Score
 
 Estimate = TypeVar("Estimate")
@@ -62,6 +62,10 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
     ``truth`` prepares a scene's ground truth once and ``read`` one run's estimate for it; all other methods open no
     file. Boolean and error arrays have the shape of the regions, whatever the number of axes. Where the maps of a run
     lie is declared in ``files``, how numbers and maps are shown in ``presentation``.
+
+    A protocol has to have the attributes without a default, ``headline``, ``truth``, ``read``, ``regions``, ``error``
+    and ``scores``; ``values`` and ``true_values`` where maps are to be shown, ``wrong`` where the headline has no
+    threshold. Everything else is overridden where a benchmark differs.
 
     Attributes
     ----------
@@ -194,7 +198,9 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
             made.append(replace(score, value=value, pixels=pixels, wrong=wrong))
         return made
 
-    def curves(self, estimate: Estimate, truth: Truth, confidences: Mapping[str, NDArray[Any]]) -> list[Curve]:
+    def curves(
+        self, estimate: Estimate, truth: Truth, confidences: Mapping[str, NDArray[Any]]
+    ) -> list[ConfidenceCurve]:
         """Compute the sparsification curves of every confidence map, of wrong pixels and of the error."""
         if not confidences:
             return []
@@ -205,7 +211,7 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
             if region.any():
                 chosen = {confidence: values[region] for confidence, values in confidences.items()}
                 lines = sparsifications(chosen, {"bad": wrong[region], "error": error[region]})
-                made += [Curve(name, confidence, of, line) for (confidence, of), line in lines.items()]
+                made += [ConfidenceCurve(name, confidence, of, line) for (confidence, of), line in lines.items()]
         return made
 
     def pooling_data(self, estimate: Estimate, truth: Truth) -> Any:

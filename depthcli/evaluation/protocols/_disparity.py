@@ -57,7 +57,11 @@ class DisparityTruth:
 
 
 class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
-    """A protocol for (H, W) float32 disparity maps in pixels, NaN = no value."""
+    """A protocol for (H, W) float32 disparity maps in pixels, NaN = no value.
+
+    One that derives from it adds ``presentation``, ``thresholds``, ``default_threshold`` and ``scores``, which gets the
+    errors of every region from ``tallies``; ``values`` where maps are changed before they are compared.
+    """
 
     kind = StereoScene
     files = DisparityFiles()

@@ -23,7 +23,7 @@ from depthcli.evaluation.presentation import Presentation
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.protocols._registration import HEADLINE, LIMITS_MM, Errors, error_classes, point_scores
 from depthcli.evaluation.render import Number, Table
-from depthcli.evaluation.results import Curve, MapResult
+from depthcli.evaluation.results import ConfidenceCurve, MapResult
 from depthcli.evaluation.scores import Score
 
 _MAX_POOLED = 8_000_000  # points of several pairs; of more, which take minutes, so many are drawn
@@ -200,11 +200,13 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Compute every metric over all points."""
         return point_scores(truth.region, estimate, truth.error)
 
-    def curves(self, estimate: Errors, truth: PreparedTruth, confidences: Mapping[str, NDArray[Any]]) -> list[Curve]:
+    def curves(
+        self, estimate: Errors, truth: PreparedTruth, confidences: Mapping[str, NDArray[Any]]
+    ) -> list[ConfidenceCurve]:
         """Compute the sparsification curves of the true error by every confidence."""
         kinds = {"error": truth.error, "bad": self.wrong(estimate, truth)}
         return [
-            Curve(truth.region, name, of, sparsification(values, error))
+            ConfidenceCurve(truth.region, name, of, sparsification(values, error))
             for name, values in confidences.items()
             for of, error in kinds.items()
         ]
