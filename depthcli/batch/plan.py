@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from depthcli.batch.command import ConfigT, SceneCommand, SceneT
 from depthcli.batch.console import aligned
-from depthcli.batch.install import foreign_results, not_ours
+from depthcli.batch.install import OTHER_RUN, foreign_results, not_ours
 from depthcli.batch.json_csv import Row
 from depthcli.batch.records import Record, file_digest, read_record
 from depthcli.batch.reports import finished_row, read_report
@@ -54,7 +54,14 @@ def check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
 
 
 def check_files(run: Run, scenes: Sequence[Scene], output: Path, earlier: Mapping[str, Row]) -> None:
-    """Raise ConfigError where results would replace files that no run wrote; what ``earlier`` reports list is ours."""
+    """Raise ConfigError where results would replace a scene of another run, or files that no run wrote.
+
+    What the ``earlier`` report of the folder lists as done is ours.
+    """
+    identity = run.identity
+    for scene in scenes if not run.options.overwrite else []:
+        if (known := read_record(output, scene.name)) is not None and known.run != identity:
+            raise ConfigError(f"{output / scene.name}: {OTHER_RUN}")
     foreign = [
         f"{scene.name}/{name}"
         for scene in scenes

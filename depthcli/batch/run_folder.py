@@ -21,8 +21,7 @@ from depthcli.batch.install import not_ours
 from depthcli.batch.records import RECORD_FILE, RUN_FILE, digest, read_record, read_text
 from depthcli.batch.reports import REPORT_FILES, read_report
 from depthcli.core.config_file import dump_config, to_yaml
-from depthcli.core.errors import ConfigError, InputError, OutputError
-from depthcli.data.formats.files import write_text
+from depthcli.core.errors import ConfigError, InputError
 
 LEGEND_FILE = "legend.png"
 # Packages whose versions decide what a run computes; part of the run's identity.
@@ -43,35 +42,20 @@ def run_text(command: str, config: BaseModel | Mapping[str, object]) -> str:
     return f"{_TITLE}\n{to_yaml(dict(config))}{run}"
 
 
-def open_run(folder: Path, text: str, overwrite: bool) -> None:
-    """Write ``text`` as the ``run.yaml`` of a folder, which is made where it is missing.
+def check_folder(folder: Path, text: str, overwrite: bool) -> None:
+    """Raise ConfigError where a folder cannot become that of the run whose ``run.yaml`` has this text.
 
-    A ``run.yaml`` that differs is replaced as long as the folder holds no finished scene.
-
-    Raises
-    ------
-    ConfigError
-        The folder holds results of another config, and ``overwrite`` is not set; or files that no run wrote have the
-        names of a run's.
-    OutputError
-        The folder cannot be written.
+    It holds results of another config, and ``overwrite`` is not set; or files that no run wrote have the names of a
+    run's.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be used as a run folder ({error.strerror or error})") from error
     if (reason := refusal(folder, text)) and not overwrite:
         raise ConfigError(f"{folder}: {reason}; choose another --output, or --overwrite it")
-    known = saved_config(folder)
-    if known == text:
-        return
-    if not known.startswith(_TITLE) and not _holds_results(folder):
+    if not saved_config(folder).startswith(_TITLE) and not _holds_results(folder):
         names = (RUN_FILE, *REPORT_FILES, LEGEND_FILE)
         foreign = [name for name in names if os.path.lexists(folder / name)]
         foreign += sorted(path.name for path in folder.glob("traceback-*.txt"))
         if foreign:
             raise ConfigError(f"{folder}: {not_ours(foreign)}")
-    write_text(folder / RUN_FILE, text)
 
 
 def refusal(folder: Path, text: str) -> str:

@@ -15,14 +15,15 @@ from pathlib import Path
 from depthcli.batch import cluster, processes, records
 from depthcli.batch.command import ConfigT, SceneCommand, SceneT
 from depthcli.batch.console import Reporter
-from depthcli.batch.install import OTHER_RUN, discard, hidden_folder, remove_leftovers, remove_results
+from depthcli.batch.install import discard, hidden_folder, remove_leftovers, remove_results
 from depthcli.batch.json_csv import Row
 from depthcli.batch.plan import Planner, check_files, check_names, inputs_digest, scenes_of_shard
 from depthcli.batch.reports import Part, ReportWriter, drop_parts, finished_row, read_report
-from depthcli.batch.run_folder import open_run, saved_config
+from depthcli.batch.run_folder import check_folder, saved_config
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
 from depthcli.batch.task import Run, RunOptions, Task, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
+from depthcli.data.formats.files import write_text
 from depthcli.data.scenes import Scene
 
 
@@ -104,9 +105,12 @@ class _Batch:
         """
         output, lock, text, overwrite = self.output, self.lock, self.run.text, self.options.overwrite
         earlier = read_report(output, facts=False)
+        first = lock.alone or not lock.locks  # without locks the first shard has no sign that it is the first
+        if first:
+            check_folder(output, text, overwrite)
         check_files(self.run, self.scenes, output, earlier)
-        if lock.alone or not lock.locks:  # without locks the first shard has no sign that it is the first
-            open_run(output, text, overwrite)
+        if first and saved_config(output) != text:
+            write_text(output / records.RUN_FILE, text)
         if lock.alone:
             with contextlib.suppress(OSError):
                 (output / LOCKS_FILE).unlink(missing_ok=True)
@@ -138,8 +142,6 @@ class _Batch:
                 continue
             origin = measured.get("source")
             same_run = known is not None and known.run == task.run
-            if known is not None and not same_run and not self.options.overwrite:
-                raise ConfigError(f"{task.target}: {OTHER_RUN}")
             if same_run and origin and origin != task.source and not self.options.overwrite:
                 raise ConfigError(
                     f"{self.output}: holds the result of another {scene.name!r}, made from {origin}; this one is "

@@ -22,7 +22,7 @@ from depthcli.core.option import Option
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from depthcli.batch.sweep import Axis, Combination, Effect
+    from depthcli.batch.combinations import Axis, Combination, Effect
     from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport, Section
 
@@ -60,7 +60,7 @@ class SweepCommand(Command):
         ConfigError
             A config, key or value is wrong; nothing was computed.
         """
-        from depthcli.batch.sweep import combinations, folder_names, parse_axis
+        from depthcli.batch.combinations import combinations, folder_names, parse_axis
 
         command = _command(values["command"])
         axes = [parse_axis(text) for text in values["over"]]
@@ -155,7 +155,7 @@ def _print_result(
     reporter: Reporter,
 ) -> None:
     """Print the runs by their figure and the effect of every key; write both to ``sweep.csv`` and ``sweep.json``."""
-    from depthcli.batch.sweep import document_of, effects
+    from depthcli.batch.combinations import document_of, effects
     from depthcli.data.formats.files import write_text
     from depthcli.evaluation.statistics import mean_of_known
 

@@ -18,6 +18,8 @@ import pytest
 import yaml
 
 from depthcli.cli import main
+from depthcli.commands import load_command
+from depthcli.commands._batch import BatchCommand
 from depthcli.data.formats.disparity import read_disparity, read_pfm
 from depthcli.data.formats.pictures import read_status
 
@@ -282,3 +284,44 @@ def test_results_inside_the_input_are_no_scenes(made_scenes: Path, tmp_path: Pat
     capsys.readouterr()
     assert main(["stereo", "opencv-bm", "-i", str(tmp_path / "made"), "-o", "o", "--list-scenes"]) == 0
     assert capsys.readouterr().out.startswith("a/")
+
+
+def test_own_files_in_the_place_of_results_stop_a_run_before_it_begins(made_scenes: Path, tmp_path: Path, capsys):
+    """A folder of scenes as --output, with the name of one of them: its truth stays, and nothing is written."""
+    data = tmp_path / "data"
+    shutil.copytree(made_scenes / "planes_0", data / "planes_0", ignore=shutil.ignore_patterns("record.json"))
+    pair = [f"--{side}={made_scenes / 'planes_1' / side}.png" for side in ("left", "right")]
+    before = {path: path.read_bytes() for path in data.rglob("*") if path.is_file()}
+    command = ["stereo", FAST, *pair, "--max-disparity", "12", "--name", "planes_0", "-o", str(data)]
+    for more in ([], ["--overwrite"]):
+        assert run(*command, *more) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert "planes_0/disp_left.pfm would be replaced, but no record says that depthcli wrote it" in said
+        assert {path: path.read_bytes() for path in data.rglob("*") if path.is_file()} == before
+    assert run(*command, "--dry-run") == 0
+    assert "planes_0/disp_left.pfm would be replaced" in capsys.readouterr().out
+
+
+def test_every_file_of_a_result_is_looked_for_before_a_run(made_scenes: Path, tmp_path: Path):
+    calibration = tmp_path / "calib.txt"
+    calibration.write_text("cam0=[100 0 48; 0 100 32; 0 0 1]\ncam1=[100 0 48; 0 100 32; 0 0 1]\ndoffs=0\nbaseline=100\n"
+                           "width=96\nheight=64\nndisp=16\n")  # fmt: skip
+    sets = tmp_path / "sets"
+    assert run("sample", "--kinect", "--frames", "0", "-o", sets / "kinect", "-q") == 0
+    commands: dict[str, list[str | Path]] = {
+        "stereo": [FAST, "-i", made_scenes, "--scenes", "planes_0"],
+        "depth": [tmp_path / "stereo", "--ply", "--calibration", calibration],
+        "rectify": ["--uncalibrated", "-i", made_scenes, "--scenes", "planes_0"],
+        "refine-kinect": ["nearest", "-i", sets / "kinect"],
+        "sample": ["-n", "1", "--max-disparity", "8"],
+    }
+    for name, arguments in commands.items():
+        assert run(name, *arguments, "-o", tmp_path / name, "-q") == 0
+        (record,) = (tmp_path / name).rglob("record.json")
+        command = load_command(name)
+        assert isinstance(command, BatchCommand)
+        files = {path for path in record.parent.rglob("*") if path.is_file() and path != record}
+        known = {path for pattern in command.results for path in record.parent.glob(pattern)}
+        assert files
+        assert files <= known

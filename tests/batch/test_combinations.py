@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from depthcli.batch.sweep import Axis, combinations, effects, folder_names, parse_axis
+from depthcli.batch.combinations import Axis, combinations, effects, folder_names, parse_axis
 from depthcli.core.errors import ConfigError
 
 
