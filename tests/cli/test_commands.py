@@ -318,7 +318,7 @@ def test_every_file_of_a_result_is_looked_for_before_a_run(made_scenes: Path, tm
     }
     for name, arguments in commands.items():
         assert run(name, *arguments, "-o", tmp_path / name, "-q") == 0
-        (record,) = (tmp_path / name).rglob("record.json")
+        record = next((tmp_path / name).rglob("record.json"))
         command = load_command(name)
         assert isinstance(command, BatchCommand)
         files = {path for path in record.parent.rglob("*") if path.is_file() and path != record}
