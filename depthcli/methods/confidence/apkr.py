@@ -13,7 +13,7 @@ _RADIUS = 2  # half of the window, pixels
 
 
 class AveragePeakRatio(ConfidenceMeasure):
-    """Average peak ratio: peak ratio of the 5 x 5 window at the center's two disparities."""
+    """Average peak ratio: mean in 5 x 5 pixels of their peak ratio at the center's two disparities."""
 
     def __call__(self, curves: CostCurves) -> Map:
         known = curves.statistics

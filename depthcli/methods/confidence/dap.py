@@ -15,7 +15,7 @@ _RADIUS = 6  # half of the window, pixels
 
 
 class AgreementAndPeak(ConfidenceMeasure):
-    """Disparity agreement in both views, in 13 x 13 windows around the match, times (1 - 1 / apkr)^0.5."""
+    """Disparity agreement and peak: agreement in both views, 13 x 13 around the match, times (1 - 1 / apkr)^0.5."""
 
     def __call__(self, curves: CostCurves) -> Map:
         winner = curves.statistics.winner
