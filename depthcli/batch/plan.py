@@ -143,12 +143,11 @@ def plan_document(
             except InputError as error:
                 row |= {"status": BROKEN, "problem": str(error)}
         rows.append(row)
-    other = bool(refusal(output, run.text))
-    refused = f"{output}: holds a run made with another config; needs --overwrite" if other else ""
+    refused = f"{output}: holds a run made with another config; needs --overwrite" if refusal(output, run.text) else ""
     try:
         check_files(run, own, output, read_report(output, facts=False))
     except ConfigError as error:
-        refused = str(error)
+        refused = refused or str(error)
     values = config.model_dump(mode="json", by_alias=True) if isinstance(config, BaseModel) else dict(config)
     return {"command": command.name, "config": values, "output": str(output), "refused": refused, "scenes": rows}
 
