@@ -22,7 +22,7 @@ from depthcli.batch.run_folder import refusal
 from depthcli.batch.task import Run, RunOptions, Task
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.memory import show_bytes
+from depthcli.core.text import show_bytes
 from depthcli.data.formats.files import ends_of_file
 from depthcli.data.scenes import Scene
 

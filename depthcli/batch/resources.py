@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.memory import show_bytes
+from depthcli.core.text import show_bytes
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 

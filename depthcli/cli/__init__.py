@@ -33,6 +33,7 @@ _COMMON = (
 _STREAM_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 """What a disk or device behind a stream answers when it takes no more."""
 
+# Of every typer app: plain help texts, and no tracebacks of its own.
 _SETTINGS: dict[str, Any] = {
     "add_completion": False,
     "rich_markup_mode": None,

@@ -129,8 +129,8 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
         from depthcli.commands._rectified import rectified_pair
         from depthcli.commands._save import save_stereo
-        from depthcli.core.memory import show_bytes
         from depthcli.core.result import Clock
+        from depthcli.core.text import show_bytes
         from depthcli.methods.stereo.matching import match
         from depthcli.methods.stereo.search_range import complete_range
 

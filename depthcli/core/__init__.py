@@ -14,5 +14,5 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 | ``networks`` | a trained network as arrays |
 | ``option`` | a command-line option as data |
 | ``memory`` | large arrays that are recycled |
-| ``errors``, ``text`` | errors that a user reads; texts from outside, made harmless |
+| ``errors``, ``text`` | errors that a user reads; texts from outside, made harmless; sizes in bytes |
 """

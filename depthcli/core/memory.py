@@ -79,8 +79,3 @@ def release() -> None:
         _free.clear()
     if _trim is not None:
         _trim(0)
-
-
-def show_bytes(size: int) -> str:
-    """Return a size as people read it, such as 1.5 GiB."""
-    return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"

@@ -1,4 +1,4 @@
-"""Texts from outside, such as names of files and scenes, made harmless for terminals, tables and spreadsheets."""
+"""Texts as people read them: those from outside made harmless for terminals, tables and spreadsheets; sizes."""
 
 from __future__ import annotations
 
@@ -36,6 +36,11 @@ def csv_cell(value: object) -> object:
         return value
     text = one_line(value)
     return f"'{text}" if len(text) > 1 and text.lstrip().startswith(_FORMULA_STARTS) and not _is_number(text) else text
+
+
+def show_bytes(size: int) -> str:
+    """Return a size as people read it, such as 1.5 GiB."""
+    return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"
 
 
 def _is_number(text: str) -> bool:

@@ -44,18 +44,6 @@ class Surfaces:
     scale: NDArray[np.float32]
     unit: float
 
-    @classmethod
-    def unfitted(cls, labels: NDArray[np.int32]) -> Surfaces:
-        """Return surfaces without values, one for each of the ``labels`` (H, W) int32, 0 .. n - 1."""
-        count = int(labels.max()) + 1
-        return cls(
-            coefficients=np.zeros((count, 6)),
-            center=np.full((count, 2), np.nan),
-            bounds=np.full((count, 2), np.nan, np.float32),
-            scale=np.full(count, np.nan, np.float32),
-            unit=float(max(labels.shape)),
-        )
-
     def at(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
         """Evaluate the surface that ``labels`` (H, W) name at every pixel: (H, W) float32, NaN for negative labels."""
         values = np.empty(labels.shape, np.float32)
@@ -108,7 +96,11 @@ def fit_polynomials(
     samples : largest number of pixels a segment that are used, evenly spread
     floor : smallest scale of residuals: what the sensor resolves
     """
-    fitted = Surfaces.unfitted(labels) if start is None else copy.deepcopy(start)
+    if start is None:
+        count, nan = int(labels.max()) + 1, np.float32(np.nan)
+        bounds, scale = np.full((count, 2), nan), np.full(count, nan)
+        start = Surfaces(np.zeros((count, 6)), np.full((count, 2), np.nan), bounds, scale, float(max(labels.shape)))
+    fitted = copy.deepcopy(start)
     known = Members.of(labels, (labels >= 0) & ~np.isnan(values), len(fitted.scale))
     _fit(
         known.order, known.starts, values, fitted.coefficients, fitted.center, fitted.bounds, fitted.scale, fitted.unit,

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 
-COEFFICIENT_COUNTS = {False: (4, 5, 8, 12, 14), True: (4,)}
-"""How many distortion coefficients OpenCV's models take: pinhole (False) and fisheye (True)."""
+# How many distortion coefficients OpenCV's models take, by whether it is the fisheye model.
+_COEFFICIENT_COUNTS = {False: (4, 5, 8, 12, 14), True: (4,)}
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Camera:
             raise InputError("calibration: want a finite 3 x 3 camera matrix with positive focal lengths")
         if abs(np.linalg.det(self.matrix)) < 1e-9:
             raise InputError("calibration: the camera matrix is singular")
-        counts = COEFFICIENT_COUNTS[self.fisheye]
+        counts = _COEFFICIENT_COUNTS[self.fisheye]
         if len(self.distortion) not in counts or not np.isfinite(self.distortion).all():
             model = "fisheye" if self.fisheye else "pinhole"
             raise InputError(

@@ -13,7 +13,7 @@ from typing import Literal
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.memory import show_bytes
+from depthcli.core.text import show_bytes
 from depthcli.device import Device
 from depthcli.methods.stereo.coarse_to_fine import match_in_tiles
 from depthcli.methods.stereo.matcher import Matcher

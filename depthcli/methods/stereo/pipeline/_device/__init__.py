@@ -6,9 +6,9 @@ import numpy as np
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
-from depthcli.core.memory import show_bytes
 from depthcli.core.method import device_implementation_of
 from depthcli.core.result import Clock
+from depthcli.core.text import show_bytes
 from depthcli.device import Device, DeviceArray, Kernels
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps
