@@ -41,13 +41,13 @@ class PreparedTruth:
     error : (N,) float32, mm
     landmarks : (N, 3) float64, (z, y, x) in voxels, or None where the truth is dense
     inside : (Z, Y, X) bool, voxels with known error, or None where the truth is at landmarks
-    truth : as stored
+    stored : the truth as the scene has it
     """
 
     error: Errors
     landmarks: NDArray[np.float64] | None
     inside: NDArray[np.bool_] | None
-    truth: RegistrationTruth
+    stored: RegistrationTruth
 
     @property
     def region(self) -> str:
@@ -69,7 +69,7 @@ class RegistrationPresentation(Presentation):
 
     def on_grid(self, points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any]:
         """Return a (Z, Y, X) volume, in which a landmark is a small ball."""
-        grid = truth.truth.grid
+        grid = truth.stored.grid
         volume = np.full(grid.shape, False if points.dtype == np.bool_ else np.nan, points.dtype)
         if truth.inside is not None:
             volume[truth.inside] = points
@@ -87,7 +87,7 @@ class RegistrationPresentation(Presentation):
 
     def spacing(self, truth: PreparedTruth) -> tuple[float, ...]:
         """Return the size of a voxel along z, y and x, mm."""
-        return truth.truth.grid.spacing[::-1]
+        return truth.stored.grid.spacing[::-1]
 
     def image(self, scene: Scene) -> NDArray[np.uint8] | None:
         """Return (Z, Y, X) grey levels of the fixed volume, between its darkest and brightest half percent."""
@@ -99,9 +99,9 @@ class RegistrationPresentation(Presentation):
         grey = (np.nan_to_num(values, nan=low) - low) * (255 / max(high - low, 1e-9))
         return np.clip(grey, 0, 255).astype(np.uint8)
 
-    def tables(self, run: str, kept: Sequence[tuple[str, Errors, Errors]]) -> list[Table]:
+    def tables(self, run: str, kept: Sequence[tuple[Errors, Errors]]) -> list[Table]:
         """Return the confusion of the classes, and the expected against the true error in bins."""
-        expected, true = (np.concatenate([each[k] for each in kept]) for k in (1, 2))
+        expected, true = map(np.concatenate, zip(*kept, strict=True))
         known = np.isfinite(expected)
         expected, true = expected[known], true[known]
         names, e, t = ("< 3 mm", "3-6 mm", ">= 6 mm"), error_classes(expected), error_classes(true)
@@ -188,13 +188,13 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
 
     def points(self, estimate: Errors, truth: PreparedTruth) -> list[dict[str, float]]:
         """Return place, expected and true error of every landmark, mm; empty where the true error is dense."""
-        rows = zip(*truth.truth.points.T, estimate, truth.error, strict=True) if truth.inside is None else ()
+        rows = zip(*truth.stored.points.T, estimate, truth.error, strict=True) if truth.inside is None else ()
         names = ("x", "y", "z", "expected_error", "true_error")
         return [{name: round(float(v), 4) for name, v in zip(names, row, strict=True)} for row in rows]
 
     def size(self, truth: PreparedTruth) -> int:
         """Return the number of voxels of the fixed volume."""
-        return math.prod(truth.truth.grid.shape)
+        return math.prod(truth.stored.grid.shape)
 
     def scores(self, estimate: Errors, truth: PreparedTruth) -> list[Score]:
         """Compute every metric over all points."""
@@ -211,9 +211,9 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
             for of, error in kinds.items()
         ]
 
-    def pooling_data(self, estimate: Errors, truth: PreparedTruth) -> tuple[str, Errors, Errors]:
-        """Return region, expected and true errors of all points."""
-        return truth.region, estimate, truth.error
+    def pooling_data(self, estimate: Errors, truth: PreparedTruth) -> tuple[Errors, Errors]:
+        """Return expected and true errors of all points."""
+        return estimate, truth.error
 
     def mean(self, results: Sequence[MapResult]) -> list[Score]:
         """Compute every metric over all points of the scenes; those of a scene without any value count as the worst.
@@ -228,20 +228,20 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         """Pool the scenes of one region."""
         if len(results) == 1:
             return list(results[0].scores)
-        answered = [r for r in results if r.pooling_data is not None and np.isfinite(r.pooling_data[1]).any()]
+        answered = [r for r in results if r.pooling_data is not None and np.isfinite(r.pooling_data[0]).any()]
         if not answered:
             return super().mean(results)
         n_points, n_answered = (sum(r.scores[0].region_pixels for r in each) for each in (results, answered))
         drawn = [_drawn(r.pooling_data, _MAX_POOLED / n_points) for r in answered]
-        made = point_scores(results[0].scores[0].region, *(np.concatenate([each[k] for each in drawn]) for k in (0, 1)))
+        made = point_scores(results[0].scores[0].region, *map(np.concatenate, zip(*drawn, strict=True)))
         return [_with_missing(score, 1 - n_answered / n_points, n_points) for score in made]
 
 
-def _drawn(kept: tuple[str, Errors, Errors], share: float) -> tuple[Errors, Errors]:
+def _drawn(points: tuple[Errors, Errors], share: float) -> tuple[Errors, Errors]:
     """Expected and true errors of a share of the points, or of all where it is not below 1."""
-    _, expected, true = kept
     if share >= 1:
-        return expected, true
+        return points
+    expected, true = points
     chosen = np.random.default_rng(_DRAWING_SEED).choice(len(true), max(1, round(share * len(true))), replace=False)
     return expected[chosen], true[chosen]
 
@@ -257,8 +257,8 @@ def _with_missing(score: Score, share: float, n_points: int) -> Score:
 
 def _at_points(path: Path, truth: PreparedTruth) -> Errors:
     volume = read_volume(path)
-    if not volume.grid.same_as(truth.truth.grid):
-        raise InputError(f"{path}: another grid than the fixed volume's ({volume.grid.difference(truth.truth.grid)})")
+    if not volume.grid.same_as(truth.stored.grid):
+        raise InputError(f"{path}: another grid than the fixed volume's ({volume.grid.difference(truth.stored.grid)})")
     if truth.inside is not None:
         return volume.values[truth.inside]
     assert truth.landmarks is not None
