@@ -99,6 +99,13 @@ def refined_depth(
     if fallback is not None:
         status[~known & fallback] = DepthStatus.FALLBACK
     status[np.isnan(depth)] = DepthStatus.EMPTY
-    meters: NDArray[np.float32] = (sigma * depth * depth / np.float32(frame.fb)).astype(np.float32)
     clock.stop("result")
-    return RefinedDepth(seconds=clock.seconds, depth=DepthMap(depth, status), sigma=meters)
+    return RefinedDepth(
+        seconds=clock.seconds, depth=DepthMap(depth, status), sigma=deviation_of_depth(sigma, depth, frame.fb)
+    )
+
+
+def deviation_of_depth(sigma: NDArray[np.float32], depth: NDArray[np.float32], fb: float) -> NDArray[np.float32]:
+    """Return the standard deviation of the depth, (H, W) float32, m, from that of the disparity ``sigma``, pixels."""
+    with np.errstate(over="ignore"):  # infinite for depths of 1e19 m and more: nothing is known of them
+        return np.asarray(sigma * depth * depth / np.float32(fb), np.float32)

@@ -15,7 +15,7 @@ from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import RefinedDepth
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.depth_edges import edge_distance
-from depthcli.methods.kinect.disparity import measured_disparity, noise_level
+from depthcli.methods.kinect.disparity import deviation_of_depth, measured_disparity, noise_level
 from depthcli.methods.kinect.model import SurfaceModel
 from depthcli.methods.kinect.segment_surfaces import add_detail, join_segments
 from depthcli.methods.kinect.shadows import max_disparity_in_gaps
@@ -26,13 +26,8 @@ CORE_DISTANCE = 6
 Value of the shipped presets; nothing in the repository varies it."""
 _MIN_CORE_PIXELS = 5  # of a segment, for a surface to be fitted to them; value of the shipped presets, not varied
 
-_KEPT, _FILLED, _CORRECTED, _FALLBACK, _EMPTY, _SMOOTHED = (
-    int(s)
-    for s in (
-        DepthStatus.KEPT, DepthStatus.GAP_FILLED, DepthStatus.CORRECTED, DepthStatus.FALLBACK, DepthStatus.EMPTY,
-        DepthStatus.SMOOTHED,
-    )
-)  # fmt: skip
+_KEPT, _FILLED, _CORRECTED = int(DepthStatus.KEPT), int(DepthStatus.GAP_FILLED), int(DepthStatus.CORRECTED)
+_FALLBACK, _EMPTY, _SMOOTHED = int(DepthStatus.FALLBACK), int(DepthStatus.EMPTY), int(DepthStatus.SMOOTHED)
 
 
 @dataclass(frozen=True)
@@ -174,8 +169,7 @@ class RefinedDisparity:
         kept = self.status == DepthStatus.KEPT
         depth[kept] = frame.depth[kept]
         status = np.where(np.isnan(depth), np.uint8(DepthStatus.EMPTY), self.status)
-        sigma: NDArray[np.float32] = (self.scale * depth * depth / np.float32(frame.fb)).astype(np.float32)
-        return RefinedDepth(depth=DepthMap(depth, status), sigma=sigma)
+        return RefinedDepth(depth=DepthMap(depth, status), sigma=deviation_of_depth(self.scale, depth, frame.fb))
 
 
 def combine(

@@ -86,9 +86,8 @@ def shadow_background(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Compute the disparity of the surface behind each shadow and the band on its right, and its share of the votes.
 
-    It is the surface on the left, continued along its slope.
-    A shadow is as wide as the step to the surface that it falls on: if the step to the surface on
-    the left is as large, that is the surface.
+    It is the surface on the left, continued along its slope. A shadow is as wide as the step to the surface that it
+    falls on: the nearer its width is to the step to the surface on the left, the larger the share.
 
     Parameters
     ----------
@@ -190,26 +189,12 @@ def _background(disparity, value, slope_x, jump, low, high, background, extra_sh
             last = x
 
 
-def fill_shadows(disparity: NDArray[np.float32], jump: float) -> NDArray[np.float32]:
-    """Return the values of shadows, which are the disparities on their left: (H, W) float32, NaN elsewhere.
-
-    Parameters
-    ----------
-    disparity : (H, W) float32, pixels, NaN = unknown
-    jump : smallest step, pixels
-    """
-    background = np.full(disparity.shape, np.nan, np.float32)
-    extra_share = np.zeros(disparity.shape, np.float32)
-    level = np.zeros(disparity.shape, np.float32)
-    _background(disparity, disparity, level, np.float32(jump), np.float32(0), np.float32(0), background, extra_share)
-    return background
-
-
 def max_disparity_in_gaps(disparity: NDArray[np.float32], jump: float, tolerance: float = 2.5) -> NDArray[np.float32]:
     """Compute the largest disparity (H, W) float32 that a gap allows if it is a shadow; inf where it is none.
 
-    A gap of n pixels beside a step is the shadow of its near side on a surface that is farther by about n pixels of
-    disparity: on the far side of the step, if that is as far, or else on a surface behind it.
+    One value a gap, from its rims only (:func:`shadow_limits` is finer, and weighs). A gap of n pixels beside a step is
+    the shadow of its near side on a surface that is farther by about n pixels of disparity: on the far side of the
+    step, if that is as far, or else on a surface behind it.
 
     Parameters
     ----------

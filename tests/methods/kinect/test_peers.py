@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
+from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence, simulate_kinect
@@ -18,7 +19,7 @@ from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
-from depthcli.methods.kinect.shadows import fill_shadows
+from depthcli.methods.kinect.shadows import shadow_background
 
 METHODS = [
     FastGlobalSmoother(), Guided(), Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateralFill(), NearestFill(),
@@ -168,12 +169,13 @@ def test_realsense_lowers_the_noise_of_a_static_camera():
     assert errors[-1] < 0.8 * errors[0]
 
 
-def test_fill_shadows_hold_the_value_on_the_left():
+def test_background_of_a_shadow_is_the_value_on_its_left():
     truth = np.full((9, 90), 10.0, np.float32)
     truth[:, 40:60] = 20
     sample = simulate_kinect(np.zeros((9, 90, 3), np.uint8), truth, 0, noise=0.0, discs=0)
-    rims = fill_shadows(sample.disparity, 1.0)
-    np.testing.assert_array_equal(rims[sample.occluded], 10)
+    level = np.zeros_like(sample.disparity)
+    background, _ = shadow_background(sample.disparity, WindowPlanes(sample.disparity, level, level, level), 1.0, 0.0)
+    np.testing.assert_array_equal(background[sample.occluded], 10)
 
 
 @pytest.mark.slow

@@ -61,16 +61,14 @@ def weighted_smoothing(
     with single_thread():
         smooth = cv2.ximgproc.createFastGlobalSmootherFilter(color, smoothness, sigma_color)
         numerator, denominator = smooth.filter(weighted), smooth.filter(confidence)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(denominator > 1e-12, numerator / denominator, np.float32(np.nan)).astype(np.float32)
+    return np.divide(numerator, denominator, out=np.full_like(numerator, np.nan), where=denominator > 1e-12)
 
 
 def _edge_band(disparity: NDArray[np.float32], jump: float, reach: int) -> NDArray[np.bool_]:
-    """Select the pixels within ``reach`` of a step between neighbors, or between known and unknown, (H, W) bool."""
+    # (H, W) bool: within ``reach`` pixels of a step between neighbors, or between known and unknown.
     edge = np.zeros(disparity.shape, np.uint8)
     for axis in (0, 1):
-        with np.errstate(invalid="ignore"):
-            step = (np.abs(np.diff(disparity, axis=axis)) > jump) | np.diff(np.isnan(disparity), axis=axis)
+        step = (np.abs(np.diff(disparity, axis=axis)) > jump) | np.diff(np.isnan(disparity), axis=axis)
         second, first = (np.s_[1:], np.s_[:-1]) if axis == 0 else (np.s_[:, 1:], np.s_[:, :-1])
         edge[second] |= step
         edge[first] |= step

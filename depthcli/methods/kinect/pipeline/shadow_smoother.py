@@ -7,13 +7,14 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
+from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.kinect.depth_edges import edge_distance
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.fast_global_smoother import weighted_smoothing
-from depthcli.methods.kinect.shadows import fill_shadows, shadow_confidence
+from depthcli.methods.kinect.shadows import shadow_background, shadow_confidence
 
 
 class ShadowSmoother(KinectPipeline):
@@ -43,7 +44,8 @@ class ShadowSmoother(KinectPipeline):
         confidence = known.astype(np.float32)
         band = edge_distance(measured, jump).inside(self.row_band, self.column_band)
         confidence[known & band] = self.edge_confidence
-        rims = fill_shadows(measured, jump)
+        level = np.zeros_like(measured)
+        rims, _ = shadow_background(measured, WindowPlanes(measured, level, level, level), jump, 0.0)
         shadow = ~known & ~np.isnan(rims)
         confidence[shadow] = self.shadow_confidence * shadow_confidence(measured, jump)
         clock.stop("confidence")
