@@ -28,32 +28,24 @@ MIN_DEPTH, MAX_DEPTH = 0.01, 100.0
 _COMMON_SCALES = (1000.0, 5000.0, 256.0, 10_000.0, 100.0)
 
 
-def read_codes(path: Path | str, rotate: int = 0, swapped: bool = False) -> NDArray[np.uint16]:
-    """Read (H, W) 16-bit codes: depth, or the raw disparity of a Kinect.
-
-    Parameters
-    ----------
-    path : PNG, PGM, TIFF or integer npy; its kind is found by its content
-    rotate : every code is rotated right by so many bits (SUN RGB-D: 3)
-    swapped : the two bytes of every code are the wrong way round (raw dumps of NYU Depth v2)
+def read_codes(path: Path | str) -> NDArray[np.uint16]:
+    """Read (H, W) 16-bit codes: depth, or the raw disparity of a Kinect, of a PNG, PGM, TIFF or integer npy.
 
     Raises
     ------
     InputError
         Not readable, damaged, or not one channel of codes from 0 to 65535; one line that names the file.
     """
-    values = read_plane(path)
+    return _codes(read_plane(path), path)
+
+
+def _codes(values: NDArray[Any], path: Path | str) -> NDArray[np.uint16]:
     if values.dtype.kind not in "iu" or (values.dtype.itemsize > 1 and (values.min() < 0 or values.max() > 65535)):
         raise InputError(f"{shown(path)}: want codes from 0 to 65535, got {values.dtype}")
-    codes = values.astype(np.uint16)
-    if swapped:
-        codes = codes.byteswap()
-    return (codes >> np.uint16(rotate)) | (codes << np.uint16(16 - rotate)) if rotate else codes
+    return values.astype(np.uint16)
 
 
-def read_depth(
-    path: Path | str, scale: float | None = None, rotate: int = 0, swapped: bool = False
-) -> NDArray[np.float32]:
+def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) -> NDArray[np.float32]:
     """Read a depth map in meters.
 
     Codes (PNG, PGM, TIFF, integer npy) are divided by ``scale``; 0 is unknown. PFM, float npy and TIFF hold meters
@@ -63,7 +55,7 @@ def read_depth(
     ----------
     path : the file; its kind is found by its content
     scale : codes per meter; None: 1000 for 16-bit codes, 1 for floats
-    rotate, swapped : as in :func:`read_codes`
+    rotate : codes are rotated right by so many bits first (SUN RGB-D: 3)
 
     Returns
     -------
@@ -78,7 +70,9 @@ def read_depth(
     if values.dtype.kind in "iu":
         if scale is None and values.dtype.itemsize == 1:
             raise InputError(f"{shown(path)}: 8-bit depth needs a scale (codes per meter)")
-        values, scale = read_codes(path, rotate, swapped), scale or MILLIMETERS
+        values, scale = _codes(values, path), scale or MILLIMETERS
+        if rotate:
+            values = (values >> np.uint16(rotate)) | (values << np.uint16(16 - rotate))
     with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
         depth = (values / np.float64(scale or 1)).astype(np.float32)
     depth[~((depth > 0) & np.isfinite(depth))] = np.nan

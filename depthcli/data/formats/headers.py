@@ -35,7 +35,7 @@ _PNM_HEADER = re.compile(rb"P\d(?:\s|#[^\n]*\n)+" + rb"(\d{1,9})(?:\s|#[^\n]*\n)
 _PFM_GAP = rb"\s+(?:#[^\n]*\n\s*)*"
 _PFM_HEADER = re.compile(rb"(P[fF])" + (_PFM_GAP + rb"(\d{1,9})") * 2 + _PFM_GAP + rb"([-+0-9.eE]{1,40})(?:\r\n|\s)")
 
-_MAX_DECODED_BYTES = 1 << 31  # unless the caller has another limit
+_MAX_DECODED_BYTES = 1 << 31
 _HEADER_BYTES = 1 << 14  # first part of a file, which nearly always holds the size of the image
 # Decoded bytes a stored one: 12 bits of LZW stand for up to 4 KiB; a byte of deflate for 1 KiB, of JPEG for 1.5 KiB.
 _MAX_EXPANSION = 3000
@@ -129,8 +129,8 @@ def peeked_size(path: Path) -> ImageSize | None:
         return None
 
 
-def check_size(size: ImageSize, stored: int, max_bytes: int | None) -> None:
-    """Refuse an image that cannot be in a file of ``stored`` bytes, or takes more than ``max_bytes`` to decode.
+def check_size(size: ImageSize, stored: int) -> None:
+    """Refuse an image that cannot be in a file of ``stored`` bytes, or takes more than 2 GiB to decode.
 
     Raises
     ------
@@ -141,11 +141,10 @@ def check_size(size: ImageSize, stored: int, max_bytes: int | None) -> None:
     announced = f"{size.width} x {size.height} pixels, {size.channels} x {size.bits} bit"
     if decoded > _MAX_EXPANSION * stored:
         raise InputError(f"damaged image (claims {announced} in {stored} bytes)")
-    limit = _MAX_DECODED_BYTES if max_bytes is None else max_bytes
-    if 2 * decoded > limit:  # what the decoder gives, and the copy of it in our order of channels
+    if 2 * decoded > _MAX_DECODED_BYTES:  # what the decoder gives, and the copy of it in our order of channels
         raise InputError(
             f"too large: {announced} take {2 * decoded / 2**20:.0f} MiB of memory to read, "
-            f"{limit / 2**20:.0f} MiB may be used"
+            f"{_MAX_DECODED_BYTES / 2**20:.0f} MiB may be used"
         )
 
 

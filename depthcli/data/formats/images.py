@@ -39,14 +39,8 @@ _ARITHMETIC = (0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF)  # markers of frames with ari
 _OTHER_BITS = bytes(range(7, 247, 5)) * 2  # put after every scan, to see whether a decoder needs more bits
 
 
-def read_image(path: Path | str, max_bytes: int | None = None) -> Image:
-    """Return the pixels of a PNG, JPEG, PGM, PPM, TIFF or BMP file, whose kind is match by its content.
-
-    Parameters
-    ----------
-    path : the file
-    max_bytes : most memory that reading may take; what the header announces is compared with it before any
-        pixel is decoded. None: 2 GiB
+def read_image(path: Path | str) -> Image:
+    """Return the pixels of a PNG, JPEG, PGM, PPM, TIFF or BMP file, whose kind is found by its content.
 
     Returns
     -------
@@ -55,15 +49,15 @@ def read_image(path: Path | str, max_bytes: int | None = None) -> Image:
     Raises
     ------
     InputError
-        Not readable, not an image, truncated or damaged, too large, or neither 8 nor 16 bit; one line that
-        names the file.
+        Not readable, not an image, truncated or damaged, larger than 2 GiB when decoded, or neither 8 nor 16 bit; one
+        line that names the file.
     """
     data = read_bytes(path)
     with naming(path):
-        return decode_image(data, max_bytes)
+        return decode_image(data)
 
 
-def read_grey(path: Path | str, max_bytes: int | None = None) -> Image:
+def read_grey(path: Path | str) -> Image:
     """Return an image of codes (disparities, a mask) that may be stored with three equal channels.
 
     Raises
@@ -73,12 +67,12 @@ def read_grey(path: Path | str, max_bytes: int | None = None) -> Image:
     """
     data = read_bytes(path)
     with naming(path):
-        return decode_grey(data, max_bytes)
+        return decode_grey(data)
 
 
-def decode_grey(data: bytes, max_bytes: int | None = None) -> Image:
+def decode_grey(data: bytes) -> Image:
     """Return what :func:`read_grey` does, from the bytes of a file."""
-    pixels = decode_image(data, max_bytes)
+    pixels = decode_image(data)
     if pixels.ndim == 3:
         first = pixels[..., 0]
         if not (np.array_equal(first, pixels[..., 1]) and np.array_equal(first, pixels[..., 2])):
@@ -95,7 +89,7 @@ def decode_floats(data: bytes) -> NDArray[np.float32] | None:
     if not holds_floats(data):
         return None
     size = image_size(data)
-    check_size(size, len(data), None)
+    check_size(size, len(data))
     if size.channels != 1 or size.bits not in (32, 64):
         raise InputError(f"{size.channels} x {size.bits} bit floating point, want one channel of 32 or 64")
     # Pillow knows no numbers of 64 bit, and swaps the bytes of compressed big-endian ones twice.
@@ -126,13 +120,13 @@ def write_png(path: Path | str, array: NDArray[Any]) -> None:
     write_bytes(path, code.tobytes())
 
 
-def decode_image(data: bytes, max_bytes: int | None = None) -> Image:
+def decode_image(data: bytes) -> Image:
     """Return what :func:`read_image` does, from the bytes of a file."""
     kind = image_kind(data)
     if kind in ("pfm", "npy"):
         raise InputError(f"a map of numbers ({kind}), want an image")
     size = image_size(data)
-    check_size(size, len(data), max_bytes)
+    check_size(size, len(data))
     if kind == "tiff" and (size.bits not in (8, 16) or holds_floats(data)):
         of = "floating point" if holds_floats(data) else "integers"
         raise InputError(f"samples of {size.bits} bit ({of}), want 8 or 16 bit")

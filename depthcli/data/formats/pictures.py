@@ -81,7 +81,7 @@ def read_status(path: Path | str) -> NDArray[np.uint8]:
     with naming(path):
         if image_kind(data) != "png":
             raise InputError("want a PNG of status bits")
-        check_size(image_size(data), len(data), None)
+        check_size(image_size(data), len(data))
         picture = open_with_pillow(check_png(data))
         if picture.mode not in ("P", "L"):
             raise InputError("want a PNG of status bits, one channel of 8 bit")

@@ -11,19 +11,19 @@ from depthcli.data.formats.headers import image_kind, png_chunks, pnm_header
 from depthcli.data.formats.images import decode_image
 
 
-def read_pair(left: Path | str, right: Path | str, max_bytes: int | None = None) -> StereoPair:
+def read_pair(left: Path | str, right: Path | str) -> StereoPair:
     """Return a rectified pair; the range of 10- and 12-bit samples in 16-bit files is declared or found.
 
     Raises
     ------
     InputError
-        As :func:`read_image` (``max_bytes`` is for each image), or the images differ in size or type.
+        As :func:`read_image`, or the images differ in size or type.
     """
     images, declared = [], []
     for path in (left, right):
         data = read_bytes(path)
         with naming(path):
-            images.append(decode_image(data, max_bytes))
+            images.append(decode_image(data))
             declared.append(_declared_bits(data))
     said = declared[0] if declared[0] == declared[1] else None
     return pair_of(images[0], images[1], (Path(left), Path(right)), said)

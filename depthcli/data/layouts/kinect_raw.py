@@ -27,14 +27,14 @@ class KinectRaw(Layout):
         color = folder.one("color", IMAGE_SUFFIXES)
         if color is not None:
             depth = next(iter(single.values()))
-            return [frame(folder, folder.name, color, depth, "", self.name, raw=True, calibration=calibration)]
+            return [frame(self, folder, color, depth, raw=True, calibration=calibration)]
         colors, depths = (numbered(folder, start, IMAGE_SUFFIXES) for start in ("color_", "disparity_"))
         scenes: list[Scene] = []
         for number, depth in sorted(depths.items()):
             digits = depth.stem.rpartition("_")[2]
             problem = "" if number in colors else f"{depth}: a frame without its color"
             scenes.append(
-                frame(folder, folder.prefix + digits, colors.get(number, depth), depth, problem, self.name, raw=True,
-                      calibration=calibration, sequence=folder.name, number=number)
+                frame(self, folder, colors.get(number, depth), depth, name=folder.prefix + digits, problem=problem,
+                      raw=True, calibration=calibration, sequence=folder.name, number=number)
             )  # fmt: skip
         return scenes

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.layouts import Folder, Layout
-from depthcli.data.layouts.rgbd import Rgbd
+from depthcli.data.layouts.rgbd import frames_of
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgb_ir import RgbIrScene
 
@@ -25,12 +23,11 @@ class RgbIr(Layout):
         infrared = folder.one("ir", IMAGE_SUFFIXES)
         if infrared is None:
             return []
-        scenes: list[Scene] = []
-        for scene in Rgbd().frames(folder):
-            known = {field.name: getattr(scene, field.name) for field in dataclasses.fields(scene)}
-            calibration = folder.one("calib", (".json", ".yml", ".yaml"))
-            known |= {"layout": self.name, "calibration": calibration}
-            plain = folder.one("ir_noprojector", IMAGE_SUFFIXES)
-            top = folder.meta.whole("max_disparity", 1)
-            scenes.append(RgbIrScene(**known, infrared=infrared, infrared_plain=plain, max_disparity=top))
-        return scenes
+        return frames_of(
+            self,
+            folder,
+            calibration=folder.one("calib", (".json", ".yml", ".yaml")),
+            infrared=infrared,
+            infrared_plain=folder.one("ir_noprojector", IMAGE_SUFFIXES),
+            max_disparity=folder.meta.whole("max_disparity", 1),
+        )

@@ -25,29 +25,28 @@ class Rgbd(Layout):
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
-        if folder.one("ir", IMAGE_SUFFIXES):  # of rgb-ir
-            return []
-        return list(self.frames(folder))
-
-    def frames(self, folder: Folder) -> list[RgbdScene]:
-        """Return the frame in ``folder``, if it has one, whatever else lies there."""
-        color = folder.one("color", IMAGE_SUFFIXES)
-        depth = folder.one("depth", DEPTH_SUFFIXES) or folder.one("depth_raw", DEPTH_SUFFIXES)
-        if folder.requested == "sun-rgbd" or (color is None and depth is None):
-            return []
-        if depth is None and folder.starting("disparity", IMAGE_SUFFIXES):  # of kinect-raw
-            return []
-        missing = "color" if color is None else "depth" if depth is None else ""
-        problem = f"{folder.path}: only half of a frame, no {missing}.*" if missing else ""
-        color, depth = color or folder.path / "color.png", depth or folder.path / "depth.png"
-        sparse = {role: folder.one(role, DEPTH_SUFFIXES) for role in ("sparse", "sparse_confidence")}
-        return [frame(folder, folder.name, color, depth, problem, self.name, **sparse)]
+        return [] if folder.one("ir", IMAGE_SUFFIXES) else frames_of(self, folder)  # of rgb-ir
 
 
-def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, layout: str, **more: Any) -> RgbdScene:
-    """Return the scene of one frame, with the facts of the folder's meta.json."""
+def frames_of(layout: Layout, folder: Folder, **more: Any) -> list[Scene]:
+    """Return the frame of ``color.*`` and ``depth.*`` in ``folder``, if it has one, with more fields of its scene."""
+    color = folder.one("color", IMAGE_SUFFIXES)
+    depth = folder.one("depth", DEPTH_SUFFIXES) or folder.one("depth_raw", DEPTH_SUFFIXES)
+    if folder.requested == "sun-rgbd" or (color is None and depth is None):
+        return []
+    if depth is None and folder.starting("disparity", IMAGE_SUFFIXES):  # of kinect-raw
+        return []
+    missing = "color" if color is None else "depth" if depth is None else ""
+    problem = f"{folder.path}: only half of a frame, no {missing}.*" if missing else ""
+    color, depth = color or folder.path / "color.png", depth or folder.path / "depth.png"
+    sparse = {role: folder.one(role, DEPTH_SUFFIXES) for role in ("sparse", "sparse_confidence")}
+    return [frame(layout, folder, color, depth, problem=problem, **sparse, **more)]
+
+
+def frame(layout: Layout, folder: Folder, color: Path, depth: Path, **more: Any) -> Scene:
+    """Return the scene of one frame, with the facts of the folder's meta.json; ``more`` are fields of the scene."""
     meta = folder.meta
-    number = name.rpartition("/")[2]
+    number = more.get("name", folder.name).rpartition("/")[2]
     end = f"_{number}" if folder.one(f"depth_true_{number}", DEPTH_SUFFIXES) else ""
     masks = folder.starting("mask_", IMAGE_SUFFIXES)
     scale = meta.positive("depth_scale")
@@ -57,10 +56,8 @@ def frame(folder: Folder, name: str, color: Path, depth: Path, problem: str, lay
         "intrinsics": intrinsics(meta),
         "fb": meta.positive("fb"),
         "protocol": meta.text("protocol", "depth"),
-        **({} if scale is None else {"depth_scale": scale}),
-        **more,
     }
-    return RgbdScene(name=name, folder=folder.path, layout=layout, problem=problem, color=color, depth=depth, **values)
+    return layout.scene(folder, color=color, depth=depth, **values | ({"depth_scale": scale} if scale else {}) | more)
 
 
 def intrinsics(meta: Meta) -> tuple[float, float, float, float] | None:

@@ -40,7 +40,7 @@ class RgbdSequence(Layout):
             if color is None or depth is None:
                 problem = f"{there}: a frame without its {'color' if color is None else 'depth'}"
             scenes.append(
-                frame(folder, folder.prefix + digits, color or there, depth or there, problem, self.name,
+                frame(self, folder, color or there, depth or there, name=folder.prefix + digits, problem=problem,
                       sequence=folder.name, number=number)
             )  # fmt: skip
         return scenes

@@ -24,11 +24,11 @@ class SunRgbd(Layout):
         if folder.has("image", "depth", "intrinsics.txt"):
             color, depth = (_only(folder.path / where) for where in ("image", "depth"))
             fx, _, cx, _, fy, cy = _matrix(folder.path / "intrinsics.txt")
-            return [frame(folder, folder.name, color, depth, "", self.name, rotated=True, intrinsics=(fx, fy, cx, cy))]
+            return [frame(self, folder, color, depth, rotated=True, intrinsics=(fx, fy, cx, cy))]
         color_file, depth_file = folder.one("color", IMAGE_SUFFIXES), folder.one("depth", IMAGE_SUFFIXES)
         if folder.requested != self.name or color_file is None or depth_file is None:
             return []
-        return [frame(folder, folder.name, color_file, depth_file, "", self.name, rotated=True)]
+        return [frame(self, folder, color_file, depth_file, rotated=True)]
 
 
 def _only(path: Path) -> Path:

@@ -39,8 +39,8 @@ class Tum(Layout):
                     f"{folder.path / color}: the nearest depth is {apart:.3f} s off, at most {_MAX_DELAY} s may be"
                 )
             scenes.append(
-                frame(folder, f"{folder.prefix}{time:.6f}", folder.path / color, folder.path / depth, problem,
-                      self.name, depth_scale=_DEPTH_SCALE, sequence=folder.name, number=number)
+                frame(self, folder, folder.path / color, folder.path / depth, name=f"{folder.prefix}{time:.6f}",
+                      problem=problem, depth_scale=_DEPTH_SCALE, sequence=folder.name, number=number)
             )  # fmt: skip
         if not scenes:
             raise InputError(f"{folder.path}: no line pairs a color image with a depth image")

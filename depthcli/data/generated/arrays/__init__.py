@@ -1,1 +1,1 @@
-"""Generated scenes as numpy arrays; nothing here reads or writes files."""
+"""Scenes as arrays: what :mod:`depthcli.data.generated` computes."""
