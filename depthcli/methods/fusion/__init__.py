@@ -11,7 +11,7 @@ of the command's config. Start reading at :meth:`.pipeline.Fusion.fuse`; what fo
 | ``votes`` | a measure's disparity counts as far as the pixels around vote for it |
 | ``support`` | which pixels may vote, weighted by distance and color, and sums over them |
 | ``maps`` | optional: mixes the finished map with maps of other methods |
-| ``map_costs`` | what speaks against a map at a pixel: costs, the other maps, the right view, the neighbors |
+| ``map_costs`` | costs of a map at a pixel: matching, the other maps, the right view, the neighbors |
 | ``choice`` | which map is taken at a pixel: by graph cuts (``energy``) or by a trained ``network`` |
 """
 

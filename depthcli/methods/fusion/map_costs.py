@@ -1,4 +1,4 @@
-"""What speaks against a map at every pixel: its matching costs, the other maps, the right view, its neighbors."""
+"""Costs of a map at every pixel: matching, disagreement of other maps, contradiction by the right view, misfits."""
 
 from __future__ import annotations
 
@@ -24,7 +24,14 @@ def misfit(
     slope_there: NDArray[np.float32],
     truncation: float,
 ) -> NDArray[np.float32]:
-    """Return by how much the slopes of neighbors do not lead from one to the other, at most ``truncation``, pixels."""
+    """Return the mean difference of two neighbors from the disparity that the slope of the other predicts, pixels.
+
+    Parameters
+    ----------
+    here, there : disparities of pixels and of the next ones
+    slope_here, slope_there : change to the next pixel, of either
+    truncation : largest result, pixels
+    """
     step = there - here
     mean = np.float32(0.5) * (np.abs(step - slope_here) + np.abs(step - slope_there))
     cost: NDArray[np.float32] = np.minimum(np.float32(truncation), mean)
@@ -53,8 +60,8 @@ def disagreements(
 
     Parameters
     ----------
-    maps : (N, H, W)
-    weights : (N,) what a map counts for the others
+    maps : (N, H, W) disparities, pixels
+    weights : (N,) weight of every map
     """
     return _smoothed(maps, support, _disagree, weights, weights.sum() - weights)
 
@@ -74,13 +81,13 @@ def contradictions(
 ) -> NDArray[np.float32]:
     """Compute the mean over the support of how far the right view contradicts every map; (N, H, W) float32 in [0, 1].
 
-    In front of what the right view sees a pixel could not be missed there: 1, fading between one and two pixels. Behind
-    it, or outside the right image, it is hidden.
+    A disparity larger than that of its match in the right view is a contradiction, since the right view could not have
+    missed the nearer point: 1, fading between one and two pixels. A smaller one, or a match outside, is hidden.
 
     Parameters
     ----------
     right : (H, W) disparities of the right view
-    hidden : what a hidden pixel costs
+    hidden : contradiction counted for a hidden pixel
     """
     return _smoothed(maps, support, _contradict, right, np.float32(hidden))
 

@@ -32,7 +32,9 @@ class MapSource(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    weight: float = Field(1.0, ge=0, le=100, description="what it counts where maps agree; the own map counts 1")
+    weight: float = Field(
+        1.0, ge=0, le=100, description="weight of its vote in the agreement of maps; the own map has 1"
+    )
 
 
 class PipelineMap(MapSource):
@@ -54,7 +56,7 @@ class PlaneMap(MapSource):
 
 
 class MapFusion(BaseModel):
-    """The own map and those of other methods, and which of them is taken where.
+    """The map of the fused costs and maps of other methods, and which of them is taken at a pixel.
 
     Proposed are the median of the maps, the own map, those of ``matchers``, of ``optimizations`` and of
     ``segmentations``, in this order.

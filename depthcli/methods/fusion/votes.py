@@ -94,7 +94,7 @@ class Ballot:
         return np.minimum(shares, np.float32(1.0))
 
     def costs(self, base: CostVolume | None, strength: float, largest: int) -> CostVolume:
-        """Add ``strength`` to the costs of a disparity that nobody votes for, less the more votes it has.
+        """Return the costs plus ``strength`` times the share of the votes that a disparity does not have.
 
         Parameters
         ----------

@@ -114,7 +114,7 @@ class MatchSelection(BaseModel):
 
 @dataclass(frozen=True)
 class CrossModalMatches:
-    """Stereo of a rectified pair.
+    """Disparities of a rectified color and infrared pair.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class CrossModalMatches:
 
 
 class CrossModal(BaseModel):
-    """Color mixed to resemble infrared, fused structure measures, planes over color segments, reliable matches kept."""
+    """Stereo of infrared and of color mixed to resemble it: fused costs, planes over segments, reliable matches."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -194,7 +194,7 @@ class CrossModal(BaseModel):
     def match(
         self, color: NDArray[np.uint8], infrared: NDArray[np.uint8], sensor: NDArray[np.float32]
     ) -> CrossModalMatches:
-        """Match a rectified pair.
+        """Return the disparities of a rectified pair.
 
         Parameters
         ----------

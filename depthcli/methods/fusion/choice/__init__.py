@@ -33,7 +33,7 @@ class Proposals:
     kinds : names of the methods that made them
     values : (N, H, W) float32 disparities without gaps, 0 .. D - 1
     filled : (N, H, W) uint8: 0 measured, 1 filled, 2 filled where the right view does not see
-    weights : (N,) float32, what a map counts where maps agree
+    weights : (N,) float32, weight of a map's vote in the agreement of maps
     pair : the images
     volume : the fused costs
     right : (H, W) uint16 disparities of the right view
@@ -67,7 +67,7 @@ class ChosenMap:
 
 
 class ChoiceMethod(Method):
-    """Makes one map of several."""
+    """A way to choose one of several maps at every pixel."""
 
     confidences: ClassVar[tuple[str, ...]] = ()
     """Names of the confidences that it gives."""

@@ -91,7 +91,7 @@ def current_name(name: str) -> str:
 
 @dataclass(frozen=True)
 class NetworkInputs:
-    """Inputs of a pair's proposals, as planes; :func:`rows` puts them side by side.
+    """Inputs of a pair's proposals, as planes; :meth:`rows` puts them side by side.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ _MIN_DIFFERENCE = 0.25  # maps that are closer than this count as the same, pixe
 
 
 class LeastEnergyChoice(ChoiceMethod):
-    """The mix of the maps of least energy: by costs, by the other maps, by the right view, and smooth.
+    """The smooth mix of maps that costs, the other maps and the right view contradict least, by graph cuts.
 
     The energy of a map is the sum over its pixels of ``cost_weight`` times the matching cost along it,
     ``agreement_weight`` times the weighted share of the other maps that disagree, ``visibility_weight`` times how far

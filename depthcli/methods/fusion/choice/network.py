@@ -32,7 +32,7 @@ _TILE = 4  # units of a layer that are summed at a time: their sums stay in regi
 
 
 class NetworkChoice(ChoiceMethod):
-    """The proposal that a small network finds most likely to be right to a pixel.
+    """The proposal that a small network finds most likely to be right within a pixel.
 
     For every proposal of a pixel the network, the same one for all pixels, gets some forty inputs: the costs along it,
     which others agree, what the right view says, its shape. Its outputs become shares by a softmax over the

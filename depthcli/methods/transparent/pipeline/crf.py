@@ -20,7 +20,7 @@ from depthcli.methods.transparent.unreliable import UnreliableRegions
 
 
 class DenseCrf(TransparentPipeline):
-    """Labels are steps of inverse depth, with costs from sensor, samples and fit, and a smoothness of similar pixels.
+    """A dense CRF: labels are steps of inverse depth, costs come from sensor, samples and planes, similar pixels agree.
 
     With ``unreliable`` the sensor's costs are dropped where it is unreliable; only these pixels and its gaps are
     labelled, with a band around, and elsewhere the sensor's value stays. Without it every pixel is labelled, as the
