@@ -292,7 +292,7 @@ def test_eth3d_counts_the_estimated_pixels_and_neither_clips_nor_rounds():
 @given(st.integers(0, 10**6), st.lists(st.sampled_from(["map", "empty", "empty row"]), min_size=1, max_size=4))
 @settings(max_examples=60, deadline=None)
 def test_kitti_agrees_with_the_kits_formulas(seed, kinds):
-    """Over frames of several sizes, of which some have no estimate at all, or none in a row: figures and densities."""
+    """Frames of several sizes, some without any estimate or with an empty row: counts, figures and densities."""
     frames = []
     for k, kind in enumerate(kinds):
         estimate, truth, mask = random_maps(seed + k, (5 + 3 * k, 11 - 2 * k))
