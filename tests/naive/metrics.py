@@ -103,8 +103,8 @@ def submitted(disparity):
 def kitti_frame(estimate, truth, mask, wrong):
     """Sums of one frame by the rules of both kits, in loops over columns, then rows.
 
-    Written from the rules (frames averaged or pooled, divisors of at least 1); the kits' programs are not run here. What
-    they printed for maps with estimates in every frame is in ``test_numbers_of_evaluate_stereo`` and
+    Written from the rules (frames averaged or pooled, divisors of at least 1); the kits' programs are not run here.
+    What they printed for maps with estimates in every frame is in ``test_numbers_of_evaluate_stereo`` and
     ``test_numbers_of_evaluate_scene_flow``.
 
     ``wrong(error, true)`` judges a pixel. (wrong, error sum, pixels) of the interpolated map, then of the pixels that
