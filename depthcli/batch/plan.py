@@ -17,8 +17,8 @@ from depthcli.batch.console import aligned
 from depthcli.batch.install import OTHER_RUN, foreign_results, not_ours
 from depthcli.batch.json_csv import Row
 from depthcli.batch.records import Record, file_digest, read_record
-from depthcli.batch.reports import finished_row, read_report
-from depthcli.batch.run_folder import refusal
+from depthcli.batch.reports import finished_row
+from depthcli.batch.run_folder import refusal, saved_config
 from depthcli.batch.task import Run, RunOptions, Task
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError
@@ -53,19 +53,18 @@ def check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
             raise ConfigError(f"{output}: {scene.name} is a link to {target}; give the folder that it leads to instead")
 
 
-def check_files(run: Run, scenes: Sequence[Scene], output: Path, earlier: Mapping[str, Row]) -> None:
+def check_files(run: Run, scenes: Sequence[Scene], output: Path) -> None:
     """Raise ConfigError where results would replace a scene of another run, or files that no run wrote.
 
-    What the ``earlier`` report of the folder lists as done is ours.
+    In a folder of this very run they may be results whose record was lost: these are compared when they are computed.
     """
-    identity = run.identity
+    identity, text = run.identity, run.text
     for scene in scenes if not run.options.overwrite else []:
         if (known := read_record(output, scene.name)) is not None and known.run != identity:
             raise ConfigError(f"{output / scene.name}: {OTHER_RUN}")
     foreign = [
         f"{scene.name}/{name}"
-        for scene in scenes
-        if earlier.get(scene.name, {}).get("status") != "done"
+        for scene in (scenes if saved_config(output) != text else [])
         for name in foreign_results(output / scene.name, run.command.results)
     ]
     if foreign:
@@ -145,7 +144,7 @@ def plan_document(
         rows.append(row)
     refused = f"{output}: holds a run made with another config; needs --overwrite" if refusal(output, run.text) else ""
     try:
-        check_files(run, own, output, read_report(output, facts=False))
+        check_files(run, own, output)
     except ConfigError as error:
         refused = refused or str(error)
     values = config.model_dump(mode="json", by_alias=True) if isinstance(config, BaseModel) else dict(config)

@@ -108,7 +108,7 @@ class _Batch:
         first = lock.alone or not lock.locks  # without locks the first shard has no sign that it is the first
         if first:
             check_folder(output, text, overwrite)
-        check_files(self.run, self.scenes, output, earlier)
+        check_files(self.run, self.scenes, output)
         if first and saved_config(output) != text:
             write_text(output / records.RUN_FILE, text)
         if lock.alone:

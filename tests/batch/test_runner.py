@@ -476,7 +476,7 @@ def test_files_that_no_record_claims_are_never_replaced(folder: Folder, overwrit
 
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_own_files_in_the_place_of_results_are_found_before_anything_is_computed(folder: Folder, overwrite: bool):
-    """They are named in one line, and nothing is written; what a report or a damaged record speaks of is ours."""
+    """They are named in one line, and nothing is written; results whose record is lost or damaged are ours."""
     folder.results = ("out.*", "*/out.*")
     for name in ("a/out.txt", "b/frame/out.png", "c/notes.txt", "d/out.txt", "d/out.png"):
         (folder.output / name).parent.mkdir(parents=True, exist_ok=True)
@@ -494,8 +494,10 @@ def test_own_files_in_the_place_of_results_are_found_before_anything_is_computed
     for name in ("a/out.txt", "b/frame/out.png", "d/out.txt", "d/out.png"):
         (folder.output / name).unlink()
     folder.run(overwrite=overwrite)
-    (folder.output / "a/record.json").unlink()  # its report is left
+    (folder.output / "a/record.json").unlink()
     (folder.output / "b/record.json").write_text("damaged")
+    for path in folder.reports():
+        path.unlink()
     assert {row["status"] for row in folder.run(overwrite=overwrite).values()} == {"done"}
     assert folder.computed() == ["a", "b"]
 
