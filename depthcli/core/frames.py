@@ -136,10 +136,7 @@ class RgbdFrame:
         if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
             raise ValueError(f"want (H, W, 3) uint8 color, got {self.color.shape} {self.color.dtype}")
         if self.depth.shape != self.color.shape[:2] or self.depth.dtype != np.float32:
-            raise ValueError(
-                f"want float32 depth of the color image's size {self.color.shape[:2]}, "
-                f"got {self.depth.shape} {self.depth.dtype}"
-            )
+            raise ValueError(f"want float32 depth {self.shape}, got {self.depth.shape} {self.depth.dtype}")
 
     @property
     def shape(self) -> tuple[int, int]:

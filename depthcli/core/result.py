@@ -48,10 +48,8 @@ class RefinedDepth(Result):
 
     def __post_init__(self) -> None:
         if self.sigma.shape != self.depth.values.shape or self.sigma.dtype != np.float32:
-            raise ValueError(
-                f"want float32 sigma of the depth's size {self.depth.values.shape}, "
-                f"got {self.sigma.shape} {self.sigma.dtype}"
-            )
+            want, got = self.depth.values.shape, self.sigma.shape
+            raise ValueError(f"want float32 sigma {want}, got {got} {self.sigma.dtype}")
 
 
 class Clock:

@@ -52,15 +52,15 @@ def test_without_samples_there_is_no_value():
     assert not fit.confidence.any()
 
 
-@pytest.mark.parametrize("leave_own", [False, True])
-def test_the_fit_agrees_with_the_reference(leave_own):
+@pytest.mark.parametrize("skip_own", [False, True])
+def test_the_fit_agrees_with_the_reference(skip_own):
     shape = (24, 31)
     samples, image = _scattered(3, shape, 90), texture((*shape, 3), 4)
     fit = SamplePlaneFit(neighbors=12, color_scale=80, steps=4)
     at = (samples.rows, samples.columns)
-    ours = fit(samples, image, 0.01, at, leave_own)
+    ours = fit(samples, image, 0.01, at, skip_own)
     expected = np.array([
-        naive.robust_fit(samples.rows, samples.columns, samples.values, image, y, x, 0.01, 12, 80, 0.8, 4, leave_own)
+        naive.robust_fit(samples.rows, samples.columns, samples.values, image, y, x, 0.01, 12, 80, 0.8, 4, skip_own)
         for y, x in zip(*at, strict=True)
     ])  # fmt: skip
     # A sample on the edge of a gate may fall either way in single precision: a few pixels differ.

@@ -54,7 +54,7 @@ class SamplePlaneFit(BaseModel):
         image: NDArray[np.uint8],
         noise: float,
         at: tuple[NDArray[np.int32], NDArray[np.int32]],
-        leave_own: bool = False,
+        skip_own: bool = False,
         marks: NDArray[np.float32] | None = None,
     ) -> SamplePlanes:
         """Fit a plane at every one of some pixels.
@@ -65,11 +65,11 @@ class SamplePlaneFit(BaseModel):
         image : (H, W, 3) uint8
         noise : standard deviation of good samples, in the unit of their values
         at : (P,) int32 rows and columns of the pixels
-        leave_own : leave out a sample on the pixel itself
+        skip_own : leave out a sample on the pixel itself
         marks : (M,) float32, a property of the samples to average
         """
         shape = image.shape[0], image.shape[1]
-        nearest = samples.nearest(at, self.neighbors, shape, leave_own)
+        nearest = samples.nearest(at, self.neighbors, shape, skip_own)
         values, sigma = (np.full(at[0].size, np.nan, np.float32) for _ in range(2))
         confidence, mark = (np.zeros(at[0].size, np.float32) for _ in range(2))
         marks = np.zeros(samples.values.size, np.float32) if marks is None else marks

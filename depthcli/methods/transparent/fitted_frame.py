@@ -61,7 +61,7 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, rule: UnreliableRegions, 
     sensor = inverse_depth(frame.depth)
     samples = Samples.of(inverse_depth(frame.sparse))
     noise = sample_noise(samples, sensor)
-    own = fit(samples, frame.color, noise, (samples.rows, samples.columns), leave_own=True)
+    own = fit(samples, frame.color, noise, (samples.rows, samples.columns), skip_own=True)
     measured = sensor[samples.rows, samples.columns]
     agrees = np.abs(samples.values - own.values) <= _FIT_TOLERANCE * noise
     agrees |= np.abs(samples.values - measured) <= _SENSOR_TOLERANCE * noise
