@@ -67,7 +67,7 @@ def consecutive(parent):  # type: ignore[no-untyped-def]
 
 
 @dataclass(frozen=True)
-class Members:
+class RegionPixels:
     """The pixels of every region of a label map.
 
     Attributes
@@ -82,7 +82,7 @@ class Members:
     @classmethod
     def of(
         cls, labels: NDArray[np.int32], chosen: NDArray[np.bool_] | None = None, count: int | None = None
-    ) -> Members:
+    ) -> RegionPixels:
         """Sort the pixels of an (H, W) map by label, all of them or only the ``chosen`` ones."""
         count = int(labels.max()) + 1 if count is None else count
         chosen = np.ones(labels.shape, np.bool_) if chosen is None else chosen

@@ -15,7 +15,7 @@ from depthcli.algorithms.plane_fitting.least_squares import (
     smallest,
     solve_cholesky,
 )
-from depthcli.algorithms.regions import Members
+from depthcli.algorithms.regions import RegionPixels
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Values that refine-kinect dsrm was published with; nothing in the repository varies them.
@@ -101,7 +101,7 @@ def fit_polynomials(
         bounds, scale = np.full((count, 2), nan), np.full(count, nan)
         start = Surfaces(np.zeros((count, 6)), np.full((count, 2), np.nan), bounds, scale, float(max(labels.shape)))
     fitted = copy.deepcopy(start)
-    known = Members.of(labels, (labels >= 0) & ~np.isnan(values), len(fitted.scale))
+    known = RegionPixels.of(labels, (labels >= 0) & ~np.isnan(values), len(fitted.scale))
     _fit(
         known.order, known.starts, values, fitted.coefficients, fitted.center, fitted.bounds, fitted.scale, fitted.unit,
         degree, huber, iterations, warm_iterations, floor, samples,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
-from depthcli.algorithms.regions import Members
+from depthcli.algorithms.regions import RegionPixels
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Choices of this program; nothing in the repository varies them.
@@ -88,7 +88,7 @@ class SegmentPlaneFit(BaseModel):
     )  # fmt: skip
     seed: int = Field(0, ge=0, le=2**31 - 1, description="of the RANSAC samples, with the number of the segment")
 
-    def __call__(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> SegmentPlanes:
+    def __call__(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
         """Fit one plane to each of the segments ``chosen`` (K,), none of them empty.
 
         Where no three pixels span a plane of an allowed slope, it is the flat one of the median disparity.
@@ -100,12 +100,12 @@ class SegmentPlaneFit(BaseModel):
         """
         return self._planes(values, members, chosen, self.trials, self.max_slope, self.flatness)
 
-    def constant(self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64]) -> SegmentPlanes:
+    def constant(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
         """Return the plane of constant disparity, the median, of each of the segments ``chosen``."""
         return self._planes(values, members, chosen, 0, 0.0, 0.0)
 
     def _planes(
-        self, values: NDArray[np.float32], members: Members, chosen: NDArray[np.int64],
+        self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64],
         trials: int, max_slope: float, flatness: float,
     ) -> SegmentPlanes:  # fmt: skip
         planes = SegmentPlanes(np.zeros((len(chosen), 3)), np.zeros(len(chosen), np.int64), np.zeros((len(chosen), 2)))

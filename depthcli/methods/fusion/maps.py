@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
-from depthcli.algorithms.regions import Members
+from depthcli.algorithms.regions import RegionPixels
 from depthcli.algorithms.segmentation import Segmentation
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
@@ -136,7 +136,7 @@ class MapFusion(BaseModel):
         for source in self.segmentations:
             labels = source.segmentation(image)
             count = int(labels.max()) + 1
-            members = Members.of(labels, _largest_agreement(agreeing, labels, count).ravel(), count)
+            members = RegionPixels.of(labels, _largest_agreement(agreeing, labels, count).ravel(), count)
             fitted = self.planes(median, members, np.arange(count))
             planes.append(fitted.at(labels, max_disparity))
         sources = (*self.matchers, *self.optimizations, *self.segmentations)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
-from depthcli.algorithms.regions import Members, region_graph
+from depthcli.algorithms.regions import RegionPixels, region_graph
 from depthcli.batch.presets import find_config
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import StereoPair
@@ -156,18 +156,18 @@ def test_ransac_finds_the_plane_among_outliers_and_any_order():
     values[wild] = rng.uniform(0, 20, wild.sum())
     labels = np.zeros((30, 40), np.int32)
     labels[:, 20:] = 1
-    planes = FIT(values, Members.of(labels), np.array([0, 1]))
+    planes = FIT(values, RegionPixels.of(labels), np.array([0, 1]))
     assert np.allclose(planes.coefficients, [0.1, -0.05, 7], atol=0.02)
     assert np.all(planes.support >= 0.58 * 600)
-    backwards = FIT(values, Members.of(labels), np.array([1, 0]))
+    backwards = FIT(values, RegionPixels.of(labels), np.array([1, 0]))
     assert np.array_equal(backwards.coefficients[::-1], planes.coefficients)
 
 
 def test_degenerate_segments_get_a_flat_plane():
     values = np.array([[1, 2, 3, 4, 5]], np.float32)  # on a line: no plane is determined
-    planes = FIT(values, Members.of(np.zeros((1, 5), np.int32)), np.array([0]))
+    planes = FIT(values, RegionPixels.of(np.zeros((1, 5), np.int32)), np.array([0]))
     assert planes.coefficients.tolist() == [[0, 0, 3]]
-    assert FIT.constant(values, Members.of(np.zeros((1, 5), np.int32)), np.array([0])).support.tolist() == [1]
+    assert FIT.constant(values, RegionPixels.of(np.zeros((1, 5), np.int32)), np.array([0])).support.tolist() == [1]
 
 
 def test_near_duplicates_are_dropped_and_represented():
@@ -185,7 +185,7 @@ def test_discrepancy_is_equation_2_9(truncation):
     trusted = rng.random((9, 12)) < 0.6
     trusted[_labels() == 3] = False
     rows = [(0.1, 0.0, 2.0), (0.0, 0.2, 1.0), (0.0, 0.0, 3.0)]
-    members = Members.of(_labels(), trusted, 4)
+    members = RegionPixels.of(_labels(), trusted, 4)
     unary = energy.discrepancy(values, members, _planes(*rows), 10.0, truncation)
     assert np.allclose(unary, naive.discrepancy(values, trusted, _labels(), rows, 10.0, truncation), rtol=1e-4)
     assert np.all(unary[3] == 0)  # nothing trusted: any plane
@@ -196,7 +196,7 @@ def test_matching_cost_sums_the_volume():
     costs = rng.integers(0, 200, (9, 12, 6)).astype(np.uint8)
     trusted = rng.random((9, 12)) < 0.6
     rows = [(0.1, 0.0, 2.0), (0.0, 0.0, 5.0), (0.0, 0.0, 9.0)]
-    members = Members.of(_labels(), trusted, 4)
+    members = RegionPixels.of(_labels(), trusted, 4)
     expected = naive.matching_cost(costs, trusted, _labels(), rows)
     assert np.allclose(energy.matching_cost(CostVolume(costs, 2.0), members, _planes(*rows), 3.0), expected * 1.5)
 
@@ -204,7 +204,7 @@ def test_matching_cost_sums_the_volume():
 def test_visibility_charges_planes_in_front_of_what_the_right_view_sees():
     labels = np.zeros((1, 10), np.int32)
     right = np.full((1, 10), 3, np.uint16)
-    members = Members.of(labels, np.arange(10)[None] >= 6)
+    members = RegionPixels.of(labels, np.arange(10)[None] >= 6)
     unary = energy.visibility(right, members, _planes((0, 0, 3), (0, 0, 4), (0, 0, 5), (0, 0, 9)), 2.0)
     assert unary.tolist() == [[0, 0, 8, 2]]  # at 9 only x = 9 points into the right image
 

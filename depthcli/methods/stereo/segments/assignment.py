@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.algorithms.alpha_expansion import alpha_expansion, potts_energy
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit, SegmentPlanes
-from depthcli.algorithms.regions import Members, joined_regions
+from depthcli.algorithms.regions import RegionPixels, joined_regions
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.segments.energy import Energy, smoothness
 from depthcli.methods.stereo.segments.segmented_image import SegmentedImage
@@ -40,7 +40,7 @@ class Candidates(SegmentPlaneFit):
             # One flat plane for all trusted pixels.
             if not segments.first.trusted.any():
                 return None
-            everything = Members.of(np.zeros_like(segments.labels), segments.first.trusted, 1)
+            everything = RegionPixels.of(np.zeros_like(segments.labels), segments.first.trusted, 1)
             return self.constant(values, everything, np.zeros(1, np.int64))
         own = self(values, segments.trusted, chosen)
         return SegmentPlanes.joined(own, self.constant(values, segments.trusted, chosen)) if self.flat else own
@@ -119,7 +119,7 @@ def regrouped(
     edges = segments.graph.edges
     same = labels[edges[:, 0]] == labels[edges[:, 1]]
     groups = joined_regions(len(labels), edges[same])
-    members = Members.of(groups[segments.labels], segments.first.trusted, int(groups.max()) + 1)
+    members = RegionPixels.of(groups[segments.labels], segments.first.trusted, int(groups.max()) + 1)
     chosen = np.flatnonzero(members.sizes >= _MIN_GROUP_SIZE)
     index = np.full(len(members.sizes), -1, np.int64)
     index[chosen] = np.arange(len(chosen))

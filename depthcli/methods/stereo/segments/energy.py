@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlanes
-from depthcli.algorithms.regions import Members, RegionGraph
+from depthcli.algorithms.regions import RegionGraph, RegionPixels
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.stereo.segments import Step
 from depthcli.methods.stereo.segments.segmented_image import SegmentedImage
@@ -44,7 +44,7 @@ class Energy(Step):
 
 
 def discrepancy(
-    values: NDArray[np.float32], trusted: Members, planes: SegmentPlanes, weight: float, truncation: float
+    values: NDArray[np.float32], trusted: RegionPixels, planes: SegmentPlanes, weight: float, truncation: float
 ) -> NDArray[np.float64]:
     """Compute the disparity estimate discrepancy cost (eq. 2.9) of every plane in every segment.
 
@@ -99,7 +99,9 @@ def _discrepancy(values, width, order, starts, coefficients, weight, truncation,
             unary[t, label] = weight * total * np.exp(-n / m)
 
 
-def matching_cost(volume: CostVolume, trusted: Members, planes: SegmentPlanes, weight: float) -> NDArray[np.float64]:
+def matching_cost(
+    volume: CostVolume, trusted: RegionPixels, planes: SegmentPlanes, weight: float
+) -> NDArray[np.float64]:
     """Sum the matching costs of a segment's trusted pixels at every plane's disparity; (n, L) float64.
 
     Disparities are rounded and limited to the volume's. The sum is in units of the measure, times ``weight``.
@@ -128,7 +130,9 @@ def _matching_cost(costs, width, order, starts, coefficients, weight, unary):  #
             unary[t, label] *= weight
 
 
-def visibility(right: NDArray[Any], untrusted: Members, planes: SegmentPlanes, weight: float) -> NDArray[np.float64]:
+def visibility(
+    right: NDArray[Any], untrusted: RegionPixels, planes: SegmentPlanes, weight: float
+) -> NDArray[np.float64]:
     """Compute the cost of planes that put pixels in front of the right view's surface; (n, L) float64.
 
     A pixel that failed the left-right check is occluded or mismatched. With a disparity more than a pixel above that
@@ -154,7 +158,9 @@ def _visibility(right, order, starts, coefficients, weight, unary):  # type: ign
                     unary[t, label] += weight
 
 
-def out_of_range(everything: Members, width: int, planes: SegmentPlanes, max_disparity: float) -> NDArray[np.float64]:
+def out_of_range(
+    everything: RegionPixels, width: int, planes: SegmentPlanes, max_disparity: float
+) -> NDArray[np.float64]:
     """Compute the prohibitive cost of planes that leave [0, ``max_disparity``] by more than a pixel; (n, L) float64."""
     unary = np.zeros((len(everything.starts) - 1, len(planes)))
     _out_of_range(everything.order, everything.starts, width, planes.coefficients, max_disparity, unary)

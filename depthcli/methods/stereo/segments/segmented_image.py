@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
-from depthcli.algorithms.regions import Members, RegionGraph, connected_components_of_labels, merge_small_labels
+from depthcli.algorithms.regions import RegionGraph, RegionPixels, connected_components_of_labels, merge_small_labels
 from depthcli.methods.stereo.segments import Step
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate
 
@@ -46,7 +46,7 @@ class Split(Step):
         plane_fit = fit.model_copy(update={"tolerance": self.tolerance})
         for cell in self.cells:
             count = int(labels.max()) + 1
-            members = Members.of(labels, first.trusted, count)
+            members = RegionPixels.of(labels, first.trusted, count)
             sizes = np.bincount(labels.ravel(), minlength=count)
             active = np.flatnonzero((members.sizes >= 3) & (sizes > cell * cell // 2))
             if len(active) == 0:
@@ -79,9 +79,9 @@ class SegmentedImage:
     labels: NDArray[np.int32]
     first: FirstEstimate
     graph: RegionGraph
-    trusted: Members
-    untrusted: Members
-    everything: Members
+    trusted: RegionPixels
+    untrusted: RegionPixels
+    everything: RegionPixels
     max_disparity: int
 
     @classmethod
@@ -90,6 +90,6 @@ class SegmentedImage:
     ) -> SegmentedImage:
         """Return the segments of ``labels`` with their pixels sorted."""
         trusted, untrusted, everything = (
-            Members.of(labels, mask, len(graph.sizes)) for mask in (first.trusted, ~first.trusted, None)
+            RegionPixels.of(labels, mask, len(graph.sizes)) for mask in (first.trusted, ~first.trusted, None)
         )
         return cls(labels, first, graph, trusted, untrusted, everything, max_disparity)
