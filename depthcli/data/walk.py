@@ -132,7 +132,7 @@ class BrokenScene(Scene):
 
     @property
     def input_files(self) -> dict[str, Path]:
-        """No file: none can be named."""
+        """Return no file: none can be named."""
         return {}
 
     def load(self) -> None:

@@ -66,7 +66,7 @@ def read_field(path: Path, fixed: Grid) -> Field:
         own.
     """
     with naming(path):
-        kind = suffix_of(path)
+        kind, named = suffix_of(path), "itk"
         if kind == ".npz":
             return _bare(_npz(path), fixed)
         if kind in (".nii", ".nii.gz"):
@@ -76,12 +76,10 @@ def read_field(path: Path, fixed: Grid) -> Field:
                 values = simple_itk().GetArrayFromImage(read_image(path))
                 values.reshape(-1)[bad] = np.nan  # which SimpleITK made 0
                 return _bare(values.transpose(1, 2, 3, 0), fixed)
-            volume = read_volume(path, vector=True)
             if header["intent_name"] == "NREG_TRANS":
-                return Field(volume.values, volume.grid, "positions" if round(header["intent_p1"]) == 0 else "niftyreg")
-            return Field(volume.values, volume.grid, "itk")
+                named = "positions" if abs(header["intent_p1"]) < 0.5 else "niftyreg"
         volume = read_volume(path, vector=True)
-        return Field(volume.values, volume.grid, "itk")
+        return Field(volume.values, volume.grid, named)
 
 
 def _npz(path: Path) -> NDArray[Any]:
@@ -94,9 +92,7 @@ def _npz(path: Path) -> NDArray[Any]:
     fields = [array for array in arrays if array.ndim == 4 and 3 in (array.shape[0], array.shape[3])]
     if len(fields) != 1:
         raise InputError("want one array (X, Y, Z, 3) or (3, X, Y, Z) of displacements")
-    array = fields[0] if fields[0].shape[3] == 3 else np.moveaxis(fields[0], 0, 3)
-    turned: NDArray[Any] = array.transpose(2, 1, 0, 3)
-    return turned
+    return np.transpose(fields[0], (2, 1, 0, 3) if fields[0].shape[3] == 3 else (3, 2, 1, 0))
 
 
 def _bare(values: NDArray[Any], fixed: Grid) -> Field:
@@ -110,19 +106,13 @@ def _bare(values: NDArray[Any], fixed: Grid) -> Field:
 def in_millimeters(field: Field, reading: str) -> NDArray[np.float64]:
     """Return the displacement, (Z, Y, X, 3) mm, LPS, of a field read as a key of READINGS."""
     values: NDArray[np.float64] = field.values.astype(np.float64)
-    ras = np.array([-1.0, -1.0, 1.0])
     if reading == "voxels":
-        turned: NDArray[np.float64] = (values * np.array(field.grid.spacing)) @ field.grid.axes.T
-        return turned
-    if reading == "itk":
-        return values
-    if reading == "niftyreg":
-        values *= ras
-        return values
-    z, y, x = np.meshgrid(*(np.arange(n, dtype=np.float64) for n in field.grid.shape), indexing="ij")
-    places = np.stack([z.ravel(), y.ravel(), x.ravel()], axis=1)
-    values *= ras
-    values -= field.grid.to_point(places).reshape(values.shape)
+        return np.asarray((values * np.array(field.grid.spacing)) @ field.grid.axes.T, np.float64)
+    if reading != "itk":
+        values *= np.array([-1.0, -1.0, 1.0])  # from RAS
+    if reading == "positions":
+        places = np.ascontiguousarray(np.indices(field.grid.shape, np.float64).reshape(3, -1).T)
+        values -= field.grid.to_point(places).reshape(values.shape)
     return values
 
 
@@ -144,10 +134,8 @@ def read_moving_transform(
         A file cannot be used, or another reading is clearly better than the one its header says.
     """
     sitk = simple_itk()
-    chain = []
     after = None if transform is None else read_transform(transform)
-    if after is not None:
-        chain.append(after)
+    chain = [] if after is None else [after]
     if displacement is not None and suffix_of(displacement) in (".h5", ".tfm", ".txt"):
         chain.append(read_transform(displacement))
     elif displacement is not None:
@@ -161,7 +149,9 @@ def read_moving_transform(
         if convention == "auto" and moving is not None:
             with naming(displacement):
                 _check_reading(field, reading, fixed, moving, after)
-        chain.append(_as_transform(in_millimeters(field, reading), field.grid))
+        image = sitk.GetImageFromArray(in_millimeters(field, reading), isVector=True)
+        place(image, field.grid)
+        chain.append(sitk.DisplacementFieldTransform(image))
     if not chain:
         raise InputError("neither a transform nor a displacement field")
     return sitk.CompositeTransform(chain)
@@ -175,19 +165,11 @@ def _chosen(field: Field, convention: str) -> str:
     return "itk" if convention == "ants" else convention
 
 
-def _as_transform(displacement: NDArray[np.float64], grid: Grid) -> Any:
-    sitk = simple_itk()
-    image = sitk.GetImageFromArray(displacement, isVector=True)
-    place(image, grid)
-    return sitk.DisplacementFieldTransform(image)
-
-
 def _check_reading(field: Field, named: str, fixed: Volume, moving: Volume, after: Any) -> None:
     """Refuse a field that warps the moving volume clearly better under another reading than the named one."""
     count = int(np.prod(field.grid.shape))
     chosen = np.arange(0, count, max(1, count // _N_SAMPLES))
-    z, y, x = np.unravel_index(chosen, field.grid.shape)
-    places = np.stack([z, y, x], axis=1).astype(np.float64)
+    places = np.stack(np.unravel_index(chosen, field.grid.shape), axis=1).astype(np.float64)
     points = field.grid.to_point(places)
     at = fixed.grid.to_index(points)
     inside = np.all((at >= 0) & (at <= np.array(fixed.grid.shape) - 1), axis=1)

@@ -12,7 +12,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -238,16 +238,20 @@ def write_volume(path: Path, grid: Grid, slab: Slab, vector: bool = False) -> No
     A field is written in mm along LPS, as ITK reads it; in NIfTI with the intent of a vector (1007).
     """
     kind = suffix_of(path)
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        if kind in (".nii", ".nii.gz"):
-            _write_nifti(file, grid, slab, vector, kind == ".nii.gz")
-        elif kind == ".nrrd":
-            file.write(_nrrd_header(grid, vector))
-            with gzip.GzipFile("", "wb", 1, file, mtime=0) as packed:
-                _write_slabs(packed, grid, slab, None)
-        else:
-            file.write(_meta_header(grid, vector))
-            _write_slabs(file, grid, slab, None)
+    nifti = kind in (".nii", ".nii.gz")
+    step = max(1, (1 << 21) // (grid.size[0] * grid.size[1]))
+    with atomic_path(path) as temporary, open(temporary, "wb") as file, contextlib.ExitStack() as stack:
+        packed: Any = file
+        if not nifti:
+            file.write((_nrrd_header if kind == ".nrrd" else _meta_header)(grid, vector))
+        if kind in (".nii.gz", ".nrrd"):
+            packed = stack.enter_context(gzip.GzipFile("", "wb", 1, file, mtime=0))
+        if nifti:
+            packed.write(encode_header(grid, vector))
+        for part in range(3) if vector and nifti else (slice(None),):  # NIfTI has the components one after another
+            for first in range(0, grid.shape[0], step):
+                values = slab(first, min(first + step, grid.shape[0]))
+                packed.write(np.ascontiguousarray(values[..., part], "<f4").data)
 
 
 def write_array(path: Path, grid: Grid, values: NDArray[np.float32]) -> None:
@@ -255,33 +259,17 @@ def write_array(path: Path, grid: Grid, values: NDArray[np.float32]) -> None:
     write_volume(path, grid, lambda first, last: values[first:last], values.ndim == 4)
 
 
-def _write_slabs(file: Any, grid: Grid, slab: Slab, part: int | None) -> None:
-    depth = grid.shape[0]
-    step = max(1, (1 << 21) // (grid.size[0] * grid.size[1]))
-    for first in range(0, depth, step):
-        values = slab(first, min(first + step, depth))
-        file.write(np.ascontiguousarray(values if part is None else values[..., part], "<f4").data)
-
-
-def _write_nifti(file: BinaryIO, grid: Grid, slab: Slab, vector: bool, packed: bool) -> None:
-    target: Any = gzip.GzipFile("", "wb", 1, file, mtime=0) if packed else file
-    target.write(encode_header(grid, vector))
-    for part in range(3) if vector else (None,):
-        _write_slabs(target, grid, slab, part)
-    if packed:
-        target.close()
-
-
 def _meta_header(grid: Grid, vector: bool) -> bytes:
     # MetaImage lists the axes one after another; ITK's matrix has them as columns.
-    axes = " ".join(f"{v:.17g}" for v in grid.axes.T.ravel())
+    axes, origin, spacing = (
+        " ".join(f"{v:.17g}" for v in values) for values in (grid.axes.T.ravel(), grid.origin, grid.spacing)
+    )
     parts = "ElementNumberOfChannels = 3\n" if vector else ""
     return (
         "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\nCompressedData = False\n"
-        f"TransformMatrix = {axes}\nOffset = {' '.join(f'{v:.17g}' for v in grid.origin)}\n"
-        "CenterOfRotation = 0 0 0\nAnatomicalOrientation = RAI\n"
-        f"ElementSpacing = {' '.join(f'{v:.17g}' for v in grid.spacing)}\n"
-        f"DimSize = {' '.join(map(str, grid.size))}\n{parts}ElementType = MET_FLOAT\nElementDataFile = LOCAL\n"
+        f"TransformMatrix = {axes}\nOffset = {origin}\nCenterOfRotation = 0 0 0\nAnatomicalOrientation = RAI\n"
+        f"ElementSpacing = {spacing}\nDimSize = {' '.join(map(str, grid.size))}\n{parts}ElementType = MET_FLOAT\n"
+        "ElementDataFile = LOCAL\n"
     ).encode("ascii")
 
 

@@ -44,7 +44,7 @@ class Scene(ABC):
 
     @property
     def has_truth(self) -> bool:
-        """Whether there is ground truth to compare with."""
+        """True where there is ground truth to compare with."""
         return False
 
     @abstractmethod

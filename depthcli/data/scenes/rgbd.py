@@ -103,7 +103,7 @@ class RgbdScene(Scene):
 
     @property
     def has_truth(self) -> bool:
-        """Whether the true depth is known."""
+        """True where the true depth is known."""
         return self.depth_true is not None
 
     def load(self) -> RgbdFrame:

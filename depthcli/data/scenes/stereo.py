@@ -161,7 +161,7 @@ class StereoScene(Scene):
 
     @property
     def has_truth(self) -> bool:
-        """Whether the left view's disparity is known."""
+        """True where the left view's disparity is known."""
         return self.disparity_left is not None
 
     def load_views(self) -> tuple[Image, Image]:

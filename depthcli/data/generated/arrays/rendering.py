@@ -114,15 +114,8 @@ def _shade(room: Room, surface: Surface, lightmap: NDArray[np.float32] | None, p
     column, row = np.clip(column, -20000, 20000), np.clip(row, -20000, 20000)
     paint = cv2.remap(surface.texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
     if lightmap is not None:
-        height, width = surface.texture.shape[:2]
-        side = _LIGHTMAP_SIDE - 1
-        light = cv2.remap(
-            lightmap,
-            column * np.float32(side / max(width - 1, 1)),
-            row * np.float32(side / max(height - 1, 1)),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
+        y, x = (np.float32((_LIGHTMAP_SIDE - 1) / max(side - 1, 1)) for side in surface.texture.shape[:2])
+        light = cv2.remap(lightmap, column * x, row * y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     else:
         nx, ny, nz = surface.normal(point)
         lx, ly, lz = (np.float32(room.light[i]) - point[i] for i in range(3))

@@ -155,17 +155,11 @@ def poster(rng: np.random.Generator, height: int, width: int, feature: float) ->
                 cv2.ellipse(picture, at, axes, rng.uniform(0, 180), 0, 360, paint, line, cv2.LINE_AA)
             case _:
                 letters = "".join(_LETTERS[int(i)] for i in rng.integers(0, len(_LETTERS), int(rng.integers(1, 4))))
-                thick = max(1, int(feature / 9))
-                cv2.putText(
-                    picture,
-                    letters,
-                    at,
+                font, thick = (
                     int(rng.choice([cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_TRIPLEX])),
-                    max(radius, 5.0) / 18,
-                    paint,
-                    thick,
-                    cv2.LINE_AA,
+                    max(1, int(feature / 9)),
                 )
+                cv2.putText(picture, letters, at, font, max(radius, 5.0) / 18, paint, thick, cv2.LINE_AA)
     paper = noise(rng, height, width, feature / 3, 3)
     return _tint(rng, _soft(picture, 0.5), paper, 0.04)
 
