@@ -132,7 +132,7 @@ class _Batch:
         return {name: {key: row[key] for key in measured if row.get(key)} for name, row in earlier.items()}
 
     def plan(self, earlier: dict[str, Row]) -> None:
-        """Divide the scenes into finished ones and tasks; ``earlier`` rows that are read are removed."""
+        """Divide the scenes into finished ones and tasks; ``earlier`` is used up."""
         for number, scene in enumerate(self.scenes):
             task = self.planner.task(scene, self.workspace, number)
             measured = earlier.pop(scene.name, {})
@@ -150,19 +150,14 @@ class _Batch:
             self.tasks.append(task)
         if self.rows:
             self.reporter.info(f"{len(self.rows)} of {len(self.scenes)} scenes are done already")
-        others = [] if self.options.shard is not None else self._other_rows(earlier)
+        others = []  # of the same run, but not part of this call
+        for name, row in earlier.items() if self.options.shard is None else ():
+            known = records.read_record(self.output, name)
+            if known is not None and known.run == self.part.run:
+                others.append(finished_row(known, row))
         earlier.clear()
         order = [scene.name for scene in self.scenes]
         self.writer = ReportWriter(self.output, self.part, self.rows, order, others)
-
-    def _other_rows(self, earlier: dict[str, Row]) -> list[Row]:
-        """Rows of scenes of the same run that are not part of this call."""
-        chosen, rows = {scene.name for scene in self.scenes}, []
-        for name, row in earlier.items():
-            known = None if name in chosen else records.read_record(self.output, name)
-            if known is not None and known.run == self.part.run:
-                rows.append(finished_row(known, row))
-        return rows
 
     def compute(self) -> None:
         """Compute all tasks, and keep the report up to date; it is complete also where this is interrupted."""
