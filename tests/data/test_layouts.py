@@ -269,3 +269,10 @@ def test_every_stereo_scene_of_the_shared_data_loads():
         assert np.nanmax(truth.disparity) <= facts["max_disparity"] + 1
         if scene.right is not None:
             assert scene.load().shape == truth.disparity.shape
+
+
+@pytest.mark.parametrize("name", ["middlebury-v3", "middlebury_v3", "Middlebury_V3"])
+def test_a_layout_may_be_named_with_underscores(tmp_path: Path, name: str):
+    v3(tmp_path / "a", "ndisp=3")
+    (scene,) = discover_scenes(tmp_path, layout=name)
+    assert scene.layout == "middlebury-v3"
