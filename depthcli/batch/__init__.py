@@ -9,7 +9,7 @@ The life of a scene, from :func:`depthcli.batch.runner.run_scenes`, which gets a
    done, and its row is that of the record. Nothing else of an earlier run is believed.
 5. *Computed*: ``runner`` gives the other tasks to this process, to worker ``processes`` (``--jobs``), or to the workers
    of a ``cluster`` (``--scheduler``). Each calls ``task.run_task``, which calls the command's ``compute`` with an empty
-   folder ``.partial-<machine>-<process>/<number>`` in the run folder. Any failure becomes a row with its reason.
+   folder ``.partial-<machine>-<process>-<time>/<number>`` in the run folder. Any failure becomes a row with its reason.
 6. *Written*: in the process that computed it ``install`` moves the files to ``<run folder>/<scene>``, the record last;
    it replaces what a record claims, and no other file.
 7. *Reported*: the row (facts, seconds by stage, memory) goes back to ``runner``, which shows progress (``console``) and

@@ -33,8 +33,12 @@ _MAX_NAMED = 3  # files that a message names
 
 
 def hidden_folder(folder: Path) -> Path:
-    """Return the hidden folder below ``folder`` in which this process makes results."""
-    return folder / f"{PARTIAL_PREFIX}{re.sub('[^A-Za-z0-9-]', '_', platform.node())}-{os.getpid()}"
+    """Return a new hidden folder below ``folder`` in which this process makes results.
+
+    The time is part of its name: processes of restarted containers have the same machine and number again.
+    """
+    machine = re.sub("[^A-Za-z0-9-]", "_", platform.node())
+    return folder / f"{PARTIAL_PREFIX}{machine}-{os.getpid()}-{time.time_ns():x}"
 
 
 def install(made: Path, folder: Path, record: Record, overwrite: bool = False) -> None:

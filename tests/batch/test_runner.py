@@ -15,7 +15,7 @@ from pydantic import BaseModel
 from depthcli.batch import records, resources
 from depthcli.batch.command import Outcome
 from depthcli.batch.console import Reporter, run_table
-from depthcli.batch.install import discard
+from depthcli.batch.install import discard, hidden_folder
 from depthcli.batch.plan import plan_document
 from depthcli.batch.records import RECORD_FILE
 from depthcli.batch.runner import run_scenes
@@ -345,6 +345,8 @@ def test_damage_of_the_same_size_is_found(folder: Folder):
 
 
 def test_leftover_folders_are_no_obstacle(folder: Folder):
+    # Of a process with the same machine and number, as in a container that was started again.
+    assert hidden_folder(folder.output) != hidden_folder(folder.output)
     folder.run()
     before = folder.bytes()
     (folder.output / ".X.partial~" / "deep").mkdir(parents=True)
