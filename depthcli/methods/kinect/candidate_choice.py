@@ -17,6 +17,7 @@ _MAX_PROBABILITY = 0.97  # largest probability that a measurement is correct, an
 _EDGE_COLOR = 12.0  # contrast over which smoothness falls by 1/e, L1 in 8-bit Lab
 _MIN_WEIGHT = 0.02  # of smoothness, across the strongest color edge
 _MAX_EXTRA_COST = 4.0  # candidates that cost more than the cheapest by this are left out
+_NEIGHBORS = ((0, 1), (1, -1), (1, 0), (1, 1), (0, -1), (-1, 1), (-1, 0), (-1, -1))  # dy, dx: first those behind it
 
 
 def choose_candidates(
@@ -102,11 +103,7 @@ def _costs(  # type: ignore[no-untyped-def]
                 close = abs(candidates[n, i] - measured) < np.float32(AGREEMENT) * noise
                 unary[n, i] -= np.log(p) if close else np.log(np.float32(1) - p)
         for k in range(8):
-            j = k % 4
-            dy = 0 if j == 0 else 1
-            dx = 1 if j == 0 or j == 3 else (-1 if j == 1 else 0)
-            if k >= 4:
-                dy, dx = -dy, -dx
+            dy, dx = _NEIGHBORS[k]
             v, u = y + dy, x + dx
             if v < 0 or v >= height or u < 0 or u >= width:
                 continue

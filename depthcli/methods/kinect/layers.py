@@ -199,6 +199,15 @@ def combine(
 
 
 @jit
+def _insert(sorted_values, count, value):  # type: ignore[no-untyped-def]
+    i = count
+    while i > 0 and sorted_values[i - 1] > value:
+        sorted_values[i] = sorted_values[i - 1]
+        i -= 1
+    sorted_values[i] = value
+
+
+@jit
 def _median(sorted_values, count):  # type: ignore[no-untyped-def]
     middle = count >> 1
     if count & 1:
@@ -216,16 +225,8 @@ def _decide(values, scales, own, disparity, reliable, tolerance, noise, smooth, 
             for k in range(layers):
                 if np.isnan(values[k, y, x]):
                     continue
-                i = count
-                while i > 0 and value[i - 1] > values[k, y, x]:
-                    value[i] = value[i - 1]
-                    i -= 1
-                value[i] = values[k, y, x]
-                i = count
-                while i > 0 and spread[i - 1] > scales[k, y, x]:
-                    spread[i] = spread[i - 1]
-                    i -= 1
-                spread[i] = scales[k, y, x]
+                _insert(value, count, values[k, y, x])
+                _insert(spread, count, scales[k, y, x])
                 count += 1
             measured = disparity[y, x]
             if count == 0:

@@ -42,7 +42,7 @@ def shadow_confidence(disparity: NDArray[np.float32], jump: float) -> float:
     jump : smallest step, pixels
     """
     counts = np.zeros((len(disparity), 4), np.int64)
-    _count_runs(disparity, np.float32(jump), counts)
+    _count_gaps(disparity, np.float32(jump), counts)
     rising, falling, fits, mirrored = counts.sum(axis=0)
     return float(np.clip((fits - mirrored) / (rising + falling + _PRIOR_GAPS) / _FULL_SHARE, 0, 1))
 
@@ -105,23 +105,32 @@ def shadow_background(
     return background, extra_share
 
 
+@jit
+def _gaps(d, first):  # type: ignore[no-untyped-def]
+    # (n, 2): the known pixels beside every gap of a row. Gaps at its ends are left out, but the first one if ``first``:
+    # its left pixel is -1.
+    ends = np.empty((d.size, 2), np.int64)
+    count, last = 0, -1
+    for x in range(d.size):
+        if not np.isnan(d[x]):
+            if x - last > 1 and (first or last >= 0):
+                ends[count, 0], ends[count, 1] = last, x
+                count += 1
+            last = x
+    return ends[:count]
+
+
 @parallel_jit
-def _count_runs(disparity, jump, counts):  # type: ignore[no-untyped-def]
-    height, width = disparity.shape
-    for y in prange(height):
+def _count_gaps(disparity, jump, counts):  # type: ignore[no-untyped-def]
+    for y in prange(disparity.shape[0]):
         d = disparity[y]
-        last = -1
-        for x in range(width):
-            if np.isnan(d[x]):
-                continue
-            gap = x - last - 1
-            if last >= 0 and gap > 1 and abs(d[x] - d[last]) > jump:
-                step = d[x] - d[last]
+        for last, x in _gaps(d, False):
+            step = d[x] - d[last]
+            if x - last > 2 and abs(step) > jump:
                 side = 0 if step > 0 else 1
                 counts[y, side] += 1
-                if abs(np.float32(gap) - abs(step)) <= _MAX_WIDTH_DIFFERENCE:
+                if abs(np.float32(x - last - 1) - abs(step)) <= _MAX_WIDTH_DIFFERENCE:
                     counts[y, 2 + side] += 1
-            last = x
 
 
 @jit
@@ -140,53 +149,40 @@ def _rim_contrast(lab, d, y, u, left, right):  # type: ignore[no-untyped-def]
 
 @parallel_jit
 def _limits(lab, disparity, value, slope_x, jump, tolerance, in_shadow, in_gap, in_hole, limit, limit_factor):  # type: ignore[no-untyped-def]
-    height, width = disparity.shape
-    for y in prange(height):
+    for y in prange(disparity.shape[0]):
         d = disparity[y]
-        last = -1
-        for x in range(width):
-            if np.isnan(d[x]):
-                continue
+        for last, x in _gaps(d, True):
             gap = x - last - 1
-            if gap > 0:
-                step = d[x] - d[last] if last >= 0 else np.float32(0)
-                factor = in_shadow if step > jump and gap <= step + WIDTH_TOLERANCE else in_gap
-                one_surface = False
-                if last >= 0 and abs(step) < jump + np.float32(0.2) * np.float32(gap):
-                    far = np.float32(gap + 1)
-                    off = abs(value[y, last] + slope_x[y, last] * far - d[x])
-                    off = min(off, abs(value[y, x] - slope_x[y, x] * far - d[last]))
-                    one_surface = off < tolerance + np.float32(0.05) * far
-                for u in range(last + 1, x):
-                    if one_surface:
-                        # a hole in one surface, if the color is that of the rims
-                        factor = in_hole if _rim_contrast(lab, d, y, u, last, x) < _MAX_COLOR_DIFFERENCE else in_gap
-                    limit[y, u] = d[x] - np.float32(x - u) + tolerance
-                    limit_factor[y, u] = factor
-            last = x
+            step = d[x] - d[last] if last >= 0 else np.float32(0)
+            factor = in_shadow if step > jump and gap <= step + WIDTH_TOLERANCE else in_gap
+            one_surface = False
+            if last >= 0 and abs(step) < jump + np.float32(0.2) * np.float32(gap):
+                far = np.float32(gap + 1)
+                off = abs(value[y, last] + slope_x[y, last] * far - d[x])
+                off = min(off, abs(value[y, x] - slope_x[y, x] * far - d[last]))
+                one_surface = off < tolerance + np.float32(0.05) * far
+            for u in range(last + 1, x):
+                if one_surface:
+                    # a hole in one surface, if the color is that of the rims
+                    factor = in_hole if _rim_contrast(lab, d, y, u, last, x) < _MAX_COLOR_DIFFERENCE else in_gap
+                limit[y, u] = d[x] - np.float32(x - u) + tolerance
+                limit_factor[y, u] = factor
 
 
 @parallel_jit
 def _background(disparity, value, slope_x, jump, low, high, background, extra_share):  # type: ignore[no-untyped-def]
-    height, width = disparity.shape
-    for y in prange(height):
+    for y in prange(disparity.shape[0]):
         d = disparity[y]
-        last = -1
-        for x in range(width):
-            if np.isnan(d[x]):
-                continue
-            gap = x - last - 1
-            step = d[x] - d[last] if last >= 0 else np.float32(0)
-            if gap > 0 and last >= 0 and step > jump and gap <= step + WIDTH_TOLERANCE:
-                for u in range(last + 1, min(x + SHADOW_BAND, width)):
+        for last, x in _gaps(d, False):
+            gap, step = x - last - 1, d[x] - d[last]
+            if step > jump and gap <= step + WIDTH_TOLERANCE:
+                end = min(x + SHADOW_BAND, d.size)
+                for u in range(last + 1, end):
                     far = np.float32(u - last)
                     fade = 1 + (far / np.float32(SLOPE_FADE)) ** 2
                     background[y, u] = value[y, last] + slope_x[y, last] * far / fade
                 off = (np.float32(gap) - (d[x] - background[y, x])) / np.float32(_EXTRA_SHARE_SCALE)
-                share = low + (high - low) * np.float32(np.exp(-off * off))
-                for u in range(last + 1, min(x + SHADOW_BAND, width)):
-                    extra_share[y, u] = share
-            last = x
+                extra_share[y, last + 1 : end] = low + (high - low) * np.float32(np.exp(-off * off))
 
 
 def max_disparity_in_gaps(disparity: NDArray[np.float32], jump: float, tolerance: float = 2.5) -> NDArray[np.float32]:
@@ -209,20 +205,12 @@ def max_disparity_in_gaps(disparity: NDArray[np.float32], jump: float, tolerance
 
 @parallel_jit
 def _max_in_gaps(disparity, jump, tolerance, limit):  # type: ignore[no-untyped-def]
-    height, width = disparity.shape
-    for y in prange(height):
-        last = -1
-        for x in range(width):
-            if np.isnan(disparity[y, x]):
-                continue
-            gap = x - last - 1
-            if gap > 0 and last >= 0:
-                near = max(disparity[y, last], disparity[y, x])
-                far = min(disparity[y, last], disparity[y, x])
-                if near - far > jump:
-                    largest = near - np.float32(gap)
-                    if largest >= far - tolerance:
-                        largest = max(largest, far)
-                    for u in range(last + 1, x):
-                        limit[y, u] = largest + tolerance
-            last = x
+    for y in prange(disparity.shape[0]):
+        d = disparity[y]
+        for last, x in _gaps(d, False):
+            near, far = max(d[last], d[x]), min(d[last], d[x])
+            if near - far > jump:
+                largest = near - np.float32(x - last - 1)
+                if largest >= far - tolerance:
+                    largest = max(largest, far)
+                limit[y, last + 1 : x] = largest + tolerance

@@ -1,5 +1,14 @@
 """Confidence of a medical registration, voxel by voxel (thesis chapter 7): from the registered pair alone.
 
-In this order: volumes on a grid of cubic voxels (:mod:`.pipeline`) -> channels of a :mod:`.feature` -> cost curves over
-displacements and their measures (:mod:`.search`, kernels in ``_search``) -> expected error in mm (:mod:`.millimeters`).
+In: a ``RegisteredPair``, two volumes (Z, Y, X) float32 on one grid, spacing in mm, and a mask. Out: a
+``RegistrationResult`` on the grid of measured voxels: expected error, mm; certainty, 0 to 1; shift to the match, mm.
+Start at ``pipeline``: where a search finds a better match than the registration's, the registration is wrong.
+
+| module | step |
+|---|---|
+| ``pipeline`` | the data flow, and both volumes on a working grid of cubic voxels |
+| ``feature`` | channels, uint8, that are compared; one file a feature |
+| ``search`` (kernels in ``_search_kernels``) | costs of all displacements around a voxel, and measures of their curve |
+| ``millimeters`` | expected error, mm, from one of the measures |
+| ``smoothing`` | Gaussian of a volume, for features and errors |
 """

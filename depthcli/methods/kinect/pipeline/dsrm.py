@@ -45,10 +45,7 @@ class Dsrm(KinectPipeline):
     min_share: float = Field(0.05, ge=0, le=1, description="and this share of the segment")
     join: bool = Field(True, description="segments without a model join one that has one; false: bilateral filling")
     detail_reach: float = Field(
-        3.0,
-        ge=0,
-        le=100,
-        description="reach of residuals of known values that are added to the model, pixels; 0: none",
+        3.0, ge=0, le=100, description="reach of residuals of known values that are added to the model, pixels; 0: none"
     )
     tolerance: float = Field(3.0, gt=0, description="tau: values that are off by more scales contradict the model")
     smooth: bool = Field(True, description="replace values that agree with the model by it: less noise")

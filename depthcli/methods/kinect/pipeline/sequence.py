@@ -78,17 +78,17 @@ class Sequence(SequencePipeline, Dsrm):
         clock = Clock()
         measurement = Measurement.of(frame, self.jump, self.row_band, self.column_band, state.noise)
         still = still_pixels(
-            frame.color,
-            state.color,
-            measurement.reliable,
-            state.disparity,
-            self.color_change,
+            frame.color, state.color, measurement.reliable, state.disparity, self.color_change,
             self.tolerance * state.noise,
-        )
+        )  # fmt: skip
         clock.stop("unreliable")
         if state.age + 1 >= self.max_age or 1 - still.mean() > self.max_changed:
             return self.start(frame)
-        layers = [self._carried(layer, measurement, still, frame.color) for layer in state.layers]
+        layers = []
+        for layer in state.layers:
+            labels, own = carried_labels(layer, still, frame.color, measurement, self.jump * state.noise)
+            surfaces = self.model(measurement.reliable, labels, state.noise, layer.surfaces)
+            layers.append(Layer(labels, surfaces, own))
         clock.stop("model")
         refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
         _blend(
@@ -106,12 +106,6 @@ class Sequence(SequencePipeline, Dsrm):
         """Refine the first frame of a sequence."""
         result, measurement, layers, disparity = self.refine(frame)
         return result, SequenceState(tuple(layers), frame.color, disparity, measurement.noise, 0)
-
-    def _carried(
-        self, layer: Layer, measurement: Measurement, still: NDArray[np.bool_], color: NDArray[np.uint8]
-    ) -> Layer:
-        labels, own = carried_labels(layer, still, color, measurement, self.jump * measurement.noise)
-        return Layer(labels, self.model(measurement.reliable, labels, measurement.noise, layer.surfaces), own)
 
 
 @parallel_jit
