@@ -56,13 +56,13 @@ def on_device(device: Device, run: Callable[[], object], repeat: int) -> tuple[f
     """Return the median milliseconds that the kernels of ``run`` take, and the bytes of their arrays."""
     totals, nbytes = [], 0
     for n in range(repeat + 1):
-        device.profile = []
+        device.launches = []
         run()
         device.finish()
         if n:
-            totals.append(1e3 * sum(launch.seconds for launch in device.profile))
-            nbytes = sum(launch.nbytes for launch in device.profile)
-    device.profile = None
+            totals.append(1e3 * sum(launch.seconds for launch in device.launches))
+            nbytes = sum(launch.nbytes for launch in device.launches)
+    device.launches = None
     return statistics.median(totals), nbytes
 
 
@@ -81,7 +81,7 @@ def measure_aggregations(device: Device, pair: StereoPair, windows: list[int], r
     parts = [{"cost": "absolute_difference", "lambda": 10.0}, {"cost": "census", "lambda": 30.0}]
     volume = Combined.model_validate({"parts": parts})(pair, DISPARITIES)
     there, copied = DevicePair(device, pair), DeviceVolume.upload(device, volume)
-    bandwidth = device.bandwidth()
+    bandwidth = device.measure_bandwidth()
     rows: list[dict[str, object]] = []
     for name, window, method in aggregations(windows):
         fast_version, naive_version = (getattr(implementations, way + method.method_name()) for way in ("", "naive_"))

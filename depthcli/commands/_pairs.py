@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from depthcli.data.formats.pictures import Palette
     from depthcli.device import Device
     from depthcli.methods.stereo.config import PairConfig
-    from depthcli.methods.stereo.matcher import Matcher
     from depthcli.methods.stereo.matching import Limits
     from depthcli.methods.stereo.search_range import SearchRange
+    from depthcli.methods.stereo.stages import Matcher
     from depthcli.methods.stereo.volume import StereoResult
 
 PairConfigT = TypeVar("PairConfigT", bound="PairConfig")

@@ -12,7 +12,7 @@ class DevicesCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list, and on stderr why there is none of a kind; return the exit code."""
-        from depthcli.device import DeviceError, devices, open_device, why_none
+        from depthcli.device import DeviceError, devices, open_device, why_no_device
 
         rows: list[Row] = []
         for info in devices():
@@ -21,7 +21,7 @@ class DevicesCommand(Command):
             try:
                 device = open_device(info.address)
                 assert device is not None
-                row["bandwidth"] = round(device.bandwidth())
+                row["bandwidth"] = round(device.measure_bandwidth())
             except DeviceError as error:
                 row["problem"] = str(error)
             rows.append(row)
@@ -34,8 +34,8 @@ class DevicesCommand(Command):
                 memory = f"{row['memory'] / 2**30:.1f} GiB"
                 lines.append((row["device"], row["name"], memory, speed, row["driver"]))
             reporter.data(aligned(lines))
-        if why_none():
-            reporter.info(why_none())
+        if why_no_device():
+            reporter.info(why_no_device())
         return 0
 
 

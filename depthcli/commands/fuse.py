@@ -12,7 +12,7 @@ from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
     from depthcli.methods.fusion.config import FuseConfig
-    from depthcli.methods.stereo.matcher import Matcher
+    from depthcli.methods.stereo.stages import Matcher
 
 
 class FuseCommand(PairCommand["FuseConfig"]):

@@ -13,7 +13,7 @@ from depthcli.data.scenes.stereo import StereoScene
 if TYPE_CHECKING:
     from depthcli.device import Device
     from depthcli.methods.stereo.config import StereoConfig
-    from depthcli.methods.stereo.matcher import Matcher
+    from depthcli.methods.stereo.stages import Matcher
 
 _DEVICE = Option(
     "device", str, "Where to match: cpu, auto (a GPU if there is one), opencl or cuda, with :N. Default: cpu.", "NAME",

@@ -1,7 +1,12 @@
 """Devices beside the processor that run kernels: GPUs, through OpenCL or CUDA.
 
-Kernels are written once, in OpenCL C with some macros (``dialect.py``); ``opencl.py`` builds that text with pyopencl,
-``cuda.py`` with CuPy. Both packages are optional and imported only where a device is requested.
+Start at :func:`open_device`: the text of ``--device`` -> a :class:`Device`, to which arrays are copied (``upload``,
+``download``) and on which kernels run (``launch``).
+
+| module | what it holds |
+|---|---|
+| ``dialect`` | ``Kernels``: C text that is written once, in OpenCL C, and macros by which CUDA understands it |
+| ``opencl``, ``cuda`` | a device through pyopencl or CuPy: optional packages, imported where a device is requested |
 """
 
 from __future__ import annotations
@@ -98,8 +103,9 @@ class Device(ABC):
 
     def __init__(self, info: DeviceInfo) -> None:
         self.info = info
-        self.profile: list[Launch] | None = None
-        """Where a list, ``finish`` adds to it what was launched since the last one."""
+        self.launches: list[Launch] | None = None
+        """Timings of the kernels that ran: none are taken while this is None; to take them, assign a list, which every
+        call of :meth:`finish` extends."""
         self._kernels: dict[tuple[Kernels, str], Any] = {}
         self._events: list[tuple[str, Any, int]] = []
 
@@ -139,7 +145,7 @@ class Device(ABC):
         if 0 in n_groups:
             return
         event = self._guarded(self._enqueue, kernel, n_groups, tuple(group), [_argument(a) for a in arguments])
-        if self.profile is not None:
+        if self.launches is not None:
             nbytes = sum(argument.nbytes for argument in arguments if isinstance(argument, DeviceArray))
             self._events.append((name, event, nbytes))
 
@@ -147,21 +153,21 @@ class Device(ABC):
         """Wait until all commands are done."""
         events, self._events = self._events, []
         self._guarded(self._wait)
-        if self.profile is not None:
-            self.profile += [
+        if self.launches is not None:
+            self.launches += [
                 Launch(name, self._guarded(self._seconds, event), nbytes) for name, event, nbytes in events
             ]
 
-    def bandwidth(self) -> float:
-        """Return the bytes a second that a kernel moves which copies a large array (both ways counted)."""
+    def measure_bandwidth(self) -> float:
+        """Return the bandwidth of the device's memory, bytes a second read and written, by copying a large array."""
         count = min(32 << 20, self.info.memory // 64)
         source, target = self.empty((count,), np.uint32), self.empty((count,), np.uint32)
-        outer, self.profile = self.profile, []
+        launches_before, self.launches = self.launches, []
         for _ in range(4):
             self.launch(COPY, "copy", (count,), (256,), source, target, count)
         self.finish()
-        seconds = min(launch.seconds for launch in self.profile)
-        self.profile = outer
+        seconds = min(launch.seconds for launch in self.launches)
+        self.launches = launches_before
         return 2 * source.nbytes / seconds
 
     def _guarded(self, action: Callable[..., Any], *arguments: Any) -> Any:
@@ -223,9 +229,9 @@ def devices() -> list[DeviceInfo]:
     return sorted(found, key=lambda info: not info.is_gpu)
 
 
-def why_none() -> str:
-    """Return why a kind shows no device, for each that shows none."""
-    return "; ".join(f"{kind}: {_backend(kind).why_none()}" for kind in KINDS if not _backend(kind).list_devices())
+def why_no_device() -> str:
+    """Return the reasons why OpenCL or CUDA or both have no device here; empty where both have one."""
+    return "; ".join(f"{kind}: {_backend(kind).why_no_device()}" for kind in KINDS if not _backend(kind).list_devices())
 
 
 def find_device(wanted: str) -> DeviceInfo | None:
@@ -256,7 +262,7 @@ def find_device(wanted: str) -> DeviceInfo | None:
             return info
     if found:
         raise DeviceError(f"--device {wanted}: there is none; there are {', '.join(i.address for i in found)}")
-    raise DeviceError(f"--device {wanted}: no device: {_backend(kind).why_none()}")
+    raise DeviceError(f"--device {wanted}: no device: {_backend(kind).why_no_device()}")
 
 
 _open: dict[str, Device] = {}

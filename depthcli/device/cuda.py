@@ -40,8 +40,8 @@ def list_devices() -> list[DeviceInfo]:
     return _found()[0]
 
 
-def why_none() -> str:
-    """Return why the list is empty."""
+def why_no_device() -> str:
+    """Return why :func:`list_devices` returns none, for the user; empty where it returns some."""
     return _found()[1]
 
 
@@ -82,7 +82,7 @@ class CudaDevice(Device):
         return self._modules[kernels].get_function(name)
 
     def _enqueue(self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any]) -> Any:
-        if self.profile is None:
+        if self.launches is None:
             kernel(n_groups, group, tuple(arguments))
             return None
         start, stop = self._cupy.cuda.Event(), self._cupy.cuda.Event()

@@ -111,4 +111,4 @@ class Kernels:
 
 
 COPY = Kernels("depthcli.device", "copy.cl")
-"""What the bandwidth of a device is measured with."""
+"""The kernel by which the bandwidth of a device is measured."""

@@ -57,8 +57,8 @@ def list_devices() -> list[DeviceInfo]:
     return [info for info, _ in _handles()[0]]
 
 
-def why_none() -> str:
-    """Return why the list is empty."""
+def why_no_device() -> str:
+    """Return why :func:`list_devices` returns none, for the user; empty where it returns some."""
     return _handles()[1]
 
 

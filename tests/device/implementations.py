@@ -194,11 +194,11 @@ def test_a_step_without_device_implementation_runs_on_the_processor(device):
 
 
 def test_kernels_are_timed_on_the_device(device):
-    device.profile = []
+    device.launches = []
     copies = Kernels("depthcli.device", "copy.cl")
     source, target = device.upload(np.arange(99, dtype=np.uint32)), device.empty((99,), np.uint32)
     device.launch(copies, "copy", (99,), (32,), source, target, 99)
     device.finish()
-    launch, device.profile = device.profile[0], None
+    launch, device.launches = device.launches[0], None
     assert launch.name == "copy" and launch.seconds > 0 and launch.nbytes == 2 * 99 * 4
     np.testing.assert_array_equal(device.download(target), np.arange(99))

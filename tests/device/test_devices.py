@@ -30,7 +30,7 @@ def test_device_implementations_in_a_process_of_their_own():
     if shutil.which("ld") is None:
         pytest.skip("PoCL links its kernels with ld, which is not installed (package binutils)")
     if not depthcli.device.opencl.list_devices():
-        pytest.skip(depthcli.device.opencl.why_none())
+        pytest.skip(depthcli.device.opencl.why_no_device())
     tests = Path(__file__).with_name("implementations.py")
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", str(tests)],
@@ -62,7 +62,7 @@ def test_a_processor_that_pocl_does_not_know_is_no_device(monkeypatch, processor
     depthcli.device.opencl._handles.cache_clear()
     try:
         assert len(depthcli.device.opencl.list_devices()) == count
-        assert ("does not know this processor" in depthcli.device.opencl.why_none()) == (count == 0)
+        assert ("does not know this processor" in depthcli.device.opencl.why_no_device()) == (count == 0)
     finally:
         depthcli.device.opencl._handles.cache_clear()
 
@@ -75,7 +75,7 @@ SLOW = DeviceInfo("opencl:0", "a processor", 1 << 34, False, "somebody else's")
 def two_devices(monkeypatch):
     monkeypatch.setattr(depthcli.device.opencl, "list_devices", lambda: [SLOW, GPU])
     monkeypatch.setattr(depthcli.device.cuda, "list_devices", list)
-    monkeypatch.setattr(depthcli.device.cuda, "why_none", lambda: "nothing there")
+    monkeypatch.setattr(depthcli.device.cuda, "why_no_device", lambda: "nothing there")
 
 
 def test_what_names_mean(two_devices):
@@ -99,7 +99,7 @@ def test_auto_without_a_card_is_the_processor(two_devices, monkeypatch):
 
 def test_no_device_is_one_line_before_anything_is_written(tmp_path, capsys, made_scenes, monkeypatch):
     monkeypatch.setattr(depthcli.device.opencl, "list_devices", list)
-    monkeypatch.setattr(depthcli.device.opencl, "why_none", lambda: "no driver")
+    monkeypatch.setattr(depthcli.device.opencl, "why_no_device", lambda: "no driver")
     code = main(["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "run"), "--device", "opencl"])
     assert code == 2
     assert capsys.readouterr().err.strip() == "depthcli: --device opencl: no device: no driver"
@@ -109,7 +109,7 @@ def test_no_device_is_one_line_before_anything_is_written(tmp_path, capsys, made
 def test_devices_says_why_there_is_none(capsys, monkeypatch):
     for kind in (depthcli.device.opencl, depthcli.device.cuda):
         monkeypatch.setattr(kind, "list_devices", list)
-        monkeypatch.setattr(kind, "why_none", lambda: "no driver")
+        monkeypatch.setattr(kind, "why_no_device", lambda: "no driver")
     assert main(["devices", "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out) == []

@@ -12,7 +12,7 @@ from pydantic import Field
 from depthcli.core.frames import StereoPair
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.config import PairConfig
-from depthcli.methods.stereo.matcher import Matcher
+from depthcli.methods.stereo.stages import Matcher
 from depthcli.methods.stereo.volume import StereoResult
 
 

@@ -2,7 +2,7 @@
 
 Pairs whose costs do not fit into the memory that is allowed are matched tile by tile. Where costs depend on the pixels
 around alone (no optimizer), tiles search the whole range with the margin that the method needs: the result has the
-same bytes as that of the whole pair. Otherwise the pair is matched coarse to fine (:mod:`.coarse_to_fine`): the smaller
+same bytes as that of the whole pair. Otherwise the pair is matched coarse to fine (:mod:`.tiling`): the smaller
 sizes say which disparities a tile searches.
 """
 
@@ -13,11 +13,13 @@ from typing import Literal
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
+from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.device import Device
-from depthcli.methods.stereo.coarse_to_fine import match_in_tiles
-from depthcli.methods.stereo.matcher import Matcher
-from depthcli.methods.stereo.pipeline._device import match_on_device
+from depthcli.methods.stereo.on_device import DevicePair, run_stage
+from depthcli.methods.stereo.stages import Matcher
+from depthcli.methods.stereo.tiling.coarse_to_fine import match_in_tiles
+from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES, Memory
 from depthcli.methods.stereo.volume import StereoResult
 
 TileMode = Literal["auto", "always", "never"]
@@ -60,15 +62,28 @@ def match(matcher: Matcher, pair: StereoPair, max_disparity: int, limits: Limits
     need, has_tiles = _needs(matcher, pair.shape, max_disparity, limits)
     tile_memory = min(limits.memory, limits.tile_memory)
     if has_tiles and (need > tile_memory or limits.tiles == "always"):
-        return match_in_tiles(matcher, pair, max_disparity, tile_memory)
+        clock = Clock()
+        adjusted, rest = matcher.prepared(pair, max_disparity, clock)
+        held = 0 if adjusted is pair else pair.right.nbytes + pair.shape[0] * pair.shape[1]
+        return match_in_tiles(rest, adjusted, max_disparity, Memory(tile_memory, PROCESS_BYTES + held), clock)
     if need > limits.memory:
         raise InputError(
             f"needs about {show_bytes(need)} of memory ({pair.shape[1]} x {pair.shape[0]} pixels, {max_disparity + 1} "
             f"disparities), {show_bytes(limits.memory)} may be used; see --max-memory, --jobs, --max-disparity"
         )
-    if limits.device is not None and matcher.device_bytes(pair.shape, max_disparity) is not None:
-        return match_on_device(matcher, pair, max_disparity, limits.device)
-    return matcher(pair, max_disparity)
+    device_need = matcher.device_bytes(pair.shape, max_disparity)
+    if limits.device is None or device_need is None:
+        return matcher(pair, max_disparity)
+    device = limits.device.info
+    if device_need > device.memory:
+        raise InputError(
+            f"needs about {show_bytes(device_need)} on {device.address} ({device.name}), which has "
+            f"{show_bytes(device.memory)}; see --device, --max-disparity"
+        )
+    clock = Clock()
+    adjusted, rest = matcher.prepared(pair, max_disparity, clock)
+    result: StereoResult = run_stage(rest, DevicePair(limits.device, adjusted), max_disparity, clock)
+    return result
 
 
 def host_bytes(matcher: Matcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> int:

@@ -21,7 +21,7 @@ from depthcli.methods.stereo.adjustment import rows as row_alignment
 from depthcli.methods.stereo.adjustment.resampling import CELL, resample
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
-from depthcli.methods.stereo.tiles import PROCESS_BYTES
+from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES
 from tests.methods.stereo._pairs import PARAMETERS, texture, threads
 from tests.naive import adjustment as naive
 

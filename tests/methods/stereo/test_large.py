@@ -20,14 +20,12 @@ from depthcli.core.maps import Status
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.pipeline import Fusion
-from depthcli.methods.stereo import coarse_to_fine, tiling
 from depthcli.methods.stereo.aggregation.adaptive_weight import AdaptiveWeight
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.aggregation.cross import Cross
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.cost.combined import Combined
-from depthcli.methods.stereo.matcher import Matcher
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
@@ -38,8 +36,10 @@ from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
-from depthcli.methods.stereo.tiled_winners import TiledWinners
-from depthcli.methods.stereo.tiles import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Tile
+from depthcli.methods.stereo.stages import Matcher
+from depthcli.methods.stereo.tiling import coarse_to_fine, tile_by_tile
+from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, PROCESS_BYTES, Candidates, Margins, Tile
+from depthcli.methods.stereo.tiling.winners import TiledWinners
 from depthcli.methods.stereo.volume import StereoResult
 from tests.methods.stereo._pairs import PARAMETERS, TINY, blocky_pair, random_volume, texture, threads
 from tests.naive import stereo as naive
@@ -168,7 +168,7 @@ STEPS = (
     "pipeline", LOCAL, ids=lambda p: f"{p.cost.method_name()}-{p.aggregation and p.aggregation.method_name()}"
 )
 def test_local_methods_give_the_same_bytes_in_tiles(pipeline, monkeypatch):
-    monkeypatch.setattr(tiling, "_BAND_PIXELS", 2000)  # refinement in several bands, too
+    monkeypatch.setattr(tile_by_tile, "_BAND_PIXELS", 2000)  # refinement in several bands, too
     pipeline = pipeline.model_copy(update={"refinement": STEPS})
     made = make_scene("planes", 3, width=200, height=150, max_disparity=40)
     pair = StereoPair(made.left, made.right)

@@ -21,12 +21,11 @@ from depthcli.methods.stereo.adjustment.light import estimate_gains, light_trust
 from depthcli.methods.stereo.adjustment.resampling import IDENTITY
 from depthcli.methods.stereo.adjustment.rows import BLOCK, estimate_row_shift
 from depthcli.methods.stereo.cost.census import Census
-from depthcli.methods.stereo.matcher import Matcher
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
-from depthcli.methods.stereo.stages import finish
+from depthcli.methods.stereo.stages import Matcher, finish
 
 Adjust = Annotated[
     tuple[Literal["rows", "light"], ...],

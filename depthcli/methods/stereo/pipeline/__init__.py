@@ -1,4 +1,11 @@
-"""Stereo pipelines: the data flow from image pair to disparity map. One file a pipeline, one page each."""
+"""The pipelines of ``stereo``: the data flow from image pair to disparity map, one file each.
+
+| pipeline | from image pair to map |
+|---|---|
+| ``local`` | costs -> aggregation -> optimization -> cheapest disparities -> refinement (thesis chapter 3) |
+| ``segments`` | costs -> a plane for every segment of the left image, by graph cuts (thesis chapter 2) |
+| ``opencv_bm``, ``opencv_sgbm`` | OpenCV's block matching and semi-global matching, to compare with |
+"""
 
 from __future__ import annotations
 
@@ -9,7 +16,7 @@ from pydantic import Field
 from depthcli.core.method import Method, method_of
 from depthcli.methods.stereo.adjustment import AdjustingMatcher
 from depthcli.methods.stereo.cost import Cost
-from depthcli.methods.stereo.matcher import Matcher
+from depthcli.methods.stereo.stages import Matcher
 
 
 class StereoPipeline(Matcher, Method):

@@ -1,39 +1,20 @@
-"""Matching of a whole pair on a device, and the device implementation of the local pipeline."""
+"""The device implementation of the local pipeline."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from depthcli.core.errors import InputError
-from depthcli.core.frames import StereoPair
 from depthcli.core.method import device_implementation_of
 from depthcli.core.result import Clock
-from depthcli.core.text import show_bytes
-from depthcli.device import Device, DeviceArray, Kernels
+from depthcli.device import DeviceArray, Kernels
 from depthcli.kernels.winners import winners
 from depthcli.methods.confidence import confidence_maps
-from depthcli.methods.stereo.matcher import Matcher
 from depthcli.methods.stereo.on_device import DeviceContext, DeviceMap, DevicePair, DeviceVolume, run_stage
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.volume import StereoResult
 
 _KERNELS = Kernels("depthcli.methods.stereo", "selection.cl")
 _LANES, _PIXELS = 32, 8  # threads of a group along the disparities, and pixels of a group
-
-
-def match_on_device(matcher: Matcher, pair: StereoPair, max_disparity: int, device: Device) -> StereoResult:
-    """Match a pair by the matcher's device implementation; InputError where it does not fit on the device."""
-    need, available = matcher.device_bytes(pair.shape, max_disparity), device.info.memory
-    assert need is not None
-    if need > available:
-        raise InputError(
-            f"needs about {show_bytes(need)} on {device.info.address} ({device.info.name}), which has "
-            f"{show_bytes(available)}; see --device, --max-disparity"
-        )
-    clock = Clock()
-    pair, rest = matcher.prepared(pair, max_disparity, clock)
-    result: StereoResult = run_stage(rest, DevicePair(device, pair), max_disparity, clock)
-    return result
 
 
 def local(method: Local, pair: DevicePair, max_disparity: int, clock: Clock) -> StereoResult:

@@ -20,14 +20,13 @@ from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.stereo.cost._fill import hamming_volume
 from depthcli.methods.stereo.cost.census import Census, census_transform
-from depthcli.methods.stereo.matcher import Matcher
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
-from depthcli.methods.stereo.stages import CostStages
-from depthcli.methods.stereo.tiles import BIN, BLOCK, PROCESS_BYTES, Candidates, Memory
-from depthcli.methods.stereo.tiling import Prior, match_by_costs, match_by_patches, refined_map
+from depthcli.methods.stereo.stages import CostStages, Matcher
+from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, Candidates, Memory
+from depthcli.methods.stereo.tiling.tile_by_tile import Prior, match_by_costs, match_by_patches, refined_map
 from depthcli.methods.stereo.volume import StereoResult
 
 # Set by hand so that the maps of large pairs are near those of whole pairs (README: Aloe at several sizes).
@@ -50,8 +49,10 @@ _COARSE_STAGES = CostStages(
 )
 
 
-def match_in_tiles(matcher: Matcher, pair: StereoPair, max_disparity: int, memory: int) -> StereoResult:
-    """Match a pair over disparities 0 .. ``max_disparity`` inclusive in at most ``memory`` bytes.
+def match_in_tiles(
+    matcher: Matcher, pair: StereoPair, max_disparity: int, available: Memory, clock: Clock
+) -> StereoResult:
+    """Match a pair over disparities 0 .. ``max_disparity`` inclusive in at most the ``available`` memory.
 
     Methods with cost stages compute costs tile by tile; the right view's map, and every step that looks at maps alone,
     is that of the whole image. Any other method matches every tile for itself, over one range from its smallest to its
@@ -68,20 +69,16 @@ def match_in_tiles(matcher: Matcher, pair: StereoPair, max_disparity: int, memor
     InputError
         Not even the smallest tiles fit.
     """
-    clock = Clock()
-    prepared, rest = matcher.prepared(pair, max_disparity, clock)
-    held = 0 if prepared is pair else pair.right.nbytes + pair.shape[0] * pair.shape[1]
-    available = Memory(memory, PROCESS_BYTES + held)
-    stages = rest.cost_stages()
+    stages = matcher.cost_stages()
     halo = None if stages is None else stages.halo()
-    prior = (
-        None if halo is not None else coarse_prior(stages or _COARSE_STAGES, prepared, max_disparity, available, clock)
-    )
+    prior = None
+    if halo is None:
+        prior = coarse_prior(stages or _COARSE_STAGES, pair, max_disparity, available, clock)
     candidates = Candidates.everywhere(pair.shape, max_disparity) if prior is None else prior.candidates
     if stages is None:
-        result = match_by_patches(rest, prepared, candidates, available, clock)
+        result = match_by_patches(matcher, pair, candidates, available, clock)
     else:
-        result, _ = match_by_costs(stages, prepared, candidates, prior, halo, available, clock)
+        result, _ = match_by_costs(stages, pair, candidates, prior, halo, available, clock)
     result.figures |= {"levels": 1.0 if prior is None else float(prior.levels), "exact": float(halo is not None)}
     return result
 

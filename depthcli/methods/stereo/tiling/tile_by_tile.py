@@ -15,14 +15,13 @@ from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.confidence import confidence_maps
-from depthcli.methods.stereo.matcher import Matcher
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement import Refinement
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
-from depthcli.methods.stereo.stages import CostStages
-from depthcli.methods.stereo.tiled_winners import TiledWinners
-from depthcli.methods.stereo.tiles import Candidates, Margins, Memory, Tile
+from depthcli.methods.stereo.stages import CostStages, Matcher
+from depthcli.methods.stereo.tiling.plan import Candidates, Margins, Memory, Tile
+from depthcli.methods.stereo.tiling.winners import TiledWinners
 from depthcli.methods.stereo.volume import CostMinima, CostVolume, FixedPoint, RefinementContext, StereoResult
 
 _PATH_HALO = 32  # pixels after which the paths of a scanline that begins anew are what they would have been
