@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,43 @@ class Grid:
         """Return (N, 3) places z, y, x in voxels as positions x, y, z in mm."""
         points: NDArray[np.float64] = (places[:, ::-1] * np.array(self.spacing)) @ self.axes.T + np.array(self.origin)
         return points
+
+    def anatomical_axes(self) -> tuple[tuple[int, int, int], tuple[int, ...]]:
+        """Return how an array on this grid is turned so that slices of it look as radiologists hang them.
+
+        Returns
+        -------
+        order : the array's axes that run nearest to superior-inferior, anterior-posterior and right-left
+        flipped : axes of the array in that order that run the other way and have to be flipped
+        """
+        # Row a: how far the array's axis a (z, y, x) runs towards inferior, posterior and left of the LPS frame.
+        along = self.axes.T[::-1] @ np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+        a, b, c = max(permutations(range(3)), key=lambda axes: sum(abs(along[n, k]) for k, n in enumerate(axes)))
+        return (a, b, c), tuple(k for k, n in enumerate((a, b, c)) if along[n, k] < 0)
+
+    def turned(self, values: NDArray[ScalarT]) -> NDArray[ScalarT]:
+        """Return a (Z, Y, X) array on this grid from superior to inferior, anterior to posterior and right to left."""
+        order, flipped = self.anatomical_axes()
+        return np.flip(values.transpose(order), flipped)
+
+    def turned_spacing(self) -> tuple[float, float, float]:
+        """Return the distances of voxels along the axes of a turned array, mm."""
+        a, b, c = (self.spacing[2 - axis] for axis in self.anatomical_axes()[0])
+        return a, b, c
+
+    def turned_position(self, axis: int, place: float) -> str:
+        """Return where a slice of a turned array lies: letter of the side and distance from the origin, ``S 12 mm``.
+
+        Parameters
+        ----------
+        axis : of the turned array
+        place : of the slice, in voxels of the turned array; the other two are in the middle
+        """
+        order, flipped = self.anatomical_axes()
+        middle = [(n - 1) / 2 for n in self.shape]
+        middle[order[axis]] = self.shape[order[axis]] - 1 - place if axis in flipped else place
+        away = float(self.to_point(np.array([middle]))[0, 2 - axis]) * (1 if axis == 0 else -1)
+        return f"{('SI', 'AP', 'RL')[axis][away < 0]} {abs(away):.0f} mm"
 
     def same_as(self, other: Grid) -> bool:
         """Return whether the voxels lie at the same places, up to a hundredth of a voxel."""
