@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from depthcli.algorithms.resampling import resample
+from depthcli.core.volumes import ENDS, PLANES
 from depthcli.data.scenes.volume_pair import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
 _TITLES = ("fixed", "moving, registered", "expected error")
-_PLANES = ("axial", "coronal", "sagittal")
-_ENDS = (("A", "P", "R", "L"), ("S", "I", "R", "L"), ("S", "I", "A", "P"))
-"""What is at the top, the bottom, the left and the right of a slice across each axis of a turned volume."""
-
 _MAX_SHOWN_ERROR = 10.0  # mm; this and more is dark red
 _AIR_LEVEL = 0.1  # of the range of intensities: darker voxels around the body are not colored
 _SIDE, _MARGIN, _LINE = 300, 24, 22  # pixels: longest side of a slice, space around it for letters, line of text
 _SCALE_WIDTH = 90  # pixels, of the scale with its numbers
+_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 _PAPER, _INK = 24, (225, 225, 225)
 
 
@@ -39,13 +38,13 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
     error = grid.turned(resample(result.expected_error, pair.shape, back, first))
     low, high = (float(v) for v in np.percentile(pair.fixed[:: max(1, pair.shape[0] // 16)], [1, 99]))
     grey = [
-        np.clip((grid.turned(v) - low) * (255 / max(high - low, 1e-6)), 0, 255).astype(np.uint8)
+        ((np.clip(grid.turned(v), low, high) - low) * (255 / max(high - low, 1e-6))).astype(np.uint8)
         for v in (pair.fixed, pair.warped)
     ]
     inside = None if pair.mask is None else grid.turned(pair.mask)
     spacing = [s * n for s, n in zip(grid.turned_spacing(), _turned(loaded.blocks, loaded), strict=True)]
     rows = []
-    for axis, plane in enumerate(_PLANES):
+    for axis, plane in enumerate(PLANES):
         across = [k for k in range(3) if k != axis]
         if min(error.shape[k] for k in across) == 1:
             continue  # of a single slice
@@ -57,16 +56,22 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
         color = cv2.applyColorMap(_codes(error[cut]), cv2.COLORMAP_TURBO)[..., ::-1]
         plain = [np.repeat(volume[cut][..., None], 3, axis=2) for volume in grey]
         over = np.where(seen[..., None], 0.5 * plain[0] + 0.5 * color, plain[0]).astype(np.uint8)
-        pictures = [cv2.resize(p, (width, height), interpolation=cv2.INTER_LINEAR) for p in (*plain, over)]
-        ends = _ENDS[axis]
-        if neurological and "L" in ends:
+        pictures = [np.asarray(cv2.resize(p, (width, height)), np.uint8) for p in (*plain, over)]
+        ends = "".join(ENDS[k] for k in across)  # top, bottom, left, right
+        if neurological and axis < 2:
             pictures = [picture[:, ::-1] for picture in pictures]
-            ends = (*ends[:2], ends[3], ends[2])
+            ends = ends[:2] + ends[:1:-1]
         place = (middle + 0.5) * _turned(loaded.blocks, loaded)[axis] - 0.5
-        title = f"{plane}, {grid.turned_position(axis, place)}"
+        origin, step = grid.turned_range(axis)
+        title = f"{plane}, {side_and_distance(axis, origin + step * place)}"
         rows.append(np.concatenate([_framed(p, ends, title if not k else "") for k, p in enumerate(pictures)], axis=1))
     sheet = np.concatenate([_heading(), *rows])
     return np.concatenate([sheet, _scale(len(sheet))], axis=1)
+
+
+def side_and_distance(axis: int, millimeters: float) -> str:
+    """Return a place along an axis of a turned volume as the side of the origin and the distance from it."""
+    return f"{ENDS[axis][millimeters < 0]} {abs(millimeters):.0f} mm"
 
 
 def _turned(blocks: tuple[int, int, int], loaded: LoadedPair) -> list[int]:
@@ -74,17 +79,20 @@ def _turned(blocks: tuple[int, int, int], loaded: LoadedPair) -> list[int]:
 
 
 def _codes(error: NDArray[np.float32]) -> NDArray[np.uint8]:
-    return np.clip(error / _MAX_SHOWN_ERROR * 255, 0, 255).astype(np.uint8)
+    codes: NDArray[np.uint8] = np.clip(error / _MAX_SHOWN_ERROR * 255, 0, 255).astype(np.uint8)
+    return codes
 
 
 def _body(grey: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return where a slice shows tissue, or air that tissue encloses."""
-    tissue = ndimage.binary_opening(grey > _AIR_LEVEL * 255, iterations=1)
-    body: NDArray[np.bool_] = ndimage.binary_fill_holes(ndimage.binary_closing(tissue, iterations=2))
-    return body
+    tissue: NDArray[Any] = (grey > _AIR_LEVEL * 255).astype(np.uint8)
+    tissue = cv2.morphologyEx(cv2.morphologyEx(tissue, cv2.MORPH_OPEN, _CROSS), cv2.MORPH_CLOSE, _CROSS, iterations=2)
+    outlines, _ = cv2.findContours(np.asarray(tissue, np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    filled = cv2.drawContours(np.zeros(grey.shape, np.uint8), outlines, -1, 1, cv2.FILLED)
+    return np.asarray(filled > 0, np.bool_)
 
 
-def _framed(picture: NDArray[np.uint8], ends: tuple[str, ...], title: str) -> NDArray[np.uint8]:
+def _framed(picture: NDArray[np.uint8], ends: str, title: str) -> NDArray[np.uint8]:
     """Return the picture with the letters of its sides around it and a title below, all of one width."""
     height, width = picture.shape[:2]
     frame = np.full((height + 2 * _MARGIN + _LINE, _SIDE + 2 * _MARGIN, 3), _PAPER, np.uint8)

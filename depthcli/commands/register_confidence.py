@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from depthcli.batch.command import Outcome
-from depthcli.batch.console import Column, percent
+from depthcli.batch.command import Outcome, Values
+from depthcli.batch.console import Column, Reporter, percent
 from depthcli.commands._batch import ConfigCommand
+from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import VolumePairScene
 
@@ -23,6 +24,17 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (VolumePairScene,)
     results: ClassVar[tuple[str, ...]] = ("confidence.*", "expected_error.*", "shift.*", "preview.png", "points.csv")
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """The options of all batch commands, and ``--neurological``."""
+        about = "Show the patient's right on the right in pictures, else on the left."
+        return (*super().options, Option("neurological", bool, about, default=False))
+
+    def run(self, values: Values, reporter: Reporter) -> int:
+        """Measure every pair; ``--neurological`` overrides the key of the config. Return the exit code."""
+        settings = [*(values["set"] or ()), *(["neurological=true"] if values["neurological"] else ())]
+        return super().run({**values, "set": settings}, reporter)
 
     def config_model(self) -> type[RegisterConfidenceConfig]:
         from depthcli.methods.registration.config import RegisterConfidenceConfig
@@ -64,7 +76,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         clock.stop("load")
         result = config(loaded.pair)
         clock.stop_stages(result.seconds)
-        save_registration(result, loaded, points, folder, written_suffix(scene.fixed))
+        save_registration(result, loaded, points, folder, written_suffix(scene.fixed), config.neurological)
         clock.stop("save")
         width, height, slices = loaded.grid.size
         facts = {"width": width, "height": height, "slices": slices, **result.figures}

@@ -11,6 +11,11 @@ from numpy.typing import NDArray
 
 ScalarT = TypeVar("ScalarT", bound=np.generic)
 
+PLANES = ("axial", "coronal", "sagittal")
+"""Slices across the axes of an array that was turned as radiologists hang it."""
+ENDS = ("SI", "AP", "RL")
+"""Its axes: where the first and where the last voxel is; superior, anterior and right are positive."""
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -73,19 +78,18 @@ class Grid:
         a, b, c = (self.spacing[2 - axis] for axis in self.anatomical_axes()[0])
         return a, b, c
 
-    def turned_position(self, axis: int, place: float) -> str:
-        """Return where a slice of a turned array lies: letter of the side and distance from the origin, ``S 12 mm``.
+    def turned_range(self, axis: int) -> tuple[float, float]:
+        """Return where the first slice across an axis of a turned array lies, and how much further the next one, mm.
 
-        Parameters
-        ----------
-        axis : of the turned array
-        place : of the slice, in voxels of the turned array; the other two are in the middle
+        Positive towards superior, anterior or right, for the axes 0, 1 and 2; through the middle of the volume.
         """
         order, flipped = self.anatomical_axes()
-        middle = [(n - 1) / 2 for n in self.shape]
-        middle[order[axis]] = self.shape[order[axis]] - 1 - place if axis in flipped else place
-        away = float(self.to_point(np.array([middle]))[0, 2 - axis]) * (1 if axis == 0 else -1)
-        return f"{('SI', 'AP', 'RL')[axis][away < 0]} {abs(away):.0f} mm"
+        ends = np.tile((np.array(self.shape) - 1) / 2, (2, 1))
+        ends[:, order[axis]] = (1, 0) if axis in flipped else (0, 1)
+        if axis in flipped:
+            ends[:, order[axis]] += self.shape[order[axis]] - 2
+        first, second = self.to_point(ends)[:, 2 - axis] * (1 if axis == 0 else -1)
+        return float(first), float(second - first)
 
     def same_as(self, other: Grid) -> bool:
         """Return whether the voxels lie at the same places, up to a hundredth of a voxel."""

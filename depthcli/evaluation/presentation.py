@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,22 @@ from depthcli.evaluation.render import Table
 
 UNKNOWN, RIGHT, WRONG, HIDDEN_RIGHT, HIDDEN_WRONG, EMPTY = range(6)
 """Kinds of pixel; ``HIDDEN``: occluded in the other view, ``EMPTY``: without a value."""
+
+
+class Axis(NamedTuple):
+    """An axis of a volume that is shown.
+
+    Attributes
+    ----------
+    plane : name of the slices across it
+    ends : letters of the sides where its first and its last voxel is
+    first, step : where the first voxel is, and how much further the next one, mm; positive towards the first side
+    """
+
+    plane: str
+    ends: str
+    first: float
+    step: float
 
 
 @dataclass(frozen=True)
@@ -78,9 +94,9 @@ class Presentation:
         """
         return points if points.ndim > 1 else None
 
-    def spacing(self, truth: Any) -> tuple[float, ...] | None:
-        """Return the size of a pixel or voxel along every axis of what is shown; None: all sizes are equal."""
-        return None
+    def axes(self, truth: Any) -> tuple[Axis, ...]:
+        """Return the axes of what is shown where it is a volume; empty: it is an image."""
+        return ()
 
     def image(self, scene: Scene) -> NDArray[np.uint8] | None:
         """Return the first input file of a scene, to be shown beneath its maps; None where it is no picture.

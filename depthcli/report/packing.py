@@ -15,7 +15,6 @@ Packed = dict[str, Any]
 
 _DEFLATE_LEVEL = 4  # of zlib; higher ones take several times as long for a few percent
 _MAX_CODE = 65535
-_AXES = "zyx"
 _MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps its pictures near 10 MB a run
 
 
@@ -85,19 +84,12 @@ class Cut:
     axis : the axis that it is perpendicular to, -1 for an image itself
     place, count : index of the slice along that axis, and the number of slices
     index : of the plane in the array
-    axes : names of the plane's columns and rows
     """
 
     axis: int
     place: int
     count: int
     index: tuple[Any, ...]
-    axes: tuple[str, str]
-
-    @property
-    def name(self) -> str:
-        """Axis and place in words; empty for an image."""
-        return "" if self.axis < 0 else f"{_AXES[self.axis]} {self.place} of {self.count}"
 
 
 def cuts(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Cut]:
@@ -110,14 +102,13 @@ def cuts(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Cut]:
     max_pixels : of all slices together, about; where a volume has more, every second, third ... slice is taken
     """
     if len(shape) == 2:
-        return [Cut(-1, 0, 1, (...,), ("x", "y"))]
+        return [Cut(-1, 0, 1, (...,))]
     planes = [tuple(n for other, n in enumerate(shape) if other != axis) for axis in range(3)]
     axes = [axis for axis in range(3) if min(planes[axis]) > 1] or [0]  # an image of one slice has no others
     step = max(1, math.ceil(len(axes) * math.prod(shape) / max_pixels))
     made = []
     for axis in axes:
-        rows, columns = (name for name in _AXES if name != _AXES[axis])
         for place in range(shape[axis] // 2 % step, shape[axis], step):
             index = tuple(place if other == axis else slice(None) for other in range(3))
-            made.append(Cut(axis, place, shape[axis], index, (columns, rows)))
+            made.append(Cut(axis, place, shape[axis], index))
     return made

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.data.formats.pictures import read_status, status_color, status_words
 from depthcli.data.scenes import Scene
-from depthcli.evaluation.presentation import UNKNOWN, pixel_kinds
+from depthcli.evaluation.presentation import UNKNOWN, Axis, pixel_kinds
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.report import colors
 from depthcli.report.packing import Cut, Packed, cuts, pack, pack_bytes, thinned
@@ -61,10 +61,10 @@ class SceneView:
             return None
         view = cls(scene.name, protocol, shown.image(scene), known_grid, hidden_grid)
         points = protocol.true_values(truth)
-        view._fill(None if points is None else shown.on_grid(points, truth), shown.spacing(truth))
+        view._fill(None if points is None else shown.on_grid(points, truth), shown.axes(truth))
         return view
 
-    def _fill(self, true: NDArray[Any] | None, spacing: tuple[float, ...] | None) -> None:
+    def _fill(self, true: NDArray[Any] | None, axes: tuple[Axis, ...]) -> None:
         """Pack image, truth and regions of every cut; make the small pictures of the scene."""
         shown, known = self.protocol.presentation, self.known
         low, high = _range(None if true is None else true[known])
@@ -77,9 +77,11 @@ class SceneView:
             plane = known[cut.index]
             packed = None if true is None else pack(np.where(plane, true[cut.index], np.nan), *self._packed_range)
             picture = self._image_of(cut)
-            across = [1.0, 1.0] if spacing is None else [s for axis, s in enumerate(spacing) if axis != cut.axis]
+            rows, columns = [axis for k, axis in enumerate(axes) if k != cut.axis] or (None, None)
             self.data["views"].append(
-                {"name": cut.name, "axis": cut.axis, "axes": cut.axes, "tall": across[0] / across[1],
+                {"name": _name(cut, axes), "axis": cut.axis,
+                 "plane": axes[cut.axis].plane if axes else f"axis {cut.axis}",
+                 "axes": [columns, rows], "tall": abs(rows.step / columns.step) if rows and columns else 1.0,
                  "width": plane.shape[1], "height": plane.shape[0], "factor": 1,
                  "image": None if picture is None else _jpeg(picture), "truth": packed,
                  "region": pack_bytes(plane + 2 * self.hidden[cut.index].astype(np.uint8)), "runs": {}}
@@ -200,6 +202,16 @@ def smaller(data: dict[str, Any], factor: int) -> dict[str, Any]:
             assert picture is not None  # it was written here
             views[-1]["image"] = _jpeg(np.asarray(cv2.resize(picture, (width, height))[..., ::-1], np.uint8))
     return {**data, "views": views}
+
+
+def _name(cut: Cut, axes: tuple[Axis, ...]) -> str:
+    """The plane of a cut, where it lies, and its number; empty for an image."""
+    number = f"{cut.place + 1} of {cut.count}"
+    if cut.axis < 0 or not axes:
+        return "" if cut.axis < 0 else number
+    axis = axes[cut.axis]
+    place = axis.first + axis.step * cut.place
+    return f"{axis.plane}, {axis.ends[place < 0]} {abs(place):.0f} mm, {number}"
 
 
 def _range(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:

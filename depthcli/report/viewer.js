@@ -97,6 +97,7 @@ function draw() {
       }
       context.restore();
     }
+    drawSides(context, box);
     if (state.mode === "swipe") {
       context.fillStyle = "#fff";
       context.fillRect(split - 1, 0, 2, box.height);
@@ -108,6 +109,24 @@ function draw() {
       context.strokeRect(x - 5, y - 5, 10, 10);
     }
   }
+}
+
+// Letters of the patient's sides at the edges of a slice, or of the panel where the slice reaches beyond.
+function drawSides(context, box) {
+  const [columns, rows] = view.axes;
+  if (!columns) return;
+  const [w, h] = [view.width * state.zoom, view.height * state.zoom * view.tall];
+  const [left, right] = [Math.max(state.x, 0) + 12, Math.min(state.x + w, box.width) - 12];
+  const [top, bottom] = [Math.max(state.y, 0) + 12, Math.min(state.y + h, box.height) - 12];
+  Object.assign(context, { font: "bold 14px sans-serif", textAlign: "center", textBaseline: "middle", lineWidth: 3 });
+  Object.assign(context, { fillStyle: "#fff", strokeStyle: "#000" });
+  const places = [[(left + right) / 2, top, rows[1][0]], [(left + right) / 2, bottom, rows[1][1]],
+    [left, (top + bottom) / 2, columns[1][0]], [right, (top + bottom) / 2, columns[1][1]]];
+  for (const [x, y, letter] of places) {
+    context.strokeText(letter, x, y);
+    context.fillText(letter, x, y);
+  }
+  Object.assign(context, { textAlign: "start", textBaseline: "alphabetic" });
 }
 
 function fit() {
@@ -191,7 +210,12 @@ function setReadout() {
   const known = view.region[i] & 1;
   const where = known ? (view.region[i] & 2 ? ", occluded" : "") : ", truth unknown or not evaluated";
   const truth = view.truth ? ` · true ${scene.quantity} ${text(view.truth[i])} ${scene.unit}` : "";
-  const place = view.axes.map((name, axis) => `${name} ${(axis ? pointer.y : pointer.x) * view.factor}`).join(", ");
+  const place = view.axes.map((along, axis) => {
+    const index = (axis ? pointer.y : pointer.x) * view.factor;
+    if (!along) return `${"xy"[axis]} ${index}`;
+    const [, ends, first, step] = along, at = first + step * index;
+    return `${ends[at < 0 ? 1 : 0]} ${Math.abs(at).toFixed(1)} mm`;
+  }).join(", ");
   const line = make("div", `${place}${view.name && `, ${view.name}`}${truth}${where}`);
   const table = make("table"), head = table.createTHead().insertRow();
   for (const title of ["run", `${scene.quantity}, ${scene.unit}`, `error, ${scene.unit}`, "", "status", "confidence"]) head.append(make("th", title));
@@ -226,7 +250,7 @@ function setButtons() {
   $("measure").hidden = state.layer !== "confidence" || measures.length < 2;
   $("swipe").hidden = state.mode !== "swipe";
   const slices = slicesOf(view.axis);
-  $("axis").replaceChildren(...axes().map((axis) => make("option", `across ${"zyx"[axis]}`, { value: axis })));
+  $("axis").replaceChildren(...axes().map((axis) => make("option", scene.views.find((each) => each.axis === axis).plane, { value: axis })));
   $("axis").value = view.axis;
   $("slice").max = slices.length - 1;
   $("slice").value = slices.indexOf(state.cut);

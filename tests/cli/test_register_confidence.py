@@ -12,6 +12,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.volumes import Grid
+from depthcli.data.formats.images import read_image
 from depthcli.data.formats.volumes import read_volume, write_array
 
 with warnings.catch_warnings():
@@ -251,3 +252,24 @@ def test_pair_that_needs_more_than_max_memory_is_refused(pairs, tmp_path, capsys
     command = ["register-confidence", "mind", "-i", str(pairs), "-o", str(tmp_path / "run"), "--max-memory", "20MiB"]
     assert main([*command, "-q"]) == 3
     assert "of memory" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_volume_stored_upside_down_has_the_same_preview(pairs, run, tmp_path):
+    (tmp_path / "in" / "pair_0").mkdir(parents=True)
+    for name in ("fixed", "moving_warped"):
+        volume = read_volume(pairs / "pair_0" / f"{name}.nii.gz")
+        axes = volume.grid.axes * [1, -1, -1]  # y and z run the other way
+        ends = volume.grid.to_point(np.array([[volume.grid.shape[0] - 1, volume.grid.shape[1] - 1, 0]], np.float64))[0]
+        grid = Grid(volume.grid.size, volume.grid.spacing, tuple(ends), tuple(axes.ravel()))
+        write_array(tmp_path / "in" / "pair_0" / f"{name}.nii.gz", grid, volume.values[::-1, ::-1].copy())
+    command = ["register-confidence", "mind", "-i", str(tmp_path / "in"), *SMALL, "-o"]
+    assert main([*command, str(tmp_path / "out")]) == 0
+    assert main([*command, str(tmp_path / "mirrored"), "--neurological"]) == 0
+    first, turned, mirrored = (
+        read_image(folder / "pair_0" / "preview.png").astype(int)
+        for folder in (run, tmp_path / "out", tmp_path / "mirrored")
+    )
+    assert first.shape == turned.shape and first.shape[1] >= 900
+    # The middle one of an even number of slices is another one from the other side.
+    assert abs(first - turned).mean() < 0.5 * abs(first - mirrored).mean()

@@ -241,7 +241,9 @@ def test_slices_are_stepped_through(browser: Any, volumes: Path):
     box = visit.page.locator("#stage canvas").first.bounding_box()
     visit.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     line, rows = visit.reading()
-    column, row = (int(n) for n in re.match(r"x (\d+), z (\d+), ", line).groups())
+    sides = re.match(r"([RL]) ([\d.]+) mm, ([SI]) ([\d.]+) mm, coronal, ", line).groups()
+    places = [float(number) * (1 if side in "RS" else -1) for side, number in zip(sides[::2], sides[1::2], strict=True)]
+    column, row = (round((at - a[2]) / a[3]) for at, a in zip(places, view["axes"], strict=True))
     (run,) = view["runs"].values()
     assert float(rows[0][1]) == pytest.approx(unpack(run["values"])[row, column], abs=0.0051)
     assert float(re.search(r"error ([\d.]+) mm", line)[1]) == pytest.approx(

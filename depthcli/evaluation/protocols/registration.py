@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.resampling import trilinear
 from depthcli.core.errors import InputError
+from depthcli.core.volumes import ENDS, PLANES
 from depthcli.data.formats.volumes import read_volume
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairScene
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Presentation
+from depthcli.evaluation.presentation import Axis, Presentation
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.protocols._registration import HEADLINE, LIMITS_MM, Errors, error_classes, point_scores
 from depthcli.evaluation.render import Number, Table
@@ -68,14 +69,14 @@ class RegistrationPresentation(Presentation):
     """Points shown in the fixed volume, and tables of expected against true errors."""
 
     def on_grid(self, points: NDArray[Any], truth: PreparedTruth) -> NDArray[Any]:
-        """Return a (Z, Y, X) volume, in which a landmark is a small ball."""
+        """Return a volume as it is shown, in which a landmark is a small ball."""
         grid = truth.stored.grid
         volume = np.full(grid.shape, False if points.dtype == np.bool_ else np.nan, points.dtype)
         if truth.inside is not None:
             volume[truth.inside] = points
-            return volume
+            return grid.turned(volume)
         assert truth.landmarks is not None
-        shape, spacing = np.array(grid.shape), np.array(self.spacing(truth))
+        shape, spacing = np.array(grid.shape), np.array(grid.spacing[::-1])
         radius = float(max((shape * spacing).max() * _LANDMARK_RADIUS, spacing.min()))
         reach = [np.arange(-n, n + 1) for n in (radius / spacing).astype(int)]
         ball = np.stack(np.meshgrid(*reach, indexing="ij"), -1).reshape(-1, 3)
@@ -83,17 +84,19 @@ class RegistrationPresentation(Presentation):
         for place, value in zip(np.rint(truth.landmarks).astype(np.intp), points, strict=True):
             cells = place + ball
             volume[tuple(cells[np.all((cells >= 0) & (cells < shape), axis=1)].T)] = value
-        return volume
+        return grid.turned(volume)
 
-    def spacing(self, truth: PreparedTruth) -> tuple[float, ...]:
-        """Return the size of a voxel along z, y and x, mm."""
-        return truth.stored.grid.spacing[::-1]
+    def axes(self, truth: PreparedTruth) -> tuple[Axis, ...]:
+        """Return the axes of the volumes as radiologists hang them, the patient's right on the left."""
+        grid = truth.stored.grid
+        return tuple(Axis(PLANES[k], ENDS[k], *grid.turned_range(k)) for k in range(3))
 
     def image(self, scene: Scene) -> NDArray[np.uint8] | None:
-        """Return (Z, Y, X) grey levels of the fixed volume, between its darkest and brightest half percent."""
+        """Return grey levels of the fixed volume as it is shown, between its darkest and brightest half percent."""
         if not isinstance(scene, VolumePairScene):
             return None
-        values = read_volume(scene.fixed).values
+        fixed = read_volume(scene.fixed)
+        values = fixed.grid.turned(fixed.values)
         known = values[np.isfinite(values)]
         low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 1.0)
         grey = (np.nan_to_num(values, nan=low) - low) * (255 / max(high - low, 1e-9))

@@ -17,4 +17,5 @@ class RegisterConfidenceConfig(RegistrationConfidence):
         pattern="^(auto|itk|ants|niftyreg|voxels)$",
         description="convention of displacement files; auto: what the header says, checked against the others",
     )
+    neurological: bool = Field(False, description="pictures have the patient's right on the right, else on the left")
     run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
