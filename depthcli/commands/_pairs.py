@@ -85,7 +85,6 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         return (SIZE, Column("density", percent("density")), Column("measured", percent("measured")))
 
     def palette(self) -> Palette:
-        """Return the colors of a disparity map's status."""
         from depthcli.data.formats.pictures import STATUS_PALETTE
 
         return STATUS_PALETTE

@@ -19,7 +19,6 @@ class FuseCommand(PairCommand["FuseConfig"]):
     """Fusion of measures computed here and of volumes made elsewhere."""
 
     def config_model(self) -> type[FuseConfig]:
-        """Return the model of fusion and the search range."""
         from depthcli.methods.fusion.config import FuseConfig
 
         return FuseConfig

@@ -34,7 +34,6 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
 
     @property
     def options(self) -> tuple[Option, ...]:
-        """The options of all batch commands, and ``--ply``."""
         ply = Option("ply", bool, "Also write a colored point cloud of every frame.", default=False)
         return (*super().options, ply)
 

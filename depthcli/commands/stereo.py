@@ -26,11 +26,9 @@ class StereoCommand(PairCommand["StereoConfig"]):
 
     @property
     def options(self) -> tuple[Option, ...]:
-        """Return the options of all batches, and the device."""
         return (*super().options, _DEVICE)
 
     def config_model(self) -> type[StereoConfig]:
-        """Return the model of a pipeline and the search range."""
         from depthcli.methods.stereo.config import StereoConfig
 
         return StereoConfig
@@ -49,11 +47,9 @@ class StereoCommand(PairCommand["StereoConfig"]):
         return config.model_copy(update={"device": "cpu" if info is None else info.address})
 
     def matcher(self, config: StereoConfig, scene: StereoScene) -> Matcher:
-        """Return the config's pipeline."""
         return config.pipeline
 
     def device(self, config: StereoConfig) -> Device | None:
-        """Return the device of the config, None for the processor."""
         from depthcli.device import open_device
 
         return open_device(config.device)
