@@ -28,12 +28,17 @@ def count_frames(path: Path) -> int:
     """
     with open_regular(path):
         pass
-    video = cv2.VideoCapture(str(path))
+    video = _video(path)
     count = int(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0
     video.release()
     if count < 1:
         raise InputError(f"{shown(path)}: no video that can be decoded here")
     return count
+
+
+def _video(path: Path) -> cv2.VideoCapture:
+    # FFmpeg alone: another backend takes numbered names for images, which it would decode unchecked.
+    return cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
 
 
 def read_frame(path: Path, number: int) -> NDArray[np.uint8]:
@@ -47,7 +52,7 @@ def read_frame(path: Path, number: int) -> NDArray[np.uint8]:
     # Seeking is not exact in every format: frames are decoded from the last one on that this process read.
     video, following = _open.get(path, (None, 0))
     if video is None or number < following:
-        video, following = cv2.VideoCapture(str(path)), 0
+        video, following = _video(path), 0
     while following < number and video.grab():
         following += 1
     done, frame = video.read()

@@ -98,6 +98,25 @@ def scenes_from(
     return scenes
 
 
+def write_files(
+    folder: Path, images: Mapping[str, Any], maps: Mapping[str, Any], masks: Mapping[str, Any], end: str = ""
+) -> None:
+    """Write arrays by name: images as PNG, maps as PFM, masks as PNG of their name behind ``mask_``; None is left out.
+
+    Parameters
+    ----------
+    end : what all names end with
+    """
+    from depthcli.data.formats.disparity import write_pfm
+    from depthcli.data.formats.images import write_png
+
+    for name, image in (*images.items(), *((f"mask_{name}", mask) for name, mask in masks.items())):
+        write_png(folder / f"{name}{end}.png", image)
+    for name, values in maps.items():
+        if values is not None:
+            write_pfm(folder / f"{name}{end}.pfm", values)
+
+
 def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:
     """Write the ``meta.json`` of a scene."""
     from depthcli.data.formats.files import write_text

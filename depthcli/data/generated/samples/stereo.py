@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.data.generated.samples import Sample, SampleScene, write_meta
+from depthcli.data.generated.samples import Sample, SampleScene, write_files, write_meta
 
 if TYPE_CHECKING:
     import numpy as np
@@ -107,16 +107,8 @@ def write_scene(
     meta: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Write a scene in the layout ``scenes`` and return facts for the report."""
-    from depthcli.data.formats.disparity import write_pfm
-    from depthcli.data.formats.images import write_png
-
-    write_png(folder / "left.png", left)
-    write_png(folder / "right.png", right)
-    for stem, values in zip(("disp_left", "disp_right"), disparities, strict=True):
-        if values is not None:
-            write_pfm(folder / f"{stem}.pfm", values)
-    for name, inside in masks.items():
-        write_png(folder / f"mask_{name}.png", inside)
+    maps = {"disp_left": disparities[0], "disp_right": disparities[1]}
+    write_files(folder, {"left": left, "right": right}, maps, masks)
     height, width = left.shape[:2]
     known = {key: value for key, value in meta.items() if value is not None}
     fields = {"protocol": "middlebury_v2", "disp_scale": 1, "width": width, "height": height, **known}

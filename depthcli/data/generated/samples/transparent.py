@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from depthcli.core.option import Option
-from depthcli.data.generated.samples import Sample, SampleScene, scenes_from, write_meta
+from depthcli.data.generated.samples import Sample, SampleScene, scenes_from, write_files, write_meta
 from depthcli.data.generated.samples.cross_modal import FROM, SPECKLES
 from depthcli.data.generated.samples.stereo import HEIGHT, SEED, WIDTH
 
@@ -85,18 +85,12 @@ class TransparentSample(Sample):
         self, values: Mapping[str, Any], seed: int, folder: Path, color: NDArray[np.uint8], sensor: NDArray[np.float32],
         truth: NDArray[np.float32], masks: Mapping[str, NDArray[np.bool_]], meta: dict[str, Any],
     ) -> dict[str, Any]:  # fmt: skip
-        from depthcli.data.formats.disparity import write_pfm
-        from depthcli.data.formats.images import write_png
         from depthcli.data.generated.arrays.transparent_scenes import sparse_samples
 
         sparse = sparse_samples(
             truth, color, values["share"], outliers=values["outliers"], clustered=values["at_edges"], seed=seed
         )
-        write_png(folder / "color.png", color)
-        for name, depth in (("depth", sensor), ("depth_true", truth), ("sparse", sparse)):
-            write_pfm(folder / f"{name}.pfm", depth)
-        for name, mask in masks.items():
-            write_png(folder / f"mask_{name}.png", mask)
+        write_files(folder, {"color": color}, {"depth": sensor, "depth_true": truth, "sparse": sparse}, masks)
         write_meta(folder, meta)
         return {"width": color.shape[1], "height": color.shape[0]}
 
