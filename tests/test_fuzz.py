@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import importlib.machinery
 import importlib.util
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+
+from depthcli.core.errors import InputError
+from tests.fuzzing import readers, watching
+from tests.fuzzing.common import Fault
 
 SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "fuzz"
 
@@ -34,7 +41,7 @@ def test_readers_and_commands():
 
 
 @pytest.mark.parametrize("fault", ["bug", "warning", "open file", "message"])
-def test_faults_are_noticed(fuzz, capsys, monkeypatch, fault):
+def test_faults_are_noticed(fuzz, tmp_path, monkeypatch, fault):
     left_open = []
 
     def reader(path: Path) -> None:
@@ -45,23 +52,44 @@ def test_faults_are_noticed(fuzz, capsys, monkeypatch, fault):
         if fault == "open file":
             left_open.append(open(__file__, "rb"))  # noqa: SIM115
         if fault == "message":
-            raise fuzz.InputError("no")
+            raise InputError("no")
 
-    monkeypatch.setattr(fuzz, "READERS", (reader, reader))
-    monkeypatch.setattr(fuzz, "SUITED", {})
-    assert fuzz.main(["--only", "readers", "--cases", "3"]) == 1
-    assert "3 cases, 3 faults" in capsys.readouterr().out
+    monkeypatch.setattr(readers, "READERS", (reader, reader))
+    monkeypatch.setattr(readers, "SUITED", {})
+    results = [result for result in fuzz.run_cases(range(3), 0, "readers", tmp_path) if result]
+    assert len(results) == 3
+    assert all(result["fault"] for result in results)
     for file in left_open:
         file.close()
 
 
 @pytest.mark.slow
-def test_a_hang_is_noticed(fuzz, monkeypatch):
+@pytest.mark.parametrize("end", ["killed", "hung"])
+def test_a_case_that_ends_its_process_is_a_fault_and_the_others_go_on(fuzz, capsys, monkeypatch, end):
+    def case(rng: np.random.Generator, folder: Path, base: Path) -> str:
+        if folder.name == "4" and end == "killed":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if folder.name == "4":  # as a library that Python cannot interrupt
+            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGALRM])
+            time.sleep(60)
+        return "done"
+
+    monkeypatch.setitem(fuzz.KINDS, "readers", (case, 1))
+    monkeypatch.setattr(fuzz, "SECONDS", 1)
+    assert fuzz.main(["--only", "readers", "--cases", "9", "--jobs", "2"]) == 1
+    said = capsys.readouterr().out
+    assert ("case 4: ended: no end" if end == "hung" else "case 4: ended: the process") in said
+    assert "8  done" in said
+    assert "9 cases, 1 faults" in said
+
+
+@pytest.mark.slow
+def test_a_hang_is_noticed(monkeypatch):
     def endless() -> None:
-        with fuzz.watched():
+        with watching.watched():
             while True:
                 pass
 
-    monkeypatch.setattr(fuzz, "SECONDS", 1)
-    with pytest.raises(fuzz.Fault, match="no end"):
+    monkeypatch.setattr(watching, "SECONDS", 1)
+    with pytest.raises(Fault, match="no end"):
         endless()
