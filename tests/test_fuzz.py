@@ -75,7 +75,8 @@ def test_a_case_that_ends_its_process_is_a_fault_and_the_others_go_on(fuzz, caps
         return "done"
 
     monkeypatch.setitem(fuzz.KINDS, "readers", (case, 1))
-    monkeypatch.setattr(fuzz, "SECONDS", 1)
+    monkeypatch.setattr(watching, "limit", lambda: 1)
+    monkeypatch.setattr(fuzz, "limit", lambda: 1)
     assert fuzz.main(["--only", "readers", "--cases", "9", "--jobs", "2"]) == 1
     said = capsys.readouterr().out
     assert ("case 4: ended: no end" if end == "hung" else "case 4: ended: the process") in said
@@ -90,6 +91,6 @@ def test_a_hang_is_noticed(monkeypatch):
             while True:
                 pass
 
-    monkeypatch.setattr(watching, "SECONDS", 1)
+    monkeypatch.setattr(watching, "limit", lambda: 1)
     with pytest.raises(Fault, match="no end"):
         endless()

@@ -14,9 +14,9 @@ import numpy as np
 
 from tests.fuzzing.common import Fault, chosen, results
 from tests.fuzzing.inputs import ROOT
+from tests.fuzzing.watching import limit
 
 PACKAGE = ROOT / "depthcli"
-SECONDS = 28.0  # for a scheduler to begin, and then for a run
 # At the end of the module that writes maps: what a worker of other code computes differs.
 _WRONG = "\n_right = write_pfm\n\n\ndef write_pfm(path, values):\n    _right(path, values + 1)\n"
 
@@ -52,6 +52,7 @@ def cluster_case(rng: np.random.Generator, folder: Path, base: Path) -> str:
     what = f"cluster of {kinds}, the last {n_late} late"
     if "other" in kinds:
         what += f", other {other_package(rng, folder / 'package')}"
+    seconds = 0.45 * limit()  # for a scheduler to begin, and then for a run
     output, file = folder / "out", folder / "scheduler.json"
     processes: list[subprocess.Popen[bytes]] = []
 
@@ -68,7 +69,7 @@ def cluster_case(rng: np.random.Generator, folder: Path, base: Path) -> str:
         started("distributed.cli.dask_worker", *options, package=package)
 
     def wait_for(path: Path, pattern: str) -> None:
-        end = time.monotonic() + SECONDS
+        end = time.monotonic() + seconds
         while not any(found.stat().st_size for found in path.glob(pattern)):
             if time.monotonic() > end or any(process.poll() for process in processes):
                 raise Fault(f"{what}: no {pattern}: {(folder / 'log').read_text('utf-8', 'replace')[-400:]}")
@@ -92,7 +93,7 @@ def cluster_case(rng: np.random.Generator, folder: Path, base: Path) -> str:
             time.sleep(rng.uniform(0, 3))
             join(kind)
         try:
-            code = run.wait(SECONDS)
+            code = run.wait(seconds)
         except subprocess.TimeoutExpired:
             code = None
     finally:
