@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.formats.headers import image_size
 from depthcli.data.formats.images import read_image
+from depthcli.data.formats.rigs import read_rig
 from tests import damage
+from tests.fuzzing.inputs import others
 
 FILES = {name: data for name, data in damage.originals().items() if not name.endswith((".pfm", ".npy"))}
 ROUNDS = 60
@@ -52,3 +55,18 @@ def test_damage_is_told_by_us_alone(tmp_path: Path, capfd, name):
     assert capfd.readouterr().err == ""
     if name.endswith(".png"):  # every byte of a PNG is under a checksum
         assert accepted <= 2
+
+
+@pytest.mark.parametrize("key", [b"rows", b"cols", b"dt", b"sizes", b"data"])
+@pytest.mark.parametrize(
+    "word", [*damage.WORDS, b"3d", b"99d", b"[-1, -3]", b"-3", b"!!binary |"], ids=lambda word: str(word[:9])
+)
+def test_sizes_in_a_calibration_of_opencv_are_never_sizes_of_memory(tmp_path: Path, key, word):
+    """OpenCV's own reader writes outside of its memory for negative sizes, which ends the process much later."""
+    path = tmp_path / "rig.yaml"
+    path.write_bytes(re.sub(rb"\b%s: .*" % key, lambda _: key + b": " + word, others()["rig.yaml"], count=3))
+    try:
+        assert read_rig([path]).baseline == pytest.approx(0.12, abs=1e-3)
+    except InputError as error:
+        assert str(path) in str(error)
+        assert str(error).isprintable()
