@@ -248,6 +248,9 @@ def short(value: Any) -> str:
         text = value if isinstance(value, BaseModel) else json.dumps(value, ensure_ascii=False)
         text = str(text)
     except (TypeError, ValueError):
-        text = repr(value)
+        try:
+            text = repr(value)
+        except ValueError:  # Python writes no integer of more than 4300 digits, which YAML holds as 0x...
+            text = "a number of thousands of digits"
     text = "".join(c if c.isprintable() else "?" for c in text)
     return text if len(text) <= 64 else text[:61] + "..."

@@ -14,7 +14,7 @@ from depthcli.data.formats.headers import image_size
 from depthcli.data.formats.images import read_image
 from depthcli.data.formats.rigs import read_rig
 from tests import damage
-from tests.fuzzing.inputs import others
+from tests.fuzzing.inputs import ODD_VALUES, others
 
 FILES = {name: data for name, data in damage.originals().items() if not name.endswith((".pfm", ".npy"))}
 ROUNDS = 60
@@ -70,3 +70,18 @@ def test_sizes_in_a_calibration_of_opencv_are_never_sizes_of_memory(tmp_path: Pa
     except InputError as error:
         assert str(path) in str(error)
         assert str(error).isprintable()
+
+
+@pytest.mark.parametrize("value", ODD_VALUES, ids=lambda value: value[:9])
+def test_odd_values_in_calibrations_are_refused_in_a_line(tmp_path: Path, value):
+    """Numbers of thousands of digits, lists that multiply, deep ones: in every place, and soon."""
+    text = others()["rig.yaml"].decode()
+    for place in ("K1: !!opencv-matrix", "[60, 0, 31.5, 0, 60, 23.5, 0, 0, 1]", "rows: 3", "%YAML:1.0"):
+        path = tmp_path / "rig.yaml"
+        path.write_text(text.replace(place, f"K1: {value}" if place.startswith("K1") else value, 1), "utf-8")
+        try:
+            read_rig([path])
+        except InputError as error:
+            assert str(path) in str(error)
+            assert str(error).isprintable()
+            assert len(str(error)) < 600

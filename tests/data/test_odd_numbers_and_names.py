@@ -140,10 +140,10 @@ def test_two_endings_of_one_image_are_not_chosen_from(tmp_path: Path):
 def test_long_lists_with_a_name_twice_take_no_longer(tmp_path: Path):
     rows = "".join(f"{n}.png,{n}.png,n{n}\n" for n in range(20_000))
     (tmp_path / "pairs.csv").write_text(f"left,right,name\n{rows}a.png,a.png,n19999\n")
-    started = time.monotonic()
+    started = time.process_time()
     with pytest.raises(InputError, match="n19999"):
         read_table(tmp_path / "pairs.csv")
-    assert time.monotonic() - started < 3
+    assert time.process_time() - started < 3
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,13 @@ GRID = Grid(SHAPE[::-1], (1.0, 1.5, 2.0), (-3.0, 4.0, 5.0))
 ROOT = Path(__file__).resolve().parent.parent.parent
 _SIZE = " ".join(map(str, GRID.size))
 
+# A list of 10 billion numbers in YAML, each level ten times the one before.
+_LEVELS = [f"&{chr(98 + k)} [{', '.join(['*' + chr(97 + k)] * 10)}]" for k in range(9)]
+_BOMB = f"[&a [{', '.join('0' * 10)}], {', '.join(_LEVELS)}]"
+
 # Values where something else stands: of other kinds, nested, too long, too large, of another shape.
 ODD_VALUES = (
+    _BOMB, "0x" + "f" * 5000,
     "[" * 3000 + "]" * 3000, "[" * 100_000, "9" * 400, "-" + "9" * 5000, "1e400", "1e305", "-99999999999", "NaN",
     "-Infinity", "null", "true", '"x"', '""', "[]", "{}", "[[[[1]]]]", "[1, [2]]", "0", "-1", "0.5", '"\\u0000"',
     '"\\ud800"', "[0, 0, 0]", "300000000", "[" + "1, " * 70_000 + "1]", '{"a": {"b": {}}}', "1e-320", "2147483648",

@@ -77,7 +77,7 @@ def reader_case(rng: np.random.Generator, folder: Path, base: Path) -> str:
     elif chance < 0.09 and pool is not others():
         what, (made, data) = "bomb", bomb(rng)
         path.write_bytes(data)
-    elif name.endswith(".json") and rng.random() < 0.7:
+    elif name.endswith((".json", ".yaml")) and rng.random() < 0.7:
         what, text = odd_json(pool[name].decode(), rng)
         what, made = "odd value", f"{name}, {what}"
         path.write_text(text, "utf-8")

@@ -11,13 +11,12 @@ from xml.etree import ElementTree
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
-from depthcli.core.errors import InputError
-from depthcli.core.yaml_source import short
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.yaml_source import parse_config, short
 from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.formats.plain_text import image_sides, json_object, key_values, numbers
 
@@ -131,15 +130,6 @@ def _json_camera(fields: dict[str, Any], name: str, image_size: tuple[int, int])
     return Camera(matrix, tuple(_numbers(camera, "distortion", (-1,), name).tolist()))
 
 
-class _OpenCvLoader(yaml.SafeLoader):
-    """YAML as OpenCV writes it, with its own tags for matrices."""
-
-
-_OpenCvLoader.add_multi_constructor(
-    "tag:yaml.org,2002:opencv-", lambda loader, _, node: loader.construct_mapping(node, deep=True)
-)
-
-
 def _contents(text: str) -> dict[str, Any]:
     """What a file of JSON, XML or YAML holds.
 
@@ -154,8 +144,13 @@ def _contents(text: str) -> dict[str, Any]:
             parts = ElementTree.fromstring(text)
             fields = {part.tag: {each.tag: each.text or "" for each in part} or part.text or "" for part in parts}
         else:
-            fields = yaml.load(re.sub(r"\A%YAML.*", "", text), _OpenCvLoader)  # a safe loader
-    except (ValueError, RecursionError, yaml.YAMLError, ElementTree.ParseError) as error:
+            source = parse_config(re.sub(r"\A%YAML.*|!!opencv-[\w-]+", "", text), "YAML")
+            if source.problems:
+                raise InputError(f"{_UNKNOWN} ({source.problems[0]})")
+            fields = source.data
+    except ConfigError as error:
+        raise InputError(f"{_UNKNOWN} ({error})") from error
+    except (ValueError, RecursionError, ElementTree.ParseError) as error:
         raise InputError(f"{_UNKNOWN} ({type(error).__name__})") from error
     if not isinstance(fields, dict):
         raise InputError(f"{_UNKNOWN} (OpenCV, ROS, Kalibr, KITTI)")
