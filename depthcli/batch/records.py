@@ -16,7 +16,7 @@ from typing import Any
 
 from depthcli.batch.json_csv import Row, to_json
 from depthcli.core.errors import InputError
-from depthcli.data.formats.files import MAX_BYTES, open_regular, write_text
+from depthcli.data.formats.files import MAX_BYTES, open_regular, read_bytes, write_text
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 
 RUN_FILE = "run.yaml"
@@ -136,12 +136,10 @@ def is_inside(name: str) -> bool:
 
 def read_text(path: Path) -> str:
     """Return the text of a regular file of reasonable size, empty for any other."""
-    try:
-        if path.is_file() and path.stat().st_size <= MAX_TEXT_BYTES:
-            return path.read_text("utf-8", "replace")
-    except OSError:
-        pass
-    return ""
+    try:  # no more than its size: some files of /proc have none, and no end
+        return read_bytes(path, MAX_TEXT_BYTES).decode("utf-8", "replace").replace("\r\n", "\n")
+    except InputError:
+        return ""
 
 
 def read_json(path: Path) -> Any:

@@ -19,8 +19,8 @@ from typing import Any, TextIO
 from depthcli.batch.json_csv import Row, to_json_line, write_csv
 from depthcli.batch.records import MAX_TEXT_BYTES, RUN_FILE, Record, digest, read_json, read_record, read_text
 from depthcli.batch.sharing import FolderLock, Shard
-from depthcli.core.errors import ConfigError, OutputError
-from depthcli.data.formats.files import atomic_path, ends_of_file
+from depthcli.core.errors import ConfigError, InputError, OutputError
+from depthcli.data.formats.files import atomic_path, ends_of_file, open_regular
 
 REPORT_FILES = ("report.json", "report.csv")
 _PARTS_FOLDER = ".parts"
@@ -28,7 +28,7 @@ _MIN_PAUSE = 1.0  # seconds between two writes of the report
 _MAX_SHARE = 0.05  # of the time may be spent on writing the report
 # How a part begins, and a row of any report; see write_rows.
 _PART_START = re.compile(rb'\{\n "command": "[^"]*",\n "run": "(\w+)",\n "inputs": "(\w+)"')
-_ROW_START = '  {"scene": '
+_ROW_START = b'  {"scene": '
 # Columns of a report that a scene's record does not hold.
 _MEASURED_COLUMNS = frozenset({"scene", "status", "error", "seconds", "peak_memory", "source"})
 
@@ -256,13 +256,16 @@ def _rows_of_file(path: Path, keys: frozenset[str] | None) -> Any:
     """Return all rows of a report, reduced to ``keys``; one of ours is read line by line, which saves memory."""
     rows = []
     try:
-        if path.is_file() and path.stat().st_size <= MAX_TEXT_BYTES:
-            with path.open(encoding="utf-8", errors="replace") as file:
-                for line in file:
-                    if line.startswith(_ROW_START):
-                        row = json.loads(line.rstrip().rstrip(","), object_pairs_hook=_with_interned_keys)
-                        rows.append(row if keys is None else {key: row[key] for key in row if key in keys})
-    except (OSError, ValueError, RecursionError):
+        with open_regular(path) as file:
+            left = os.fstat(file.fileno()).st_size
+            while 0 < left <= MAX_TEXT_BYTES and (line := file.readline(left)):  # files of /proc have no size, no end
+                left -= len(line)
+                if line.startswith(_ROW_START):
+                    row = json.loads(
+                        line.decode("utf-8", "replace").rstrip().rstrip(","), object_pairs_hook=_with_interned_keys
+                    )
+                    rows.append(row if keys is None else {key: row[key] for key in row if key in keys})
+    except (InputError, ValueError, RecursionError):
         return []
     if rows:
         return rows

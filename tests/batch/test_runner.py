@@ -5,6 +5,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -578,3 +580,21 @@ def test_an_interrupted_replacement_is_known_as_ours(folder: Folder, monkeypatch
 @pytest.mark.skipif(not Path("/proc/self/pagemap").exists(), reason="needs a file without an end")
 def test_a_file_without_an_end_is_not_read_for_hours():
     assert records.file_digest(Path("/proc/self/pagemap")).startswith("unreadable")
+
+
+@pytest.mark.skipif(not Path("/proc/self/pagemap").exists(), reason="no file without size and end")
+def test_run_folders_with_files_that_never_end_are_read_at_once(tmp_path: Path):
+    """A link to a file of /proc counts as a damaged one: it is a regular file of no size that goes on for ever."""
+    for name in ("report.json", "run.yaml", "record.json"):
+        (tmp_path / name).symlink_to("/proc/self/pagemap")
+    code = f"""
+import resource
+resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
+from pathlib import Path
+from depthcli.batch import records, reports, run_folder
+folder = Path({str(tmp_path)!r})
+print(reports.read_report(folder), reports.read_report(folder, facts=False), records.read_record(folder))
+print([run_folder.saved_config(folder)])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert done.stdout == "{} {} None\n['']\n", done.stderr
