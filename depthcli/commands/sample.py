@@ -18,7 +18,7 @@ from depthcli.data.generated.samples import SampleScene, samples
 class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
     """Generates scenes that the options describe, into a run folder."""
 
-    results: ClassVar[tuple[str, ...]] = ("*",)
+    results: ClassVar[tuple[str, ...]] = ("*.png", "*.pfm", "*.nii.gz", "meta.json", "calib.json")
 
     @property
     def options(self) -> tuple[Option, ...]:
