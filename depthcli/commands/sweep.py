@@ -156,7 +156,7 @@ def _print_result(
 ) -> None:
     """Print the runs by their figure and the effect of every key; write both to ``sweep.csv`` and ``sweep.json``."""
     from depthcli.batch.combinations import document_of, effects
-    from depthcli.data.formats.files import write_text
+    from depthcli.data.formats.files import remove_temporaries, write_text
     from depthcli.evaluation.statistics import mean_of_known
 
     rows: list[Row] = []
@@ -178,6 +178,8 @@ def _print_result(
         texts.append(_text(section, order, figures, found))
     document = {"over": {axis.key: axis.values for axis in axes}, "results": documents}
     for name, text in zip(_TABLES, (to_json(document), to_csv(rows)), strict=True):
+        if values["shard"] is None:  # shards write the same tables, perhaps at this moment
+            remove_temporaries(values["output"], name)
         write_text(values["output"] / name, text)
     if values["json"]:
         reporter.data(to_json(document))
