@@ -1,4 +1,4 @@
-"""The command line: the only place with typer and exit codes; commands are built from the objects in ``commands/``.
+"""The command line, the only place with typer: builds commands from the objects in ``commands/``, maps errors to codes.
 
 Exit codes: 0 all done; 1 a bug; 2 wrong usage or config; 3 finished, but something failed; 130 Ctrl-C; 143 SIGTERM.
 Nothing heavy is imported here, so that ``--help`` answers at once.
@@ -30,8 +30,11 @@ _COMMON = (
     Option("verbose", bool, "Print details on stderr.", default=False, short="-v"),
     Option("quiet", bool, "Print only errors, and no table.", default=False, short="-q"),
 )
+_QUIET = -1
+"""Level of a :class:`Reporter` that prints errors only."""
+
 _STREAM_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
-"""What a disk or device behind a stream answers when it takes no more."""
+"""System errors of a stream whose disk is full or whose device fails."""
 
 # Of every typer app: plain help texts, and no tracebacks of its own.
 _SETTINGS: dict[str, Any] = {
@@ -86,7 +89,7 @@ def _callback(command: Command) -> Callable[..., int]:
     """Return the function that typer calls for a command; typer reads the options from its signature."""
 
     def callback(**values: Any) -> int:
-        return command.run(values, Reporter(-1 if values["quiet"] else int(values["verbose"])))
+        return command.run(values, Reporter(_QUIET if values["quiet"] else int(values["verbose"])))
 
     parameters = [_parameter(argument, positional=True) for argument in command.arguments]
     parameters += [_parameter(option, positional=False) for option in (*command.options, *_COMMON)]
@@ -140,15 +143,15 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run_typer(arguments: list[str] | None) -> int:
-    """Parse the command line, run its command and return the exit code.
+    r"""Parse the command line, run its command and return the exit code.
 
-    Typer ends in ways of its own, which become one of ours here:
-
-    - Ctrl-C: it returns 130 as if a command had, or raises ``Abort``. Here: ``KeyboardInterrupt``.
-    - Wrong usage: an exception of a private class with ``exit_code`` 2, which prints usage and message. Here: 2.
-    - The reader of a help text has closed the pipe (``--help | head``): it exits with 1. Here: 0, nothing failed.
-    - A help text that a full disk does not take: a bare ``OSError``. Here: ``IncompleteError``, as for other output.
-    - Shell completion, which the variable ``_DEPTHCLI_COMPLETE`` asks for: it exits with its own codes, which stay.
+    | event | what typer does | what this function does |
+    |---|---|---|
+    | Ctrl-C | returns 130 or raises ``Abort`` | raises ``KeyboardInterrupt`` |
+    | wrong usage | raises an exception of a private class with ``exit_code`` 2 | prints its usage line, returns 2 |
+    | the reader of a help text closes the pipe (``--help \| head``) | exits with 1 | returns 0: nothing failed |
+    | a help text is written to a full disk | raises ``OSError`` | raises ``IncompleteError``, as for other output |
+    | shell completion (``_DEPTHCLI_COMPLETE`` is set) | exits with its own code | leaves it so |
     """
     try:
         code = int(app(arguments, prog_name="depthcli", standalone_mode=False) or 0)
@@ -175,7 +178,7 @@ def _run_typer(arguments: list[str] | None) -> int:
 
 
 def _repair_streams() -> None:
-    """Prevent that a closed stream, or one that cannot encode a name, ends a run."""
+    """Keep a closed stream, or one that cannot encode a name, from ending a run."""
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:  # closed; else the next file that is opened would take its number
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
@@ -188,4 +191,4 @@ def _terminate(number: int, frame: Any) -> None:
 
 
 def _print_error(text: str) -> None:
-    Reporter(-1).error(text)
+    Reporter(_QUIET).error(text)

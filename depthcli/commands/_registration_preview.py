@@ -62,7 +62,7 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
             pictures = [picture[:, ::-1] for picture in pictures]
             ends = ends[:2] + ends[:1:-1]
         place = (middle + 0.5) * _turned(loaded.blocks, loaded)[axis] - 0.5
-        origin, step = grid.turned_range(axis)
+        origin, step = grid.slice_positions(axis)
         title = f"{plane}, {side_and_distance(axis, origin + step * place)}"
         rows.append(np.concatenate([_framed(p, ends, title if not k else "") for k, p in enumerate(pictures)], axis=1))
     sheet = np.concatenate([_heading(), *rows])

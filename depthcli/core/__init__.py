@@ -1,4 +1,4 @@
-"""What every other package stands on: how a config becomes an algorithm, what algorithms take and give back, errors.
+"""What all other packages build on: how a config becomes an algorithm, what algorithms take and return, errors.
 
 Read ``method`` first: an algorithm is one file with one pydantic model, and a folder of such files is a registry.
 
@@ -9,10 +9,10 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 | ``yaml_source`` | the YAML below it: plain data, with the line of every value; ``to_yaml`` back |
 | ``config_errors`` | pydantic's errors as lines with file, key and what may be meant |
 | ``frames``, ``volumes`` | inputs: a rectified pair; color and depth (and infrared); two volumes on one grid |
-| ``maps``, ``result`` | outputs: a map with the status of every pixel; what else a method gives back, its times |
+| ``maps``, ``result`` | outputs: a map with the status of every pixel; what else a method returns, and its times |
 | ``cameras`` | one camera, two of them, their rectification; disparity and depth; the Kinect's raw codes |
 | ``networks`` | a trained network as arrays |
 | ``option`` | a command-line option as data |
 | ``memory`` | large arrays that are recycled |
-| ``errors``, ``text`` | errors that a user reads; texts from outside, made harmless; sizes in bytes |
+| ``errors``, ``text`` | errors that a user reads; foreign text made harmless; sizes in bytes |
 """

@@ -1,4 +1,4 @@
-"""Errors of pydantic in the words of a config file: which line, which key, what is wrong, what may be meant."""
+"""Pydantic's errors as messages about a config file: which line, which key, what is wrong, what may be meant."""
 
 from __future__ import annotations
 
@@ -81,8 +81,10 @@ def _keys(owners: Iterable[type[BaseModel]]) -> list[str]:
 
 
 def _models(kind: Any, data: Any, location: Location) -> list[type[BaseModel]]:
-    """The models that the value at ``location`` may be of, following the data where a family is met."""
+    # The models that the value at ``location`` of ``data``, annotated with ``kind``, may be read as. Goes down one
+    # part of the location at a time; where a field holds a method of a family, the data say which method.
     if isinstance(kind, type) and issubclass(kind, BaseModel):
+        # A model: itself, and the method that is written at its own level (see RootConfig.flattened).
         flat = kind.model_fields.get(getattr(kind, "flattened", ""))
         family = _family([*flat.metadata, *_metadata(flat.annotation)]) if flat else None
         inner = _method(family, data) if family else []
@@ -98,13 +100,15 @@ def _models(kind: Any, data: Any, location: Location) -> list[type[BaseModel]]:
         return []
     origin = get_origin(kind)
     if origin is Annotated:
+        # A method of a family, by the validator in its metadata; else what is annotated.
         inside, *metadata = get_args(kind)
         family = _family(metadata)
         if family is None:
             return _models(inside, data, location)
         return [m for method in _method(family, data) for m in _models(method, data, location)]
-    if origin in (Union, UnionType):
+    if origin in (Union, UnionType):  # any of the alternatives
         return [m for option in get_args(kind) for m in _models(option, data, location)]
+    # A sequence, then a dict: the next part of the location is an index, or a key.
     if origin in (list, tuple, Sequence) and location and isinstance(location[0], int):
         elements = [a for a in get_args(kind) if a is not Ellipsis]
         below = data[location[0]] if isinstance(data, list) and location[0] < len(data) else None
@@ -116,7 +120,7 @@ def _models(kind: Any, data: Any, location: Location) -> list[type[BaseModel]]:
 
 
 def _metadata(annotation: Any) -> list[Any]:
-    """Metadata of an annotation, or of the alternatives in it."""
+    # Metadata of an annotation, or of the alternatives in it.
     if get_origin(annotation) is Annotated:
         return list(get_args(annotation)[1:])
     return [entry for option in get_args(annotation) for entry in _metadata(option)]

@@ -4,7 +4,7 @@ Precedence: field default < base < file < ``--set key=value``. All problems are 
 ``file:line: key: what is wrong (got ...); did you mean ...``.
 
 A model whose key got another name says so in ``renamed: ClassVar[dict[str, str]] = {"old": "new"}``. The old key
-is then refused as any unknown key is, with the new name as the hint, however little the two are alike.
+is then refused as any unknown key is, with the new name as the hint, even where the two names are not similar.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ def overlay(
     Parameters
     ----------
     config : of the file
-    settings : ``a.b=value``; value is YAML, a number in the path is an index of a list. Of a pair, the first is the
-        option that messages name instead of ``--set``
-    defaults : values of keys that the file leaves out, so that one key below them can be set
+    settings : options, each as ``a.b=value`` or as (option, ``a.b=value``), where messages name ``option`` instead of
+        ``--set``. The value is YAML; a number in the path is an index of a list
+    defaults : values of keys that the file leaves out, so that a single key below them can be set
     """
     for entry in settings:
         option, setting = entry if isinstance(entry, tuple) else ("", entry)
@@ -83,12 +83,14 @@ def overlay(
 def with_base(config: ConfigData, path: Path, find: Callable[[str], Path | None], chain: tuple[Path, ...] = ()) -> None:
     """Lay ``config`` over the one that its key ``base`` names, in place.
 
-    Mappings are merged key by key, but for one that names another method; anything else replaces what the base says.
+    Mappings are merged key by key, except that a mapping which selects a different method replaces the base's mapping.
+    Any other value replaces that of the base.
 
     Parameters
     ----------
     config : of the file ``path``
-    find : gives the file of a preset's name, or None; a file beside ``path`` goes first
+    find : returns the file of a preset by its name, or None; a file in the folder of ``path`` has precedence
+    chain : the files that were read before this one, each naming the next as its base
 
     Raises
     ------
@@ -140,7 +142,7 @@ def validate(model: type[_Model], config: ConfigData) -> _Model:
     Raises
     ------
     ConfigError
-        All problems, one a line.
+        All problems, one per line.
     """
     problems = list(config.problems)
     try:
@@ -163,7 +165,7 @@ def load_config(
     Parameters
     ----------
     model : of the config's root
-    source : a file, or a config that is read already
+    source : a file, or a config that was read already (and whose ``base`` is not followed)
     settings : as for :func:`overlay`
     find : as for :func:`with_base`
 

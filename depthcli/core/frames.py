@@ -1,4 +1,4 @@
-"""Inputs of the algorithms: a rectified pair, a frame of color and depth, and such frames with more beside."""
+"""Inputs of the algorithms: a rectified pair; a frame of color and depth, alone or with a further measurement."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class StereoPair:
     Attributes
     ----------
     left, right : (H, W) grey or (H, W, 3) RGB, uint8 or uint16, same shape and dtype
-    bits : of a sample: cameras of 10 or 12 bit fill a part of 16; None: all bits of the dtype. Larger samples
-        count as the largest
-    light_trust : (H, W) uint8: how far grey levels can be compared at a pixel of the left image, 255 = fully;
-        None: everywhere
+    bits : number of bits of a sample, such as 10 or 12 in a uint16 image; None: all bits of the dtype. Samples that
+        are too large for it count as the largest
+    light_trust : (H, W) uint8, how comparable the grey level at a pixel of the left image is with those of the right
+        image, 255 = fully; None: fully everywhere
     """
 
     left: Image
@@ -54,7 +54,7 @@ class StereoPair:
 
     @cached_property
     def grey(self) -> tuple[Image, Image]:
-        """Both images as (H, W) luma in their own dtype, whose full range is used."""
+        """Both images as (H, W) luma in their own dtype, scaled to its full range."""
         left, right = self._full_range
         return _grey(left), _grey(right)
 
@@ -77,7 +77,7 @@ class StereoPair:
 
     @property
     def clamped(self) -> tuple[Image, Image]:
-        """Both images without samples beyond ``top``."""
+        """Both images, with samples larger than ``top`` set to ``top``."""
         return _clamped(self.left, self.top), _clamped(self.right, self.top)
 
     @cached_property
@@ -156,7 +156,7 @@ class RgbIrFrame:
     Attributes
     ----------
     color : (H, W, 3) uint8 RGB
-    infrared : (h, w) uint8; without a rig of the color image's size
+    infrared : (h, w) uint8; without a rig, it has the size of the color image
     depth : (H, W) float32, meters, NaN = unknown; registered to ``color``
     rig : the color (left) and the infrared camera (right), or None where the images are a rectified pair
     fb : focal length x baseline of a rectified pair, pixel meters
@@ -178,13 +178,13 @@ class RgbIrFrame:
 
 @dataclass(frozen=True)
 class SparseFrame(RgbdFrame):
-    """A frame with a second, sparse depth from elsewhere: where the sensor is blind, or sees through.
+    """A frame with a second, sparse depth from another source, for surfaces that the sensor misses or sees through.
 
     Attributes
     ----------
     sparse : (H, W) float32, meters, NaN = none; registered to ``color``
-    sparse_confidence : (H, W) float32, higher is surer, or None where all count alike
-    dense : (H, W) float32, meters, NaN = none, or None: what the source of ``sparse`` guesses everywhere
+    sparse_confidence : (H, W) float32, higher is surer, or None: all count alike
+    dense : (H, W) float32, meters, NaN = none: the estimate of the same source at every pixel, reliable or not; or None
     """
 
     sparse: NDArray[np.float32] = field(kw_only=True)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 class Status(IntFlag):
     """Why a pixel has no value (NaN), or what was done to the value it has.
 
-    The first four say why the matcher found nothing trustworthy; ``FILLED`` and ``SMOOTHED`` are
-    information about a value that is there. A filled pixel keeps its reason: ``OCCLUDED | FILLED``.
+    ``OCCLUDED`` to ``NO_DATA`` are reasons why the matcher measured no reliable value. ``FILLED`` and ``SMOOTHED``
+    describe a value that is there; a filled pixel keeps its reason: ``OCCLUDED | FILLED``.
     """
 
     MEASURED = 0
@@ -34,11 +34,11 @@ class DepthStatus(IntFlag):
     KEPT = 0
     GAP_FILLED = 1  # unknown, filled by the model
     CORRECTED = 2  # measured, replaced by the model
-    FALLBACK = 4  # unknown to the model as well, filled from around
+    FALLBACK = 4  # the model gives no value either; filled from pixels around
     CARRIED = 8  # taken over from earlier frames
     EMPTY = 16  # no value
     SMOOTHED = 32
-    SAMPLED = 64  # filled or replaced, and a second measurement of this very pixel (stereo) says the same
+    SAMPLED = 64  # filled or replaced, and a second measurement of the same pixel (stereo) agrees
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 _MIN_BYTES = 1 << 20  # of an array from the pool; below, malloc itself recycles
-_MAX_FREE_BYTES = 256 << 20  # held back; the blocks of very large images are not worth it
+_MAX_FREE_BYTES = 256 << 20  # of all free blocks together; those of very large images are not worth keeping
 
 _lock = threading.RLock()  # re-entrant: a finalizer may run inside ``empty``
 _free: list[NDArray[np.uint8]] = []
@@ -68,7 +68,7 @@ def _give(block: NDArray[np.uint8]) -> None:
 
 
 def kept() -> int:
-    """Return the bytes of free blocks that are held back."""
+    """Return the number of bytes of all free blocks in the pool."""
     with _lock:
         return sum(block.size for block in _free)
 

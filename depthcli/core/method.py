@@ -45,7 +45,7 @@ class Method(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     aliases: ClassVar[tuple[str, ...]] = ()
-    """Abbreviations of the field that a config may use for the name, in any case."""
+    """Usual abbreviations of the method's name, which a config may use instead of it, in any case."""
 
     renamed: ClassVar[dict[str, str]] = {}
     """Former names of fields and their names today, which the error for such an unknown key suggests."""

@@ -12,16 +12,16 @@ from depthcli.core.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class TrainedNetwork:
-    """A network of two hidden layers of rectified units: the log odds of each of N maps to be right at a pixel.
+    """A network of two hidden layers of rectified units: the log odds that each of N maps is right at a pixel.
 
     Attributes
     ----------
     maps : names of the N methods whose maps it was trained for
     inputs : names of its F inputs
     mean, scale : (F,) float32; the first layer gets ``(x - mean) scale`` of an input x
-    layers : float32 weights and offsets of three layers, of shapes (F, U) and (N, U), one row of offsets a map; (U, V)
-        and (V,); (V, 1) and (1,)
-    trained_on : names of the scenes
+    layers : three pairs (weights, offsets), float32, of shapes (F, U) and (N, U); (U, V) and (V,); (V, 1) and (1,).
+        The first layer has one row of offsets per map; all other weights are shared by the maps
+    trained_on : names of the scenes that it was trained on
 
     Raises
     ------

@@ -21,7 +21,7 @@ class Option:
     short : one-letter form, such as ``-i``
     required : must be given
     min_value, max_value : bounds of a number
-    sets : the config key that it overrides, as ``--set`` does; such an option reaches no command by itself
+    sets : the config key that it overrides, as ``--set`` does; the command itself does not receive it
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What every pipeline gives back beside its main map, and the clock that times its stages."""
+"""What every pipeline returns in addition to its main map, and the clock that times its stages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from depthcli.core.maps import DepthMap
 
 @dataclass(kw_only=True)
 class Result:
-    """What a pipeline gives back beside its main map; each problem adds its map to it.
+    """What a pipeline returns in addition to its main map; subclasses add the map of their problem.
 
     Attributes
     ----------
@@ -35,12 +35,13 @@ class Result:
 
 @dataclass
 class RefinedDepth(Result):
-    """A refined depth map and how far its values may be off.
+    """A refined depth map and the uncertainty of its values.
 
     Attributes
     ----------
-    depth : the map, with what was done to every pixel
-    sigma : (H, W) float32, meters: standard deviation by the residuals of the model a value comes from, NaN = none
+    depth : the map, with a status for every pixel
+    sigma : (H, W) float32, meters, NaN = none: standard deviation of the values, estimated from the residuals of the
+        model that they come from
     """
 
     depth: DepthMap
@@ -55,8 +56,8 @@ class RefinedDepth(Result):
 class Clock:
     """Adds up seconds by stage.
 
-    What ``untimed`` counts is left out: the seconds spent on compiling kernels, where a runner sets it so. That
-    happens once on a machine and is not the method's time.
+    ``untimed`` returns seconds that are left out. A runner sets it to the time spent on compiling kernels, which
+    happens once per machine and is not the method's time.
     """
 
     untimed: ClassVar[Callable[[], float]] = staticmethod(lambda: 0.0)
@@ -66,13 +67,13 @@ class Clock:
         self._last = self._now()
 
     def stop(self, stage: str) -> None:
-        """Book the time since the last call (or the start) under ``stage``."""
+        """Add the time since the last call (or since the clock was made) to ``stage``."""
         now = self._now()
         self.seconds[stage] = self.seconds.get(stage, 0.0) + max(now - self._last, 0.0)
         self._last = now
 
     def stop_stages(self, stages: Mapping[str, float]) -> None:
-        """Book the time since the last call under ``stages``, which were timed within it, and the rest as ``other``."""
+        """Divide the time since the last call among ``stages``, which were timed within it, and ``other``, the rest."""
         self.stop("other")
         self.seconds |= {**stages, "other": max(self.seconds.pop("other") - sum(stages.values()), 0.0)}
 

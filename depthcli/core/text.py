@@ -1,4 +1,4 @@
-"""Texts as people read them: those from outside made harmless for terminals, tables and spreadsheets; sizes."""
+"""Text for people: foreign text made harmless for terminals, tables and spreadsheets; sizes in bytes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _FORMULA_STARTS = ("=", "+", "-", "@")  # cells that begin so are computed by sp
 def printable(text: str) -> str:
     """Return ``text`` with escapes for what cannot be shown: control characters, bytes of names that are not UTF-8.
 
-    Line breaks stay. Python holds such bytes as lone surrogates, which no stream takes.
+    Line breaks stay. Python represents such bytes as lone surrogates, which cannot be written to a stream.
     """
     if text.isprintable():
         return text

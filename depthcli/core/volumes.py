@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 PLANES = ("axial", "coronal", "sagittal")
-"""Slices across the axes of an array that was turned as radiologists hang it."""
+"""Anatomical planes of the slices across axes 0, 1 and 2 of an array that :meth:`Grid.turned` returns."""
 ENDS = ("SI", "AP", "RL")
-"""Its axes: where the first and where the last voxel is; superior, anterior and right are positive."""
+"""Sides of the first and of the last voxel along these axes; positions are positive towards S, A and R."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Grid:
     Attributes
     ----------
     size : voxels along x, y, z
-    spacing : mm along the volume's own axes
+    spacing : distance of voxels along the volume's own axes, mm
     origin : position of the first voxel
     direction : (3, 3), columns are the axes
     """
@@ -41,27 +41,28 @@ class Grid:
 
     @property
     def axes(self) -> NDArray[np.float64]:
-        """(3, 3) columns are the axes."""
+        """(3, 3): columns are the directions of the axes x, y, z."""
         return np.array(self.direction).reshape(3, 3)
 
     def to_index(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (N, 3) positions x, y, z in mm as places z, y, x in voxels."""
+        """Return the array coordinates (N, 3) z, y, x, voxels, of positions (N, 3) x, y, z, mm."""
         own = (points - np.array(self.origin)) @ np.linalg.inv(self.axes).T
-        places: NDArray[np.float64] = (own / np.array(self.spacing))[:, ::-1]
-        return places
+        coordinates: NDArray[np.float64] = (own / np.array(self.spacing))[:, ::-1]
+        return coordinates
 
-    def to_point(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (N, 3) places z, y, x in voxels as positions x, y, z in mm."""
-        points: NDArray[np.float64] = (places[:, ::-1] * np.array(self.spacing)) @ self.axes.T + np.array(self.origin)
+    def to_point(self, coordinates: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the positions (N, 3) x, y, z, mm, of array coordinates (N, 3) z, y, x, voxels."""
+        along_axes = coordinates[:, ::-1] * np.array(self.spacing)
+        points: NDArray[np.float64] = along_axes @ self.axes.T + np.array(self.origin)
         return points
 
     def anatomical_axes(self) -> tuple[tuple[int, int, int], tuple[int, ...]]:
-        """Return how an array on this grid is turned so that slices of it look as radiologists hang them.
+        """Return how an array on this grid is turned so that its slices appear as radiologists display them.
 
         Returns
         -------
         order : the array's axes that run nearest to superior-inferior, anterior-posterior and right-left
-        flipped : axes of the array in that order that run the other way and have to be flipped
+        flipped : positions in ``order`` of the axes that run the opposite way and have to be flipped
         """
         # Row a: how far the array's axis a (z, y, x) runs towards inferior, posterior and left of the LPS frame.
         along = self.axes.T[::-1] @ np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
@@ -69,7 +70,7 @@ class Grid:
         return (a, b, c), tuple(k for k, n in enumerate((a, b, c)) if along[n, k] < 0)
 
     def turned(self, values: NDArray[ScalarT]) -> NDArray[ScalarT]:
-        """Return a (Z, Y, X) array on this grid from superior to inferior, anterior to posterior and right to left."""
+        """Return a (Z, Y, X) array with axes from superior to inferior, anterior to posterior and right to left."""
         order, flipped = self.anatomical_axes()
         return np.flip(values.transpose(order), flipped)
 
@@ -78,10 +79,11 @@ class Grid:
         a, b, c = (self.spacing[2 - axis] for axis in self.anatomical_axes()[0])
         return a, b, c
 
-    def turned_range(self, axis: int) -> tuple[float, float]:
-        """Return where the first slice across an axis of a turned array lies, and how much further the next one, mm.
+    def slice_positions(self, axis: int) -> tuple[float, float]:
+        """Return the position of the first slice across ``axis`` of a turned array and the step to the next one, mm.
 
-        Positive towards superior, anterior or right, for the axes 0, 1 and 2; through the middle of the volume.
+        Positive towards superior, anterior and right for the axes 0, 1 and 2. Positions are those of the slices'
+        centers: on an oblique grid, other points of a slice lie elsewhere.
         """
         order, flipped = self.anatomical_axes()
         ends = np.tile((np.array(self.shape) - 1) / 2, (2, 1))
@@ -92,17 +94,18 @@ class Grid:
         return float(first), float(second - first)
 
     def same_as(self, other: Grid) -> bool:
-        """Return whether the voxels lie at the same places, up to a hundredth of a voxel."""
+        """Return whether voxels have the same positions, up to a hundredth of the smallest spacing."""
         if self.size != other.size:
             return False
         tolerance = 0.01 * min(self.spacing)
         corners = np.vstack([np.zeros(3), np.diag(np.array(self.shape) - 1.0)])
         return bool(np.allclose(self.to_point(corners), other.to_point(corners), atol=tolerance, rtol=0))
 
-    def difference(self, other: Grid) -> str:
-        """Return what differs, size, spacing, origin or direction, first of this grid, then of ``other``, for messages.
+    def describe_difference(self, other: Grid) -> str:
+        """Describe the first property that differs, as ``size 3 x 4 x 1, want 5 x 6 x 1``, for error messages.
 
-        Of several the first that differs by more than a thousandth; for grids that are the same, the last.
+        The first of size, spacing, origin and direction that differs by more than 1e-3, of this grid and then of
+        ``other``. If none of the first three does, the direction.
         """
         for name in ("size", "spacing", "origin", "direction"):
             own, others = getattr(self, name), getattr(other, name)
@@ -115,7 +118,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Volume:
-    """(Z, Y, X) float32 values, or (Z, Y, X, 3) of a vector field, and where they are."""
+    """Values on a grid: (Z, Y, X) float32, or (Z, Y, X, 3) float32 of a vector field."""
 
     values: NDArray[np.float32]
     grid: Grid

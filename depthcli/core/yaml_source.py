@@ -57,7 +57,11 @@ class ConfigData:
     problems: list[str] = field(default_factory=list)
 
     def place(self, location: Location) -> str:
-        """Return where the value at ``location`` stands: an option below it that set it, else the nearest around."""
+        """Return the place of the value at ``location``, for messages.
+
+        That is the last option that set the value or a part of it; else its own ``file:line``, or that of the nearest
+        value around it whose place is known.
+        """
         if location not in self.places or not self.places[location].startswith("--"):
             below = [place for at, place in self.places.items() if at[: len(location)] == location]
             changed = [place for place in below if place.startswith("--")]
@@ -95,7 +99,7 @@ def read_config(path: Path) -> ConfigData:
 
 
 def parse_config(text: str, name: str) -> ConfigData:
-    """Parse the text of a config file; ``name`` stands in messages. Raises as :func:`read_config` does."""
+    """Parse the text of a config file, which messages call ``name``. Raises as :func:`read_config` does."""
     node = compose(text, name)
     config = ConfigData(name)
     if node is None:
@@ -161,7 +165,15 @@ def _line(node: yaml.Node) -> int:
 
 
 class Builder:
-    """Turns nodes into plain data, noting places and collecting problems."""
+    """Turns YAML nodes into plain data.
+
+    Parameters
+    ----------
+    name : of the file or option, for messages
+    places : gets the place of every value
+    problems : gets a line for every problem
+    lines : whether a place has a line number
+    """
 
     def __init__(self, name: str, places: dict[Location, str], problems: list[str], lines: bool = True) -> None:
         self.name, self.places, self.problems, self.lines = name, places, problems, lines
@@ -173,6 +185,7 @@ class Builder:
         return f"{self.name}:{_line(node)}" if self.lines else self.name
 
     def build(self, node: yaml.Node, location: Location) -> Any:
+        """Return the plain data of a node that stands at ``location``; ConfigError where it is too large."""
         self.nodes += 1
         if self.nodes > _MAX_NODES or len(self.open) > _MAX_DEPTH or id(node) in self.open:
             raise ConfigError(f"{self.at(node)}: too large, nested too deeply, or an anchor that contains itself")

@@ -35,7 +35,7 @@ def test_all_48_orientations_are_shown_alike(order, signs, degrees):
         towards_first_side = sign * grid.turned(points[..., world])
         assert (np.diff(towards_first_side, axis=axis) < 0).all()
         middle = [n // 2 if k != axis else slice(None) for k, n in enumerate(towards_first_side.shape)]
-        first, step = grid.turned_range(axis)
+        first, step = grid.slice_positions(axis)
         assert step == pytest.approx(np.diff(towards_first_side[tuple(middle)])[0])
         if degrees == 0:
             assert first + step * np.arange(towards_first_side.shape[axis]) == pytest.approx(

@@ -81,7 +81,7 @@ def test_points_and_places():
 def test_grids_that_differ(other, said):
     grid = Grid((6, 6, 6), (1.0, 1.0, 1.0))
     assert grid.same_as(grid) and not grid.same_as(other)
-    assert grid.difference(other).startswith(said)
+    assert grid.describe_difference(other).startswith(said)
 
 
 def test_linear_at_voxels_between_and_outside():

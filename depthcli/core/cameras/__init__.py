@@ -1,4 +1,4 @@
-"""Cameras, and what two of them measure together.
+"""Cameras, pairs of cameras, and how disparity becomes depth.
 
 | module | holds |
 |---|---|

@@ -1,4 +1,4 @@
-"""One camera: where it projects a point to, with the distortion of its lens or without."""
+"""One camera: where it projects a point to, with or without the distortion of its lens."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class Camera:
     matrix : (3, 3) float64, pixels
     distortion : coefficients of OpenCV's pinhole model (k1, k2, p1, p2, k3 ...) or of its fisheye model (k1 to k4)
     size : (width, height) of its images, or None where it is not known
-    fisheye : which model
+    fisheye : whether the coefficients are those of the fisheye model
 
     Raises
     ------
     InputError
-        The matrix is no camera's, or the coefficients do not fit the model.
+        The matrix cannot be that of a camera, or the number of coefficients does not fit the model.
     """
 
     matrix: NDArray[np.float64]
@@ -83,13 +83,13 @@ class Camera:
         return Camera(matrix, self.distortion, None, self.fisheye)
 
     def rays(self, pixels: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        """Return (N, 2), x / z and y / z of the points that this camera projects to (N, 2) ``pixels``."""
+        """Return (x / z, y / z), as (N, 2), of the points that this camera projects to (N, 2) ``pixels``."""
         return self.undistorted(pixels, np.eye(3), np.eye(3))
 
     def undistorted(
         self, pixels: NDArray[np.floating[Any]], rotation: NDArray[np.float64], projection: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return (N, 2), where a camera without distortion, turned by ``rotation``, projects what is at ``pixels``."""
+        """Return the pixels (N, 2) of an undistorted camera, turned by ``rotation``, that show what ``pixels`` show."""
         if len(pixels) == 0:
             return np.zeros((0, 2))
         undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
@@ -100,7 +100,7 @@ class Camera:
     def undistortion_maps(
         self, rotation: NDArray[np.float64], projection: NDArray[np.float64], size: tuple[int, int]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return x and y in this camera's image of every pixel of one without distortion, turned by ``rotation``.
+        """Return, for every pixel of an undistorted camera turned by ``rotation``, x and y in this camera's image.
 
         Parameters
         ----------
@@ -114,17 +114,17 @@ class Camera:
     def depth_image(
         self, points: NDArray[np.float64], shape: tuple[int, int], *values: NDArray[np.float32]
     ) -> list[NDArray[np.float32]]:
-        """Return the depth map of a cloud of points; of the points in one pixel the nearest one counts.
+        """Return the depth map of a cloud of points; of several points in one pixel, the nearest one counts.
 
         Parameters
         ----------
         points : (N, 3) in the camera's frame, meters
         shape : (H, W) of the image
-        values : (N,) each, what else is known of the points
+        values : (N,) each, further values of the points
 
         Returns
         -------
-        (H, W) float32, NaN where no point is: the depth, and every one of ``values``
+        (H, W) float32 each, NaN where there is no point: the depth, then each of ``values``
         """
         images = [np.full(shape, np.nan, np.float32) for _ in range(1 + len(values))]
         ahead = points[:, 2] > 0

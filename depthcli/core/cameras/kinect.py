@@ -1,4 +1,4 @@
-"""The depth sensor of a first-generation Kinect: its raw codes, and its depth as the color camera sees it."""
+"""The depth sensor of a first-generation Kinect: its raw codes, and its depth in the color camera's pixels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Camera
 
 KINECT_BASELINE = 0.075
-"""Projector to camera of the first Kinect and of the sensors built like it, meters."""
+"""Distance of projector and depth camera in the first Kinect and in sensors of the same design, meters."""
 
 KINECT_FOCAL_LENGTH = 580.0
 """Of the first Kinect's depth camera, pixels of its 640 x 480 images."""
@@ -25,17 +25,17 @@ _MAX_STEP = 0.03  # relative difference of two depths between which a pixel is f
 class KinectCalibration:
     """Both cameras of a first-generation Kinect and how its raw codes become depth.
 
-    The plain model is the triangulation of the thesis's eq. 1.1, ``Z = Zr / (1 + Zr / (f b) d)``, with the
-    shift ``d`` counted in raw codes: ``1 / Z = (offset - raw) / factor``. The calibrated one (Herrera et al., TPAMI
-    2012) corrects the codes first: ``raw + beta(x, y) exp(alpha_0 - alpha_1 raw)``.
+    The plain model is triangulation, ``Z = Zr / (1 + Zr / (f b) d)`` (thesis, equation 1.1), with the shift ``d``
+    counted in raw codes: ``1 / Z = (offset - raw) / factor``. The calibrated one (Herrera et al., TPAMI 2012) corrects
+    the codes first: ``raw + beta(x, y) exp(alpha_0 - alpha_1 raw)``.
 
     Attributes
     ----------
     depth, color : cameras
     rotation, translation : from the depth camera's frame to the color camera's; (3, 3), (3,) meters
-    offset, factor : raw code of infinity; code meters
-    beta : (H, W) spatial distortion of the codes, or None
-    alpha : its decay
+    offset, factor : raw code of infinite depth; codes x meters
+    beta : (H, W) spatial distortion of the codes, or None for the plain model
+    alpha : alpha_0 and alpha_1, by which the distortion decays with the code
     """
 
     depth: Camera
@@ -48,7 +48,7 @@ class KinectCalibration:
     alpha: tuple[float, float] = (0.0, 0.0)
 
     def depth_of_raw(self, raw: NDArray[np.uint16]) -> NDArray[np.float32]:
-        """Return the depth of raw codes 0..2046 (2047 = none); (H, W) float32, meters, NaN where unknown."""
+        """Return the depth of raw codes (0 to 2046; 2047 = unknown), (H, W) float32, meters, NaN = unknown."""
         codes = raw.astype(np.float64)
         if self.beta is not None:
             codes += self.beta * np.exp(self.alpha[0] - self.alpha[1] * codes)
@@ -58,10 +58,10 @@ class KinectCalibration:
         return depth.astype(np.float32)
 
     def register(self, depth: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the depth camera's map as the color camera has it.
+        """Return the depth camera's map in the color camera's pixels.
 
-        Points are projected, and of those in one pixel the nearest one counts; a single pixel without any, between
-        two neighbors of similar depth, gets their mean.
+        Points are projected; of several in one pixel, the nearest one counts. A single empty pixel between two
+        neighbors of similar depth gets their mean.
 
         Parameters
         ----------

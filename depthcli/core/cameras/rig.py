@@ -16,7 +16,7 @@ from depthcli.core.errors import InputError
 
 @dataclass(frozen=True)
 class Rig:
-    """Two cameras at fixed places.
+    """Two cameras that do not move relative to each other.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Rig:
     Raises
     ------
     InputError
-        The rotation is none, the cameras stand at one place, or only one has a fisheye lens.
+        The matrix is not a rotation, the cameras have the same position, or only one has a fisheye lens.
     """
 
     left: Camera
@@ -53,12 +53,12 @@ class Rig:
         self, size: tuple[int, int], right_size: tuple[int, int], alpha: float = 0.0, *,
         mirrored: bool = False, max_tilt: float = 0.5, min_overlap: float = 0.0,
     ) -> RectifiedRig:  # fmt: skip
-        """Return how images of ``size`` are made whose rows correspond (Bouguet's method, as OpenCV has it).
+        """Return the rectification after which matching points lie in the same row (Bouguet's method, by OpenCV).
 
         Parameters
         ----------
         size, right_size : (width, height) of the two cameras' images
-        alpha : 0 shows only what both images hold, 1 all that either holds; -1 OpenCV's choice in between
+        alpha : 0 keeps only what both images show, 1 all that either shows; -1 is OpenCV's choice in between
         mirrored : the right camera may stand to the left of the left one (see :attr:`RectifiedRig.mirrored`)
         max_tilt : vertical over horizontal baseline beyond which the cameras count as one above the other
         min_overlap : smallest share of the rectified image that both cameras must see
@@ -66,7 +66,8 @@ class Rig:
         Raises
         ------
         InputError
-            Calibrated for images of another size, cameras one above the other, exchanged, or without a common view.
+            The images have another size than those of the calibration; the cameras lie one above the other, are
+            exchanged, or have no common view.
         """
         for name, camera, given in (("left", self.left, size), ("right", self.right, right_size)):
             if camera.size is not None and camera.size != given:
@@ -92,7 +93,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class RectifiedRig:
-    """How both cameras of a rig are turned and projected.
+    """A rectification: how both cameras of a rig are turned and projected, so that rows correspond.
 
     Attributes
     ----------
@@ -119,7 +120,10 @@ class RectifiedRig:
 
     @property
     def mirrored(self) -> bool:
-        """The right camera is on the left: matches lie to the right, unless both images are mirrored."""
+        """Whether the right camera stands to the left of the left one, so that matches lie to the right.
+
+        This is about the images as :meth:`images` returns them; a caller may mirror both to have matches on the left.
+        """
         return bool(self.projection_right[0, 3] > 0)
 
     @property
@@ -128,7 +132,7 @@ class RectifiedRig:
         return abs(float(self.projection_right[0, 3]))
 
     def overlap(self) -> float:
-        """Return the share of the rectified image that both cameras see, of points at infinity."""
+        """Return the share of the rectified image's pixels that both cameras see, for points at infinity."""
         common = np.ones(self.size[::-1], bool)
         for (x, y), rotation, (width, height) in zip(
             self._maps(), (self.rotation, self.rotation_right), (self.size, self.right_size), strict=True
@@ -141,7 +145,7 @@ class RectifiedRig:
         self, left: NDArray[Any], right: NDArray[Any], interpolation: int = cv2.INTER_CUBIC,
         border: int = cv2.BORDER_CONSTANT,
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:  # fmt: skip
-        """Return both rectified images, and (H, W) bool of the pixels that both cameras' images reach at infinity.
+        """Return both rectified images, and (H, W) bool: both cameras' images contain the pixel's point at infinity.
 
         Parameters
         ----------
@@ -158,7 +162,7 @@ class RectifiedRig:
     def points(
         self, left: NDArray[np.floating[Any]], right: NDArray[np.floating[Any]]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return where (N, 2) pixels of the two cameras come to lie in the rectified images, (N, 2) each."""
+        """Return the rectified positions, (N, 2) each, of (N, 2) pixels of the left and of the right camera."""
         return (
             self.rig.left.undistorted(left, self.rotation, self.projection),
             self.rig.right.undistorted(right, self.rotation_right, self.projection_right),
@@ -173,9 +177,9 @@ class RectifiedRig:
         return (near / along).astype(np.float32)
 
     def unrectify_depth(self, depth: NDArray[np.float32], values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Return a sparse depth map of the rectified left camera, and a map beside it, in the left camera's pixels.
+        """Return a sparse depth map of the rectified left camera, and its ``values``, in the left camera's pixels.
 
-        Of several points that meet in a pixel the nearest one stays.
+        Of several points in one pixel, the nearest one stays.
         """
         rows, columns = np.nonzero(np.isfinite(depth))
         z = depth[rows, columns].astype(np.float64)

@@ -43,14 +43,14 @@ def disparity_of_depth(depth: NDArray[np.floating[Any]], fb: float, offset: floa
 
 @dataclass(frozen=True)
 class PairGeometry:
-    """The left camera of a rectified pair, and where the right one stands.
+    """The left camera of a rectified pair and the position of the right one.
 
     Attributes
     ----------
     left : the left camera
     baseline : distance of the cameras, meters
     offset : x of the right principal point minus that of the left one (``doffs`` of Middlebury v3), pixels
-    size : (width, height) of the images that this holds for, or None where it is not known
+    size : (width, height) of the images that these numbers are for, or None where it is not known
 
     Raises
     ------

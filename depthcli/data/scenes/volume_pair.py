@@ -236,7 +236,7 @@ class VolumePairScene(Scene):
 
         volume = read_volume(file)
         if not volume.grid.same_as(fixed):
-            raise InputError(f"{file}: another grid than the fixed volume's ({volume.grid.difference(fixed)})")
+            raise InputError(f"{file}: another grid than the fixed volume's ({volume.grid.describe_difference(fixed)})")
         return volume.values
 
     def _warp(self, fixed: Volume, convention: str) -> tuple[NDArray[np.float32], Path]:

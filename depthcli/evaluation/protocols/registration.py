@@ -89,7 +89,7 @@ class RegistrationPresentation(Presentation):
     def axes(self, truth: PreparedTruth) -> tuple[Axis, ...]:
         """Return the axes of the volumes as radiologists hang them, the patient's right on the left."""
         grid = truth.stored.grid
-        return tuple(Axis(PLANES[k], ENDS[k], *grid.turned_range(k)) for k in range(3))
+        return tuple(Axis(PLANES[k], ENDS[k], *grid.slice_positions(k)) for k in range(3))
 
     def image(self, scene: Scene) -> NDArray[np.uint8] | None:
         """Return grey levels of the fixed volume as it is shown, between its darkest and brightest half percent."""
@@ -261,7 +261,9 @@ def _with_missing(score: Score, share: float, n_points: int) -> Score:
 def _at_points(path: Path, truth: PreparedTruth) -> Errors:
     volume = read_volume(path)
     if not volume.grid.same_as(truth.stored.grid):
-        raise InputError(f"{path}: another grid than the fixed volume's ({volume.grid.difference(truth.stored.grid)})")
+        raise InputError(
+            f"{path}: another grid than the fixed volume's ({volume.grid.describe_difference(truth.stored.grid)})"
+        )
     if truth.inside is not None:
         return volume.values[truth.inside]
     assert truth.landmarks is not None
