@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.core.errors import ConfigError
 from depthcli.core.volumes import Grid
 from depthcli.data.formats.images import read_image
 from depthcli.data.formats.volumes import read_volume, write_array
+from depthcli.data.scenes.volume_pair import VolumePairScene
+from depthcli.data.walk import discover_scenes
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -108,6 +111,26 @@ def test_a_moving_volume_with_its_field_and_landmarks(pairs, tmp_path):
     assert main(["register-confidence", "mind", *one, "-o", str(tmp_path / "one"), *SMALL]) == 0
     name = "pair/expected_error.mha"
     assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
+
+
+def test_a_field_and_a_transform_are_refused_unless_one_counts(tmp_path, capsys):
+    folder = tmp_path / "pair"
+    folder.mkdir()
+    for name in ("fixed.mha", "moving.mha", "displacement.mha", "transform.tfm"):
+        (folder / name).touch()
+    (scene,) = discover_scenes(folder)
+    assert "both displacement.mha and transform.tfm; take away the one" in scene.problem
+    files = {"displacement": folder / "displacement.mha", "transform": folder / "transform.tfm"}
+    given = files | {"fixed": folder / "fixed.mha", "moving": folder / "moving.mha"}
+    with pytest.raises(ConfigError, match="both --displacement and --transform: leave one out"):
+        VolumePairScene.single(given)
+    for apply, counting in {"displacement": {"displacement"}, "transform": {"transform"}, "both": set(files)}.items():
+        (folder / "meta.json").write_text(json.dumps({"apply": apply}))
+        for pair in (*discover_scenes(folder), VolumePairScene.single(given | {"apply": apply})):
+            assert not pair.problem
+            assert {role for role in files if getattr(pair, role) is not None} == counting
+    with pytest.raises(ConfigError, match="--apply: want displacement, transform, both"):
+        VolumePairScene.single(given | {"apply": "field"})
 
 
 def spoil(folder, what):

@@ -7,7 +7,7 @@ from pathlib import Path
 from depthcli.core.errors import InputError
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
-from depthcli.data.scenes.volume_pair import VolumePairScene
+from depthcli.data.scenes.volume_pair import LEFT_OUT, VolumePairScene
 
 _VOLUMES = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".img", ".png", ".jpg", ".jpeg")
 _FIELDS = (".nii", ".nii.gz", ".mha", ".mhd", ".nrrd", ".nhdr", ".npz", ".h5")
@@ -23,7 +23,7 @@ class Registration(Layout):
     wants = (
         "`fixed.*` and `moving_warped.*`, or `moving.*` with `displacement.*` or `transform.*` (NIfTI, MHA/MHD, NRRD, "
         "DIR-Lab `.img`, PNG, JPEG); where known `mask.*`, `landmarks_fixed.csv` with `landmarks_moving.csv` (x, y, z "
-        "in mm), `error_true.*` (mm)"
+        "in mm), `error_true.*` (mm); `meta.json` (`apply`: displacement, transform or both, where there are both)"
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -33,13 +33,22 @@ class Registration(Layout):
         if fixed is None and warped is None:
             return []
         displacement, transform = _one(folder, "displacement", _FIELDS), _one(folder, "transform", _TRANSFORMS)
-        problem = ""
+        problem, apply = "", folder.meta.text("apply", "")
         if fixed is None:
             problem = f"{folder.path}: no fixed.*"
         elif warped is None and moving is None:
             problem = f"{folder.path}: neither moving_warped.* nor moving.*"
         elif warped is None and displacement is None and transform is None:
             problem = f"{folder.path}: moving.* wants displacement.* or transform.* beside it"
+        elif displacement is not None and transform is not None:
+            if apply not in LEFT_OUT:
+                problem = (
+                    f"{folder.path}: both {displacement.name} and {transform.name}; take away the one that is not the "
+                    'registration, or say in meta.json which counts: "apply": "displacement", "transform" or "both"'
+                )
+            left_out = LEFT_OUT.get(apply)
+            displacement = None if left_out == "displacement" else displacement
+            transform = None if left_out == "transform" else transform
         return [
             self.scene(
                 folder, problem=problem, fixed=fixed or folder.path / "fixed.mha", moving_warped=warped, moving=moving,

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from depthcli.core.volumes import Grid, RegisteredPair, Volume
 
 _GENERIC_NAMES = ("fixed", "fixed.nii")
+LEFT_OUT = {"displacement": "transform", "transform": "displacement", "both": ""}
+"""What counts of a displacement field and a transform -> what does not; both: the field first, as ANTs chains them."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,7 @@ class VolumePairScene(Scene):
         Option("moving", Path, "Moving volume, with --displacement or --transform.", "FILE"),
         Option("displacement", Path, "Displacement field of the registration.", "FILE"),
         Option("transform", Path, "Transform of the registration.", "FILE"),
+        Option("apply", str, "With both files: displacement, transform, or both (ANTs).", "WHICH"),
         Option("mask", Path, "Mask of the fixed volume.", "FILE"),
         Option("field", str, "Convention of the field: auto, itk, ants, niftyreg, voxels.", "NAME", sets="field"),
     )
@@ -97,7 +100,10 @@ class VolumePairScene(Scene):
         """The pair of ``--fixed`` and ``--warped``, or of ``--moving`` with its transform."""
         roles = {"warped": "moving_warped"} | {name: name for name in ("moving", "displacement", "transform", "mask")}
         files: dict[str, Any] = {role: values[name] for name, role in roles.items() if values.get(name) is not None}
-        fixed = values.get("fixed")
+        fixed, apply = values.get("fixed"), values.get("apply")
+        both = {"displacement", "transform"} <= files.keys()
+        if apply is not None and not (both and apply in LEFT_OUT):
+            raise ConfigError(f"--apply: want {', '.join(LEFT_OUT)}, of a pair with --displacement and --transform")
         if fixed is None:
             if files:
                 raise ConfigError(f"--{next(n for n in roles if roles[n] in files)} wants --fixed beside it")
@@ -106,6 +112,9 @@ class VolumePairScene(Scene):
             "moving" in files and ("displacement" in files or "transform" in files)
         ):
             raise ConfigError("--fixed wants --warped, or --moving with --displacement or --transform, beside it")
+        if both and apply is None:
+            raise ConfigError("both --displacement and --transform: leave one out, or say which counts by --apply")
+        files.pop(LEFT_OUT.get(apply or "", ""), None)
         return cls(name=name_of(fixed, _GENERIC_NAMES), folder=fixed.parent, fixed=fixed, **files)
 
     @property
