@@ -53,6 +53,8 @@ class EvaluateCommand(Command):
         LAYOUT,
         Option("protocol", str, "How to score, such as kitti-2015. Default: as each scene's data set.", "NAME"),
         Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", min_value=1e-6),
+        Option("invalid", float, "Value of disparity files that means none; nan: no value does. Default: recognized.",
+               "VALUE"),
         Option("resolution", str, "Size of Middlebury v3's truth. Default: by a known scene's width.", "F|H|Q"),
         Option("resize", str, "Bring depth maps and their truth to one size, nearest neighbor.", "WxH"),
         Option("threshold", float, "Threshold of wrong pixels. Default: the benchmark's.", "T", min_value=1e-6),
@@ -67,7 +69,7 @@ class EvaluateCommand(Command):
         from depthcli.evaluation.tables import report_text, wide_tables
 
         resolution, resize = (values["resolution"] or "").upper() or None, _size(values["resize"])
-        settings = Settings(values["scale"], resolution, values["threshold"], resize)
+        settings = Settings(values["scale"], resolution, values["threshold"], resize, values["invalid"])
         form = values["format"]
         if form is not None and form not in FORMATS:
             raise ConfigError(f"--format: want {', '.join(FORMATS)} (got {form!r})")

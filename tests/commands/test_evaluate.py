@@ -62,6 +62,24 @@ def run_of(folder: Path, maps: dict[str, np.ndarray]) -> Path:
     return folder
 
 
+def test_negative_constants_of_other_programs_are_no_values(truth: Path, tmp_path: Path):
+    values = {name: exact(truth, name) for name in "ab"}
+    for estimate in values.values():
+        estimate[:, -8:] = -1  # as OpenCV's matchers mark a quarter
+    run = run_of(tmp_path / "sgbm", values)
+
+    def scored(invalid: float | None = None) -> MapResult:
+        report = evaluate([run], truth, None, ["a"], protocol="eth3d", settings=Settings(invalid=invalid))
+        return report.results[0]
+
+    assert (bad(scored()), scored().value("coverage", "all")) == (0, 75)
+    assert "25 % of the pixels are -1, which the truth never is: taken as no value" in scored().warning
+    assert (bad(scored(-1)), scored(-1).warning) == (0, "")
+    assert (bad(scored(math.nan)), scored(math.nan).warning) == (25, "")
+    (run / "a" / "record.json").write_text("{}")  # what depthcli makes is taken as it is
+    assert (bad(scored()), scored().warning) == (25, "")
+
+
 def bad(result: MapResult, mask: str = "all", threshold: float = 1.0) -> float:
     return result.value("bad", mask, threshold)
 
@@ -521,7 +539,9 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
     assert "8-bit disparities need a scale" in evaluate([tmp_path / "m.pfm"], tmp_path / "gt.png", None).failed[0].error
     with pytest.raises(InputError, match="a single map wants a single scene"):
         evaluate([tmp_path / "m.pfm"], truth, None)
-    values = dict.fromkeys(("output", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize"))
+    values = dict.fromkeys(
+        ("output", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize", "invalid")
+    )
     values |= {"runs": [tmp_path / "m.pfm"], "truth": truth / "a" / "disp_left.png", "json": True, "quiet": False}
     values |= {"html": False, "format": None}
     assert COMMAND.run(values, Reporter(-1)) == 0

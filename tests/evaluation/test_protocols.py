@@ -19,7 +19,7 @@ from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings
-from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, scale_warning
+from depthcli.evaluation.protocols._disparity import DisparityProtocol, DisparityTruth, invalid_value, scale_warning
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, interpolate_background
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, find_score
@@ -423,6 +423,20 @@ def test_wrong_scale_is_noticed(name, factor):
     assert judge.warnings(estimate, reference) == []
     (warning,) = judge.warnings(estimate * np.float32(factor), reference)
     assert "times the truth" in warning
+
+
+@pytest.mark.parametrize("mark", [-1.0, -16.0, -0.0625, 0.0])
+def test_constants_that_stand_for_no_value_are_recognized(mark):
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(5, 60, (50, 50)).astype(np.float32)
+    estimate = truth + np.float32(0.3)
+    assert invalid_value(estimate, truth) is None
+    estimate[:, :3] = mark
+    assert invalid_value(estimate, truth) == mark
+    assert invalid_value(estimate, truth + np.float32(mark - 5)) is None  # the truth has it, too
+    estimate[:, 3:20] = np.float32(mark) + rng.uniform(0, 1, (50, 17)).astype(np.float32)
+    assert invalid_value(estimate, truth) is None  # the end of a range
+    assert invalid_value(np.full_like(truth, mark), truth) is None
 
 
 def test_noise_is_not_taken_for_a_scale():

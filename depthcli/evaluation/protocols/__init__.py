@@ -44,12 +44,14 @@ class Settings:
     resolution : size of the ground truth where a benchmark has several (Middlebury v3: F, H or Q)
     threshold : of the headline, in the protocol's unit, instead of the benchmark's
     resize : (width, height) that depth maps and their truth are brought to, nearest neighbor, as ClearGrasp does
+    invalid : value of the files of disparity maps that stands for no value, before ``scale``; None: it is recognized
     """
 
     scale: float | None = None
     resolution: str | None = None
     threshold: float | None = None
     resize: tuple[int, int] | None = None
+    invalid: float | None = None
 
     def __post_init__(self) -> None:
         if self.resolution not in (None, "F", "H", "Q"):

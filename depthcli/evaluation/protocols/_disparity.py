@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.disparity import read_disparity
+from depthcli.data.formats.disparity import read_disparity, read_plane
+from depthcli.data.formats.files import shown, warn
 from depthcli.data.formats.pictures import STATUS_PALETTE
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene, StereoTruth
@@ -66,6 +67,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
     kind = StereoScene
     files = DisparityFiles()
     curve_regions: ClassVar[tuple[str, ...]] = ("nonocc", "all")
+    takes: ClassVar[tuple[str, ...]] = ("scale", "threshold", "invalid")
     thresholds: ClassVar[tuple[float, ...]]
     """Thresholds of the tables, pixels; with that of the settings they are ``all_thresholds``, ascending."""
     default_threshold: ClassVar[float]
@@ -111,7 +113,11 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
                            disparity_scale=scale)  # fmt: skip
 
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
-        """Return the map in pixels; 8-bit codes have the truth's scale where the settings have none."""
+        """Return the map in pixels; 8-bit codes have the truth's scale where the settings have none.
+
+        The setting ``invalid``, or else the constant that :func:`invalid_value` recognizes in another program's map,
+        is no value; the latter with a warning.
+        """
         codes = truth.scale if truth.scale is not None and truth.scale < 256 else None
         scale = None if path.suffix.lower() == ".pfm" else self.settings.scale
         estimate = read_disparity(path, scale, scale_8bit=codes)
@@ -119,6 +125,17 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
             self.resized(estimate, truth)
         except ValueError as error:
             raise InputError(f"{path}: {error}") from None
+        if self.settings.invalid is not None:
+            estimate[read_plane(path) == np.float32(self.settings.invalid)] = np.nan
+        elif not (path.parent / "record.json").is_file():  # runs of this program mark what has no value
+            invalid = invalid_value(estimate, truth.disparity)
+            if invalid is not None:
+                marked = estimate == np.float32(invalid)
+                estimate[marked] = np.nan
+                warn(
+                    f"{shown(path)}: {100 * np.mean(marked):.3g} % of the pixels are {invalid:g}, which the truth "
+                    f"never is: taken as no value (--invalid {invalid * (scale or 1):g}; --invalid nan keeps them)"
+                )
         return estimate
 
     def resized(self, estimate: Disparity, truth: DisparityTruth) -> Disparity:
@@ -181,6 +198,31 @@ def difference(estimate: Disparity, truth: Disparity) -> Disparity:
 def size(array: NDArray[Any]) -> str:
     """Return the size of an (H, W) array as text: width x height."""
     return f"{array.shape[1]} x {array.shape[0]}"
+
+
+_MIN_INVALID_SHARE = 0.005  # of the pixels; a constant that fewer have may be measured
+_MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels of it; it stands alone where it is a mark
+
+
+def invalid_value(estimate: Disparity, truth: Disparity) -> float | None:
+    """Return the constant at or below 0 that stands for no value in other programs' maps, such as OpenCV's -1.
+
+    It is the smallest value of a share of the pixels, few others are near it, and the truth has nothing as small.
+    None: there is no such constant.
+
+    Parameters
+    ----------
+    estimate, truth : (H, W) float32, pixels, NaN = none
+    """
+    known = estimate[np.isfinite(estimate)]
+    lowest = float(known.min(initial=np.inf))
+    n_marked = np.count_nonzero(known == np.float32(lowest))
+    if lowest > 0 or n_marked < _MIN_INVALID_SHARE * estimate.size:
+        return None
+    n_near = np.count_nonzero(known <= np.float32(lowest + 1)) - n_marked
+    if n_near > _MAX_NEIGHBOR_RATIO * n_marked or n_marked == known.size:
+        return None
+    return None if float(np.nanmin(truth)) <= lowest + 0.5 else lowest
 
 
 _SCALES = (2.0, 3.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)  # factors of codes and image sizes in use

@@ -44,7 +44,7 @@ class MiddleburyV3Protocol(DisparityProtocol):
     )
     thresholds = (0.5, 1.0, 2.0, 4.0)
     default_threshold = 2.0
-    takes = ("scale", "threshold", "resolution")
+    takes = ("scale", "threshold", "invalid", "resolution")
     thresholded_metric = Metric("totbad", "%", convention=MISSING_IS_BAD, worst=100.0)
 
     def weight(self, scene: str) -> float:
