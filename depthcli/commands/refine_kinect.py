@@ -177,16 +177,16 @@ def _refine_frame(
 
 
 def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
-    """Return a warning where the depths are implausible for a room, with the scale that would make them plausible."""
+    """Return a warning where no such sensor sees the depths, with the scale that would make them plausible."""
     import numpy as np
 
-    from depthcli.data.formats.depth import ROOM, implausible_depth, read_codes
+    from depthcli.data.formats.depth import SENSOR, implausible_depth, read_codes
 
     if not scene.rotated and scene.depth.suffix not in _METRIC_SUFFIXES:
         codes = read_codes(scene.depth)
         if np.mean((codes[codes > 0] & 7) == 0) > 0.5:  # the three low bits are free where codes are rotated by 3
             return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
-    text = implausible_depth(scene.depth, frame.depth, scene.depth_scale, ROOM)
+    text = implausible_depth(scene.depth, frame.depth, scene.depth_scale, SENSOR)
     return [text] if text else []
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import InputError
-from depthcli.data.formats.depth import read_codes, read_depth, write_depth_png, write_ply
+from depthcli.data.formats.depth import SENSOR, implausible_depth, read_codes, read_depth, write_depth_png, write_ply
 from depthcli.data.formats.disparity import write_pfm
 from depthcli.data.formats.images import read_image, write_png
 from depthcli.data.formats.kinect import read_kinect_raw
@@ -25,6 +25,27 @@ def test_codes_are_divided_by_their_scale(tmp_path: Path):
     np.testing.assert_array_equal(read_depth(path, 50), np.array([[np.nan, 2]], np.float32))
     with pytest.raises(InputError, match=r"depth\.png: 8-bit depth needs a scale"):
         read_depth(path)
+
+
+@pytest.mark.parametrize(
+    ("depth", "scale", "says"),
+    [
+        (1.5, 1000, ""), (4.5, 1000, ""), (7.5, 1000, "a depth scale of 5000 would fit"),
+        (0.3, 5000, "a depth scale of 1000 would fit"), (12, 1000, "a depth scale of 5000 would fit"),
+        (30, 1000, "a depth scale of 8000 would fit"), (45, 1000, "a depth scale of 10000 would fit"),
+    ],
+)  # fmt: skip
+def test_depths_that_no_such_sensor_sees_have_a_hint(depth: float, scale: float, says: str):
+    text = implausible_depth("d.png", np.full((4, 5), depth, np.float32), scale, SENSOR)
+    assert text.endswith(says) and bool(text) == bool(says)
+
+
+def test_far_depths_are_no_sensors_whatever_the_median():
+    depth = np.full((10, 10), 4, np.float32)
+    depth[0] = 15
+    text = implausible_depth("d.png", depth, 1000, SENSOR)
+    assert "5 % are beyond 15 m, at 1000 codes per meter; a depth scale of 5000 would fit" in text
+    assert implausible_depth("d.png", depth, 1000) == ""
 
 
 def test_rotated_codes_and_what_are_none(tmp_path: Path):

@@ -18,14 +18,17 @@ from depthcli.data.formats.images import write_png
 MILLIMETERS = 1000.0
 """Codes per meter of Kinect, NYU and ROS (``16UC1``, REP 118); TUM RGB-D has 5000, KITTI 256."""
 
-ROOM = (0.2, 20.0)
-"""Median depths that are plausible for a room, meters."""
+SENSOR = (0.35, 5.0)
+"""Median depths that are plausible for an indoor depth sensor, such as the Kinect, meters."""
+
+_MAX_SENSOR_DEPTH = 10.0  # meters, of 95 % of its pixels; the first Kinect's last code is at 9.7 m
+_ROOM = (0.2, 20.0)  # median depths that are plausible for a room, meters
 
 MIN_DEPTH, MAX_DEPTH = 0.01, 100.0
 """Median depths that are plausible at all, meters: from a macro lens to a street."""
 
-# Codes per meter of common files: millimeters, TUM RGB-D, KITTI, tenths of millimeters, centimeters.
-_COMMON_SCALES = (1000.0, 5000.0, 256.0, 10_000.0, 100.0)
+# Codes per meter of common files: millimeters, TUM RGB-D, eighths and tenths of millimeters, KITTI, centimeters.
+_COMMON_SCALES = (1000.0, 5000.0, 8000.0, 10_000.0, 256.0, 100.0)
 
 
 def read_codes(path: Path | str) -> NDArray[np.uint16]:
@@ -86,6 +89,8 @@ def implausible_depth(
 ) -> str:
     """Return a warning where the median depth is not within ``limits`` (meters), else an empty text.
 
+    With the limits ``SENSOR``, 5 % of depths beyond 10 m are a reason, too.
+
     Parameters
     ----------
     path : the file, named in the warning
@@ -94,11 +99,21 @@ def implausible_depth(
     """
     known = depth[np.isfinite(depth)]
     median = float(np.median(known)) if known.size else math.nan
-    if not known.size or limits[0] <= median <= limits[1]:
+    far = float(np.quantile(known, 0.95)) if known.size and limits == SENSOR else 0.0
+    if not known.size or (limits[0] <= median <= limits[1] and far <= _MAX_SENSOR_DEPTH):
         return ""
-    fitting = [s for s in _COMMON_SCALES if ROOM[0] <= median * scale / s <= ROOM[1] and s != scale]
+    others = [s for s in _COMMON_SCALES if s != scale]
+    fitting = [
+        *(s for s in others if _within(median * scale / s, SENSOR) and far * scale / s <= _MAX_SENSOR_DEPTH),
+        *(s for s in others if _within(median * scale / s, _ROOM)),
+    ]
     hint = f"; a depth scale of {fitting[0]:g} would fit" if fitting else ""
-    return f"{shown(path)}: the median depth is {median:.3g} m at {scale:g} codes per meter{hint}"
+    beyond = f", and 5 % are beyond {far:.3g} m," if _within(median, limits) else ""
+    return f"{shown(path)}: the median depth is {median:.3g} m{beyond} at {scale:g} codes per meter{hint}"
+
+
+def _within(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= value <= limits[1]
 
 
 def check_fb(path: Path | str, fb: float, depth: NDArray[np.float32]) -> None:
