@@ -1,9 +1,9 @@
-"""Compiled kernels on disk: where they are kept, what a kept one is found by, and what happens to damaged ones.
+"""Compiled kernels on disk: where they are kept, by what they are identified, and what happens to damaged ones.
 
-numba keeps a kernel under the digest of its own source file: a kernel whose helper changed in another file would go on
-running the old helper. Here a kernel is kept under the digest of everything that its machine code was made from
-(:mod:`depthcli.kernels.fingerprint`), and under its module's name instead of its path: a moved or copied package finds
-its kernels.
+numba identifies a kernel by the digest of its own source file: after a change of a helper in another file, the kernel
+would still run the old helper. Here a kernel is identified by the digest of everything that its machine code was made
+from (:mod:`depthcli.kernels.fingerprint`), and its folder is named after its module instead of its path: a moved or
+copied package finds its kernels.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ _FOLDER = _find_cache_folder()
 def cache_folder() -> Path | None:
     """Return the folder of compiled kernels: ``NUMBA_CACHE_DIR``, the user's cache, or else a temporary one.
 
-    Never the package's own folder: it may be read-only, and is shared by users who are not. None where nothing
-    can be written: then every process compiles for itself.
+    Never the package's own folder, which may be read-only or belong to another user. None where no folder can be
+    written: then every process compiles for itself.
     """
     return _FOLDER
 
@@ -129,7 +129,7 @@ class _Implementation(CompileResultCacheImpl):
 
 
 class KernelCache(FunctionCache):
-    """Compiled versions of one kernel on disk, where nothing that happens to the files may fail a computation.
+    """Compiled versions of one kernel on disk. Damaged or missing files never make a computation fail.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class KernelCache(FunctionCache):
         return self._files
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what was compiled before, or None."""
+        """Return the kernel compiled for the types ``sig``, from the wheel or the folder; None if there is none."""
         files = self._prepare()
         try:
             found = self._load_shipped(sig, target_context) or super().load_overload(sig, target_context)
@@ -171,12 +171,12 @@ class KernelCache(FunctionCache):
         if shipped is None:
             return None
         target_context.refresh()
-        place, version, stamp = self._prepare().identity(self._kernel.py_func.__module__)
-        data = shipped.load(place, version, stamp, self._index_key(sig, target_context.codegen()))
+        path, header, stamp = self._prepare().identity(self._kernel.py_func.__module__)
+        data = shipped.load(path, header, stamp, self._index_key(sig, target_context.codegen()))
         return None if data is None else self._impl.rebuild(target_context, data)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled, where there is room."""
+        """Write the compiled kernel to the folder; where that fails, warn once."""
         try:
             super().save_overload(sig, self._compiler.compiled)
             _remove_unused(Path(self.cache_path).parent)
@@ -206,11 +206,11 @@ class _CheckedFile(IndexDataCacheFile):
         return super()._load_data(name)
 
     def identity(self, module: str) -> tuple[str, str, str]:
-        """Return the index's place in a folder of kernels, the version of its form, and the kernel's fingerprint."""
+        """Return the index's path in a folder of kernels, its header, and the kernel's fingerprint."""
         return f"{module}/{self._index_name}", self._version, self._source_stamp
 
     def mark_as_used(self) -> None:
-        """Set the time of the index to now, at most once a day."""
+        """Set the time of the index to now, at most once per day."""
         with contextlib.suppress(OSError):
             if time.time() - os.stat(self._index_path).st_mtime > _DAY:
                 os.utime(self._index_path)
@@ -222,7 +222,7 @@ def _check(path: str, head: bytes = b"") -> None:
         raise ValueError("wrong checksum")
 
 
-@cache  # once a process, and only where something was compiled
+@cache  # once per process, and only where something was compiled
 def _remove_unused(folder: Path) -> None:
     """Remove the kernels that nothing has used for a month: of older versions, or edited since."""
     for index in folder.glob("depthcli*/*.nbi"):

@@ -20,8 +20,9 @@ def fingerprint(kernel: Any) -> str:
     """Return the digest of all that the machine code of ``kernel`` is made from, as hexadecimal digits.
 
     That is the byte code, constants and compiler options of the kernel and of every kernel that it calls, in any file;
-    the values of all globals that they read; the source files of operations that are defined by the code they become
-    (intrinsics); numba's settings and the version of LLVM. Comments, docstrings and line numbers are not in it.
+    the values of all globals that they read; the source files of intrinsics (operations defined by the LLVM code that
+    they emit) and overloads; numba's settings and the version of LLVM. Comments, docstrings and line numbers of kernels
+    are not part of it.
     """
     config: Any = numba.config
     settings = (llvmlite.__version__, config.BOUNDSCHECK, config.OPT, config.USING_SVML)
@@ -93,7 +94,7 @@ def _read_value(value: Any, names: set[str], facts: list[object], called: list[A
             for name in sorted(names & set(vars(value))):
                 _read_value(getattr(value, name), names, facts, called)
     elif isinstance(value, type) or callable(value):
-        # Not a kernel: something that numba was taught, by an intrinsic or an overload, in the file that defines it.
+        # Not a kernel: an intrinsic or an overload, which only the whole file that defines it describes.
         definition = getattr(value, "_defn", value)
         module = str(getattr(definition, "__module__", None))
         facts.append((module, str(getattr(definition, "__qualname__", definition))))

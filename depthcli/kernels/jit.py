@@ -1,6 +1,6 @@
-"""Compiler options of every kernel. Kernels take what they need of numba from here, none imports it by itself.
+"""Compiler options of every kernel. Kernels import what they need of numba from here, never from numba itself.
 
-numba reads its settings once, when it is imported: :mod:`depthcli.kernels.cache` makes them before.
+numba reads its settings once, when it is imported: :mod:`depthcli.kernels.cache` sets them before that.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from numba.extending import models, overload, register_model
 
 __all__ = [
     "CompileWatch", "cache_folder", "cgutils", "compile_seconds", "float32", "int32", "intrinsic", "jit", "models",
-    "overload", "parallel_jit", "prange", "register_model", "set_threads", "threads", "types",
+    "n_threads", "overload", "parallel_jit", "prange", "register_model", "set_threads", "types",
 ]  # fmt: skip
 
 
 def _load_without_scipy() -> None:
     """Load numba's array functions without scipy.linalg, which takes longer to import than numba itself.
 
-    numba wants it for matrix products only; so a kernel cannot call ``np.dot`` or ``np.linalg``.
+    numba needs it for matrix products only; therefore a kernel cannot call ``np.dot`` or ``np.linalg``.
     """
     name = "scipy.linalg"
     if name in sys.modules or "numba.np.arraymath" in sys.modules:
@@ -53,12 +53,12 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": _
 
 
 def jit(function: _F) -> _F:
-    """Compile one serial kernel (callable from other kernels)."""
+    """Return ``function`` as a kernel that runs on one thread; other kernels can call it."""
     return cast(_F, _cached(numba.njit(**_OPTIONS)(function)))
 
 
 def parallel_jit(function: _F) -> _F:
-    """Compile one kernel whose ``prange`` loops run on all threads."""
+    """Return ``function`` as a kernel whose ``prange`` loops run on all threads."""
     return cast(_F, _cached(numba.njit(**_OPTIONS, parallel=True)(function)))
 
 
@@ -71,10 +71,11 @@ def _cached(kernel: Any) -> Any:
 
 
 class _Compiler:
-    """Compiles, then loads what it compiled as from disk.
+    """Compiles a kernel and loads the result in the way that it is loaded from disk.
 
-    numba runs a loop of ``prange`` from the first of two copies that were optimized once and twice, but keeps the
-    second on disk: sums of floats differ in their last digits. Loaded into an engine of its own, code is the same.
+    For a ``prange`` loop, numba runs the machine code of its first optimization pass but saves that of a second one:
+    sums of floats would differ in their last digits between the first run and later ones. Therefore the code that is
+    saved is loaded and run at once.
     """
 
     def __init__(self, compiler: Any) -> None:
@@ -85,7 +86,7 @@ class _Compiler:
         return getattr(self._compiler, name)
 
     def compile(self, arguments: Any, return_type: Any) -> Any:
-        """What ``numba.core.dispatcher._FunctionCompiler.compile`` gives."""
+        """Return what ``numba.core.dispatcher._FunctionCompiler.compile`` returns."""
         self.compiled = self._compiler.compile(arguments, return_type)
         target = self.compiled.target_context
         own = copy.copy(target)
@@ -96,24 +97,24 @@ class _Compiler:
 
 
 def intrinsic(function: Callable[..., Any]) -> Any:
-    """Define an operation that kernels call, by the code it becomes (callers leave out the typing context)."""
+    """Return an operation for kernels that ``function`` defines by the LLVM code that it emits (see numba's manual)."""
     return numba.extending.intrinsic(function)
 
 
-def threads() -> int:
-    """How many threads a parallel kernel runs on: for those that hold scratch memory a thread."""
+def n_threads() -> int:
+    """Return the number of threads of a parallel kernel, for kernels that allocate scratch memory per thread."""
     count: int = numba.get_num_threads()
     return count
 
 
 def set_threads(count: int) -> None:
-    """Let kernels use at most ``count`` threads (never more than numba was started with)."""
+    """Let kernels use at most ``count`` threads, and no more than numba was started with."""
     n_started: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     numba.set_num_threads(max(1, min(count, n_started)))
 
 
 class CompileWatch(numba.core.event.Listener):
-    """Counts kernels that are compiled, as opposed to read from the cache, and the seconds it takes.
+    """Counts the kernels that are compiled, not those read from the cache, and the seconds that this takes.
 
     Parameters
     ----------
@@ -152,5 +153,5 @@ _all_compiled = CompileWatch().__enter__()
 
 
 def compile_seconds() -> float:
-    """Seconds this process has spent compiling kernels so far."""
+    """Return the seconds that this process has spent on compiling kernels so far."""
     return _all_compiled.seconds

@@ -1,11 +1,11 @@
 """Vectors of sixteen float32 as values in kernels, for loops that the compiler does not vectorize well itself.
 
-In a loop over a few dozen floats of several arrays, tests whether they overlap take longer than arithmetic, and sums
-over rows of another array are loaded and stored at every row. With these values sums stay in registers. They become
-LLVM vectors, which the back end of every processor turns into its own instructions.
+In a loop over a few dozen floats of several arrays, the compiler's checks whether the arrays overlap take longer than
+the arithmetic, and sums over rows are loaded and stored at every row. With these values sums stay in registers. They
+become LLVM vectors, for which LLVM emits the vector instructions of the processor.
 
 Values are made by :func:`load` and :func:`splat`, added, subtracted and multiplied by the operators, and written by
-:func:`store`. Nothing tests whether indices lie inside an array.
+:func:`store`. Indices are not checked against the bounds of an array.
 """
 
 from __future__ import annotations

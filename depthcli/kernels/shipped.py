@@ -1,8 +1,12 @@
-"""Compiled kernels that a wheel carries: a read-only level behind the user's folder of compiled kernels.
+"""Compiled kernels that a wheel carries: a read-only addition to the user's folder of compiled kernels.
 
 They are made for a baseline of processors by ``scripts/build_wheel`` and used where processor, Python and numba are
-those that they were made for; everything else is compiled as if they were not there. A file is unpickled only if its
+those that they were made for; otherwise kernels are compiled as if there were none. A file is unpickled only if its
 digest is that of the manifest, which came with the wheel.
+
+numba keeps a kernel in two kinds of files. The index (``.nbi``) holds a header, the kernel's fingerprint, and per
+signature (types of the arguments, target processor, digests of the function) the name of a data file. Each data file
+(``.nbc``) holds the machine code for one signature.
 """
 
 from __future__ import annotations
@@ -32,7 +36,7 @@ BASELINES = {
 
 
 def baseline() -> tuple[str, tuple[str, ...]] | None:
-    """Return name and features of the processors that wheels for such machines are made for; None: none are made."""
+    """Return name and features of the processors that wheels for this kind of machine are made for, or None."""
     machine = platform.machine()
     return BASELINES.get("x86_64" if machine in ("AMD64", "x86_64") else machine)
 
@@ -46,7 +50,7 @@ def build_settings() -> dict[str, str]:
 
 
 def conditions() -> dict[str, str]:
-    """Return all that has to be alike where kernels are compiled and where they are used."""
+    """Return what must be the same where kernels are compiled and where they are used: machine and versions."""
     return {
         "machine": f"{sys.platform} {platform.machine()}",
         "python": f"{sys.version_info[0]}.{sys.version_info[1]}",
@@ -66,16 +70,16 @@ def write_manifest(folder: Path) -> None:
 
 
 class ShippedKernels:
-    """The kernels of one folder, where this machine can run them.
+    """The compiled kernels of one folder, which this machine can run.
 
     Parameters
     ----------
-    folder : holds a manifest and numba's files, one folder a module
+    folder : holds a manifest and, in one folder per module, numba's files
 
     Raises
     ------
     OSError, ValueError, KeyError
-        There are none, the manifest cannot be read, or the kernels are for another machine or other versions.
+        There is no manifest, it cannot be read, or the kernels are for another machine or other versions.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -91,30 +95,31 @@ class ShippedKernels:
         self._digests: dict[str, str] = document["files"]
         self._target = (document["triple"], name, "")
 
-    def load(self, place: str, version: str, stamp: str, key: tuple[Any, ...]) -> Any | None:
-        """Return what numba keeps of one compiled kernel; None where there is none, or its files are damaged.
+    def load(self, index_path: str, index_header: str, fingerprint: str, signature_key: tuple[Any, ...]) -> Any | None:
+        """Return the content of the data file of one compiled kernel; None if there is none, or it is damaged.
 
         Parameters
         ----------
-        place : path of the index, relative to the folder
-        version : first object of the index: numba's version and the form of the file
-        stamp : fingerprint of the kernel
-        key : signature, target and digests as numba has them; the target is replaced by the baseline
+        index_path : path of the index, relative to the folder
+        index_header : first object of the index: numba's version and the form of the file
+        fingerprint : of the kernel, as in :mod:`depthcli.kernels.fingerprint`
+        signature_key : types of the arguments, target and digests as in numba's index; the target is replaced by the
+            baseline
         """
-        index = self._read(place)
+        index = self._read(index_path)
         if index is None:
             return None
-        head = pickle.dumps(version, protocol=-1)
-        found, names = pickle.loads(index[len(head) :]) if index.startswith(head) else ("", {})
-        name = names.get((key[0], self._target, *key[2:])) if found == stamp else None
-        data = None if name is None else self._read(f"{Path(place).parent.as_posix()}/{name}")
+        header = pickle.dumps(index_header, protocol=-1)
+        kept, names = pickle.loads(index[len(header) :]) if index.startswith(header) else ("", {})
+        name = names.get((signature_key[0], self._target, *signature_key[2:])) if kept == fingerprint else None
+        data = None if name is None else self._read(f"{Path(index_path).parent.as_posix()}/{name}")
         return None if data is None else pickle.loads(data)
 
-    def _read(self, place: str) -> bytes | None:
-        if place not in self._digests:
+    def _read(self, path: str) -> bytes | None:
+        if path not in self._digests:
             return None
-        data = (self._folder / place).read_bytes()
-        return data if hashlib.sha256(data).hexdigest() == self._digests[place] else None
+        data = (self._folder / path).read_bytes()
+        return data if hashlib.sha256(data).hexdigest() == self._digests[path] else None
 
 
 @cache

@@ -13,8 +13,8 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 def winners(costs: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
     """Return the disparities of the smallest costs of the left and of the right view.
 
-    The right view's costs are the left's read along diagonals, ``c_R(x, d) = c(x + d, d)``. Cells outside
-    the other image take no part; the smaller disparity wins ties.
+    The right view's costs are the left's along diagonals, ``c_R(x, d) = c(x + d, d)``. Disparities that lead outside
+    of the other image are left out; of equal costs, that of the smaller disparity wins.
 
     Parameters
     ----------
@@ -74,13 +74,16 @@ def _float_winners(costs: Any, left: Any, right: Any) -> None:
 
 @jit
 def partner_difference(disparity: Any, x: int, right: Any) -> Any:
-    """Return ``|d - d_R|`` at the match of a pixel in column x of a row; inf where it is outside the right image."""
+    """Return ``|d - d_R|`` of a pixel in column ``x``, ``d_R`` at its match; inf if that is outside the right image.
+
+    ``right`` (W,) holds the right view's disparities of the pixel's row.
+    """
     u = x - int(disparity + np.float32(0.5))
     return abs(np.float32(disparity) - np.float32(right[u])) if u >= 0 else np.float32(np.inf)
 
 
 def left_right_difference(left: NDArray[Any], right: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the difference between the disparity of every pixel and that of the right view at its match.
+    """Return ``|d - d_R|`` for every pixel: its disparity against the right view's disparity at its match.
 
     Parameters
     ----------

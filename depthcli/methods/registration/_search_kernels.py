@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from depthcli.kernels.curve import attainable_likelihood, likelihood, peak_ratio
+from depthcli.kernels.cost_curve import attainable_likelihood, likelihood, peak_ratio
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 # Order of the planes written by `search_tiles`.

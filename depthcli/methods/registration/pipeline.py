@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from depthcli.algorithms.resampling import resample
 from depthcli.core.result import Clock, Result
 from depthcli.core.volumes import RegisteredPair
-from depthcli.kernels.jit import threads
+from depthcli.kernels.jit import n_threads
 from depthcli.methods.registration.feature import Feature
 from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.millimeters import expected_error, monotone, structured_voxels
@@ -213,7 +213,7 @@ class RegistrationConfidence(BaseModel):
         channels = max(feature.channels for feature in self.features)
         # Both volumes on the working grid, a feature while it is made or searched with, and all maps.
         making = 4 * voxels * (channels + 4) + channels * voxels
-        searching = search_bytes(sizes, channels, self.radius, self.half_window, self.stride, threads())
+        searching = search_bytes(sizes, channels, self.radius, self.half_window, self.stride, n_threads())
         kept = (len(self.features) + self.levels - 1) * 17 * 4 * measured
         return 8 * voxels + max(making, searching + 2 * channels * voxels) + kept
 

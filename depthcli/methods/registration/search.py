@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core import memory
-from depthcli.kernels.jit import threads
+from depthcli.kernels.jit import n_threads
 from depthcli.methods.registration._search_kernels import PLANES, search_tiles
 
 SearchShape = Literal["cube", "planes", "axes"]
@@ -128,7 +128,7 @@ def search(
     size = np.array(tile or _tile(measured, len(offsets)), np.int64)
     grid = np.stack(np.meshgrid(*(np.arange(0, n, s) for n, s in zip(measured, size, strict=True)), indexing="ij"), -1)
     tiles = np.ascontiguousarray(grid.reshape(-1, 3), np.int64)
-    workers = min(threads(), len(tiles))
+    workers = min(n_threads(), len(tiles))
     width = -(-int(size[2]) // _LANES) * _LANES
     scratch = memory.empty((workers, int(size[0]), int(size[1]), len(offsets), width), np.uint16)
     out = np.empty((len(PLANES), *measured), np.float32)
@@ -173,8 +173,8 @@ def _tile(shape: tuple[int, ...], count: int) -> tuple[int, int, int]:
     cells = _SCRATCH_BYTES // (2 * count)
     side = max(1, int(np.sqrt(cells / width)))
     z, y, x = min(shape[0], side, 32), min(shape[1], side, 32), min(shape[2], width)
-    if -(-shape[0] // z) * -(-shape[1] // y) * -(-shape[2] // x) < threads():
-        z = -(-shape[0] // threads())  # a small volume is for all threads, too
+    if -(-shape[0] // z) * -(-shape[1] // y) * -(-shape[2] // x) < n_threads():
+        z = -(-shape[0] // n_threads())  # a small volume is for all threads, too
     return z, y, x
 
 
