@@ -105,7 +105,7 @@ def implausible_depth(
     others = [s for s in _COMMON_SCALES if s != scale]
     fitting = [
         *(s for s in others if _within(median * scale / s, SENSOR) and far * scale / s <= _MAX_SENSOR_DEPTH),
-        *(s for s in others if _within(median * scale / s, _ROOM)),
+        *(s for s in others if limits != SENSOR and _within(median * scale / s, _ROOM)),
     ]
     hint = f"; a depth scale of {fitting[0]:g} would fit" if fitting else ""
     beyond = f", and 5 % are beyond {far:.3g} m," if _within(median, limits) else ""
