@@ -1,18 +1,18 @@
-"""Solvers and building blocks that several methods share. Each stands alone: arrays in, arrays out.
+"""Solvers and building blocks that several methods share; their inputs and outputs are arrays.
 
 Images are (H, W, 3) uint8 RGB, maps (H, W) float32 with NaN where nothing is known, labels int32 that count from 0.
 
 | module | computes |
 |---|---|
-| ``graph_cut``, ``alpha_expansion`` | labels of least energy: two labels exactly; many, on any graph |
-| ``trws`` | values of pixels of small energy, each from candidates of its own, by messages along trees (TRW-S) |
+| ``graph_cut``, ``alpha_expansion`` | labels of least energy: exactly for two labels; approximately for more |
+| ``trws`` | one of several candidate values per pixel, with small energy, by tree-reweighted message passing (TRW-S) |
 | ``dense_crf`` | marginals of labels where all pairs of points influence each other (a conditional random field) |
-| ``segmentation`` | partitions of an image into regions, one file a method |
+| ``segmentation`` | partitions of an image into regions, one file per method |
 | ``regions`` | of label maps: connected components, the pixels of every region, the graph of neighbors, merging |
 | ``adjacency`` | the neighbors of each node of a graph, and of each region of a label map |
-| ``keypoints`` | distinctive points with descriptors, one file a method |
+| ``keypoints`` | distinctive points with descriptors, one file per method |
 | ``plane_fitting`` | planes and polynomials through known values, robust to outliers |
 | ``joint_bilateral`` | gaps filled by means of similar color |
 | ``filters`` | local mean and variance, masks of discontinuities, OpenCV's filters in one thread |
-| ``resampling`` | volumes: values between voxels, means of blocks, shifts |
+| ``resampling`` | samples of volumes: trilinear, nearest, block means, shifts |
 """

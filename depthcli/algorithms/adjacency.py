@@ -1,4 +1,4 @@
-"""Neighbors of the nodes of a graph, and of the regions of a label map, one node after the other."""
+"""Lists of neighbors of the nodes of a graph, and of the regions of a label map."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from depthcli.kernels.jit import jit
 def adjacency(
     count: int, edges: NDArray[np.int32], weights: NDArray[Any]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[Any]]:
-    """Return the neighbors of all nodes 0 .. count - 1 of an undirected graph, one node after the other.
+    """Return the neighbors of the nodes 0 .. count - 1 of an undirected graph, ordered by node.
 
     Parameters
     ----------
     edges : (E, 2) int32, each edge once
-    weights : (E,) any number of an edge, such as its cost or the length of the common boundary
+    weights : (E,) a number for each edge, such as its cost or the length of a common boundary
 
     Returns
     -------
-    starts : (count + 1,) int64; node n has the elements ``starts[n] .. starts[n + 1] - 1`` of the other arrays
+    starts : (count + 1,) int64; the elements ``starts[n] .. starts[n + 1] - 1`` of the other arrays belong to node n
     neighbors : (2 E,) int32
-    weights : (2 E,) those of the edges to these neighbors
+    weights : (2 E,) of the edges to these neighbors
     """
     source = edges.T.ravel()
     order = np.argsort(source, kind="stable")
@@ -34,10 +34,10 @@ def adjacency(
 
 @jit
 def region_adjacency(labels, count):  # type: ignore[no-untyped-def]
-    """Return the regions of a label map (H, W), 0 .. count - 1, that touch each region, as :func:`adjacency` does.
+    """Return the neighbors of the regions 0 .. count - 1 of a label map (H, W), in the form of :func:`adjacency`.
 
-    The weights (int64) are the lengths of the common boundaries: 4-neighboring pairs of pixels. The neighbors of a
-    region are in the order in which its boundary meets them in the raster.
+    The weights (int64) are lengths of common boundaries: numbers of 4-neighboring pairs of pixels. The neighbors of a
+    region are in the raster order in which its boundary first touches them.
     """
     height, width = labels.shape
     starts = np.zeros(count + 1, np.int64)

@@ -1,4 +1,4 @@
-"""Alpha-expansion: labels of small Potts energy on any graph, one minimum cut a label."""
+"""Alpha-expansion: labels of small Potts energy on any graph, by one minimum cut per label."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def alpha_expansion(
     initial: ArrayLike | None = None,
     max_sweeps: int = 20,
 ) -> tuple[NDArray[np.int32], float]:
-    """Minimize a Potts energy over a graph (Boykov, Veksler and Zabih, PAMI 2001).
+    """Return labels of small Potts energy on a graph, and the energy (Boykov, Veksler and Zabih, PAMI 2001).
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def alpha_expansion(
     edges : (E, 2) node indices, each edge once, no loops; E may be 0
     weights : (E,) costs >= 0 of an edge whose ends have different labels
     initial : (N,) labels to start from; the cheapest label of every node where not given
-    max_sweeps : passes over all labels; stops earlier where no move lowers the energy
+    max_sweeps : largest number of passes over all labels; ends earlier when no move lowers the energy
 
     Returns
     -------
@@ -84,7 +84,7 @@ def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArra
     if costs.ndim != 2 or costs.shape[1] == 0:
         raise ValueError(f"want unary costs (N, L) with L > 0, got {costs.shape}")
     if strength.shape != (len(ends),):
-        raise ValueError(f"want {len(ends)} weights, one an edge, got {strength.shape}")
+        raise ValueError(f"want {len(ends)} weights, one per edge, got {strength.shape}")
     if not (np.isfinite(costs).all() and np.isfinite(strength).all()):
         raise ValueError("unary costs and weights must be finite")
     if len(ends) and (strength.min() < 0 or ends.min() < 0 or ends.max() >= len(costs)):
@@ -133,7 +133,7 @@ def _binary_problem(labels, alpha, rise, starts, other, weight, chosen):  # type
     for k in range(chosen.size):
         index[chosen[k]] = k
         links += starts[chosen[k] + 1] - starts[chosen[k]]
-    score = np.empty(chosen.size, np.float64)
+    cost_of_true = np.empty(chosen.size, np.float64)
     p = np.empty(links, np.int64)
     q = np.empty(links, np.int64)
     capacity = np.empty(links, np.float64)
@@ -155,5 +155,5 @@ def _binary_problem(labels, alpha, rise, starts, other, weight, chosen):  # type
                 count += 1
             else:
                 cost -= w
-        score[k] = cost
-    return score, p[:count].copy(), q[:count].copy(), capacity[:count].copy()
+        cost_of_true[k] = cost
+    return cost_of_true, p[:count].copy(), q[:count].copy(), capacity[:count].copy()

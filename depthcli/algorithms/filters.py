@@ -1,4 +1,4 @@
-"""Filters of images and maps that several packages share, and how OpenCV's filters give the same bytes everywhere."""
+"""Filters of images and maps that several packages share; how OpenCV's filters give the same bytes on all machines."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 def local_moments(image: NDArray[np.float32], side: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Compute mean and variance in windows of ``side`` pixels, reflected at the border; (H, W) float32 each."""
+    """Return mean and variance in square windows of ``side`` pixels, reflected at the border; (H, W) float32 each."""
     mean = cv2.blur(image, (side, side))
     variance = np.maximum(cv2.blur(image * image, (side, side)) - mean * mean, 0)
     return np.asarray(mean, np.float32), np.asarray(variance, np.float32)
@@ -26,14 +26,15 @@ def discontinuity_mask(
 ) -> NDArray[np.bool_]:
     """Return the visible pixels near a depth discontinuity, as in the ``disc`` masks of Middlebury v2.
 
-    A 9x9 dilation of the 4-neighbor jumps above ``gap`` and of the occluded pixels, inside ``nonocc``.
+    These are the pixels of ``nonocc`` whose 9 x 9 window contains an occluded pixel, or one whose disparity differs by
+    more than ``gap`` from that of a 4-neighbor.
 
     Parameters
     ----------
     disparity : (H, W) float, pixels, finite
     nonocc : (H, W) bool, visible in both views
     known : (H, W) bool; only known pixels that are not visible count as occluded. None: all are known
-    gap : pixels
+    gap : difference of disparity at a discontinuity, pixels
     """
     edge = ~nonocc if known is None else known & ~nonocc
     jump_x, jump_y = np.abs(np.diff(disparity, axis=1)) > gap, np.abs(np.diff(disparity, axis=0)) > gap

@@ -1,4 +1,4 @@
-"""Joint bilateral filling of gaps: a mean of known values, weighted by distance and similarity of color."""
+"""Joint bilateral filling of gaps: means of known values, weighted by distance and similarity of color."""
 
 from __future__ import annotations
 
@@ -15,17 +15,22 @@ def joint_bilateral_fill(
     sigma_space: float = 5.0,
     sigma_color: float = 15.0,
 ) -> NDArray[np.float32]:
-    """Fill unknown values with ``sum w v / sum w`` over the known ones of a window, from the rims inwards.
+    """Fill unknown values with ``sum w v / sum w`` over the known values in a window, from the edges of gaps inwards.
 
     ``w = exp(-|p - q|^2 / 2 sigma_space^2 - |I_p - I_q|^2 / 2 sigma_color^2)``. Filled values count as known in
-    the next round; values that no round reaches stay NaN.
+    the next round; pixels that no round can fill stay NaN.
 
     Parameters
     ----------
     color : (H, W, 3) uint8
     values : (H, W) float32, NaN = unknown
-    window : side, pixels, odd
-    sigma_space, sigma_color : pixels, grey levels
+    window : side of the window, pixels, odd
+    sigma_space : pixels
+    sigma_color : grey levels
+
+    Returns
+    -------
+    (H, W) float32
     """
     reach = window // 2
     offsets = np.arange(-reach, reach + 1)
@@ -61,6 +66,6 @@ def _bilateral_means(color, values, pixels, spatial, likeness):  # type: ignore[
                 weight = spatial[v - y + reach, u - x + reach] * likeness[dr * dr + dg * dg + db * db]
                 total += weight * value
                 weights += weight
-        # Where all colors differ the weights underflow together: left to the next round, from a nearer rim.
+        # Where all colors differ, all weights underflow: left to the next round, when closer pixels are known.
         means[n] = total / weights if weights > 1e-30 else np.nan
     return means

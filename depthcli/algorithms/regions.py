@@ -15,7 +15,7 @@ from depthcli.kernels.jit import jit
 
 @jit
 def root(parent, i):  # type: ignore[no-untyped-def]
-    """Return the first member of the set of i in a disjoint-set forest of (N,) parents, shortening paths."""
+    """Return the root of the set of i in a disjoint-set forest, given as (N,) parents, whose paths are shortened."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -24,7 +24,7 @@ def root(parent, i):  # type: ignore[no-untyped-def]
 
 @jit
 def join(parent, i, j):  # type: ignore[no-untyped-def]
-    """Unite the sets of i and j; the smaller root stays, so labels do not depend on the order of joining."""
+    """Unite the sets of i and j; the smaller root stays, so that labels do not depend on the order of joining."""
     i, j = root(parent, i), root(parent, j)
     if i < j:
         parent[j] = i
@@ -83,7 +83,7 @@ class RegionPixels:
     def of(
         cls, labels: NDArray[np.int32], chosen: NDArray[np.bool_] | None = None, count: int | None = None
     ) -> RegionPixels:
-        """Sort the pixels of an (H, W) map by label, all of them or only the ``chosen`` ones."""
+        """Return the pixels of an (H, W) label map by label, all of them or only the ``chosen`` ones, (H, W) bool."""
         count = int(labels.max()) + 1 if count is None else count
         chosen = np.ones(labels.shape, np.bool_) if chosen is None else chosen
         return cls(*_counting_sort(np.ascontiguousarray(labels).ravel(), np.ascontiguousarray(chosen).ravel(), count))
@@ -133,21 +133,22 @@ def _best_neighbors(edges, rank, selected):  # type: ignore[no-untyped-def]
 
 
 def connected_components(color: NDArray[np.uint8], max_distance: float) -> NDArray[np.int32]:
-    """Label 4-connected pixels of an (H, W, C) image whose Euclidean color distance is <= ``max_distance``.
+    """Return the labels of regions of an (H, W, C) image in which neighbors have similar colors.
 
-    Labels (H, W) int32 count from 0 in raster order of the regions' first pixels.
+    4-neighbors whose Euclidean color distance is at most ``max_distance`` belong to the same region. Labels, (H, W)
+    int32, count from 0 in raster order of the regions' first pixels.
     """
     return np.asarray(_components(np.ascontiguousarray(color), max_distance * max_distance), np.int32)
 
 
 def connected_components_of_labels(labels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Label 4-connected pieces of equal value in an (H, W) int32 map, as :func:`connected_components` does."""
+    """Return labels of the 4-connected pieces of equal value in an (H, W) int32 map; numbered in the same order."""
     return np.asarray(_components(np.ascontiguousarray(labels)[..., None], 0.0), np.int32)
 
 
 @dataclass(frozen=True)
 class RegionGraph:
-    """Regions of a label map and which of them touch.
+    """The regions of a label map and their neighborhood.
 
     Attributes
     ----------
@@ -207,9 +208,9 @@ def _merged(graph: RegionGraph, source: NDArray[Any], target: NDArray[Any]) -> t
 
 
 def merge_small_regions(labels: NDArray[np.int32], image: NDArray[np.uint8], min_size: int) -> NDArray[np.int32]:
-    """Join every region of fewer than ``min_size`` pixels to its neighbor of the nearest mean color.
+    """Join every region of fewer than ``min_size`` pixels to the neighbor with the most similar mean color.
 
-    Regions join in rounds until all are large enough (or only one is left). Labels as in
+    Regions join in rounds until all are large enough (or only one is left). Labels are (H, W) int32 as those of
     :func:`connected_components`.
     """
 
@@ -247,7 +248,8 @@ def joined_regions(count: int, edges: NDArray[np.int32]) -> NDArray[np.int32]:
 def merge_small_labels(pieces: NDArray[np.int32], parents: NDArray[np.int32], min_size: int) -> NDArray[np.int32]:
     """Join pieces of fewer than ``min_size`` pixels to the piece of the same parent with the longest common boundary.
 
-    ``parents`` (H, W) is the map the pieces (H, W) were cut from; a piece that is all of its parent stays.
+    ``parents`` (H, W) is the label map whose regions were divided into the ``pieces`` (H, W); a piece that is the only
+    one of its parent stays as it is.
     """
 
     def boundary_inside_parents(graph: RegionGraph) -> tuple[NDArray[np.int32], NDArray[np.float64]]:

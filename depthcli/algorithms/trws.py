@@ -18,27 +18,27 @@ def trws(
     truncation: float,
     iterations: int = 10,
 ) -> tuple[NDArray[np.int32], float]:
-    """Choose one candidate a pixel that make ``sum unary + sum weight min(|v_p - v_q|, truncation)`` small.
+    """Choose one candidate per pixel so that ``sum unary + sum weight min(|v_p - v_q|, truncation)`` is small.
 
-    Kolmogorov, "Convergent tree-reweighted message passing for energy minimization", PAMI 2006, on the pixels that
-    are active, with eight neighbors (four, where the weights of the diagonals are 0). Pixels are visited band by
-    band: rows 0 of all bands of rows, rows 1, ..., with the last row of each band after all others. In this order
-    bands run in parallel with the same result at any number of threads.
+    The pairs (p, q) are neighbors among the active pixels: eight per pixel, or four if the weights of the diagonals
+    are 0. Method: Kolmogorov, "Convergent tree-reweighted message passing for energy minimization", PAMI 2006. Rows are
+    divided into bands, which run in parallel; the last row of each band is visited after all other rows, so that the
+    result does not depend on the number of threads.
 
     Parameters
     ----------
     values : (N, K) float32, candidates of the N active pixels in raster order
-    unary : (N, K) float32 costs, inf = no candidate, nor any after it; the first of every pixel must be finite
+    unary : (N, K) float32 costs; inf: the pixel has neither this candidate nor any after it. The first is finite
     active : (H, W) bool, N of them True
     weights : (N, 4) float32 >= 0, of the pairs with the neighbor on the right, below left, below, and below right;
         ignored where that neighbor is not active
-    truncation : largest cost of a difference
+    truncation : difference of two values beyond which the cost of a pair no longer grows
     iterations : number of forward and backward passes
 
     Returns
     -------
     labels : (N,) int32, index of the chosen candidate
-    lower_bound : of the energy of any labelling, up to rounding
+    lower_bound : no choice of candidates has a smaller energy, up to rounding
 
     Raises
     ------

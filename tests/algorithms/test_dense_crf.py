@@ -151,7 +151,7 @@ def _good():
         ({"unary": np.zeros((4, 3))}, "float32"),
         ({"unary": np.full((4, 3), np.nan, np.float32)}, "finite"),
         ({"kernels": [GaussianKernel(np.zeros((5, 2), np.float32), 1.0)]}, "features"),
-        ({"kernels": [GaussianKernel(np.zeros((4, 9), np.float32), 1.0)]}, "features a point"),
+        ({"kernels": [GaussianKernel(np.zeros((4, 9), np.float32), 1.0)]}, "features per point"),
         ({"kernels": [GaussianKernel(np.full((4, 2), np.nan, np.float32), 1.0)]}, "finite"),
         ({"kernels": [GaussianKernel(np.eye(4, 6, dtype=np.float32) * 1e6, 1.0)]}, "too many"),
     ],

@@ -50,7 +50,7 @@ def test_without_edges_the_sign_decides():
     ("score", "change", "message"),
     [
         (np.full((3, 3), np.nan), None, "finite"),
-        (np.zeros(3), None, "finite scores"),
+        (np.zeros(3), None, "finite gains"),
         (np.zeros((3, 3)), -1.0, ">= 0"),
         (np.zeros((3, 3)), np.nan, ">= 0"),
     ],

@@ -2,7 +2,8 @@
 
 The energy of labels x is ``sum_i U_i(x_i) + sum_{i<j} mu(x_i, x_j) sum_m w_m n_i n_j k_m(f_i, f_j)`` with Gaussian
 kernels k_m of features f and the truncated linear ``mu(l, l') = min(|l - l'|, T)``. Kernels are normalized
-symmetrically, ``n_i = (sum_j k_m(f_i, f_j))^-1/2``, so that a weight means the same at crowded and at lonely points.
+symmetrically, ``n_i = (sum_j k_m(f_i, f_j))^-1/2``, so that a weight has the same effect at points with many and with
+few close points.
 One step of mean field is
 
     Q_i(l) ~ exp(-U_i(l) - sum_l' mu(l, l') sum_m w_m sum_{j != i} n_i n_j k_m(f_i, f_j) Q_j(l'))
@@ -26,12 +27,12 @@ from depthcli.kernels.lanes import LANES
 
 @dataclass(frozen=True)
 class GaussianKernel:
-    """One Gaussian kernel: which points influence each other, and how much.
+    """One Gaussian kernel, by which close points influence each other.
 
     Attributes
     ----------
     features : (N, d) float32, 1 <= d <= 8, each divided by its standard deviation
-    weight : >= 0
+    weight : factor w_m of the kernel in the energy, >= 0
     """
 
     features: NDArray[np.float32]
@@ -44,7 +45,7 @@ def mean_field(
     truncation: int,
     iterations: int = 5,
 ) -> NDArray[np.float32]:
-    """Compute approximate marginals of every label at every point.
+    """Return approximate marginals of every label at every point.
 
     Parameters
     ----------

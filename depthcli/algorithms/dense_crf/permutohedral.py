@@ -33,8 +33,8 @@ _MAX_DIMENSIONS = 8  # of any features here; the remainder of a vertex must fit 
 class Lattice:
     """The lattice vertices around N points.
 
-    Points are divided into bands of equal length. Every band has its own *slots*, one for each of its vertices: no two
-    threads write to one place, and the order of sums does not depend on the number of threads.
+    Points are divided into bands of equal length. Every band has its own *slots*, one for each of its vertices, so that
+    no two threads write to the same memory and the order of sums does not depend on the number of threads.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Lattice:
 
     @classmethod
     def of(cls, features: NDArray[np.float32]) -> Lattice:
-        """Return the lattice of points.
+        """Return the lattice around the points whose coordinates are ``features``.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class Lattice:
         """
         count, d = features.shape
         if not 1 <= d <= _MAX_DIMENSIONS:
-            raise ValueError(f"want 1 to {_MAX_DIMENSIONS} features a point, got {d}")
+            raise ValueError(f"want 1 to {_MAX_DIMENSIONS} features per point, got {d}")
         bands = -(-count // BAND)
         low, high = (features.min(axis=0), features.max(axis=0)) if count else np.zeros((2, d), np.float32)
         if not (np.isfinite(low) & np.isfinite(high)).all():
@@ -103,7 +103,7 @@ class Lattice:
         return int(self.first.size - 1)
 
     def own_share(self, density: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the (N,) float32 part of a point's own value in its filtered value.
+        """Return the weight of every point's own value in its filtered value, (N,) float32.
 
         Two vertices of one simplex, k steps apart in it, lie one step back along k axes, or one step forward along
         all others; this gives the product of the blur's factors if all vertices between exist. Whether they do is
@@ -119,7 +119,7 @@ class Lattice:
         return result
 
     def filter(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Blur (N, C) float32 ``values``; the Gaussian's value at distance 0 is about ``1 + 2^-d``."""
+        """Return (N, C) float32 ``values`` blurred by a Gaussian whose value at distance 0 is about ``1 + 2^-d``."""
         width = -(-values.shape[1] // LANES) * LANES
         partial, near, far = (memory.empty((rows * width,), np.float32)
                               for rows in (self.vertex.size, self.vertices + 1, self.vertices + 1))  # fmt: skip
@@ -133,7 +133,16 @@ class Lattice:
 def blur(
     lattice: Lattice, width: int, partial: NDArray[np.float32], near: NDArray[np.float32], far: NDArray[np.float32]
 ) -> None:
-    """Sum the T slots by vertex and blur, into the V + 1 rows of ``near``, the last one 0; ``width`` in full lanes."""
+    """Add up the values in slots by vertex, blur them, and write them to ``near``.
+
+    Parameters
+    ----------
+    lattice : with T slots and V vertices
+    width : number of values per row, a multiple of the number of lanes
+    partial : T rows, the values in slots
+    near : V + 1 rows, of which the last becomes 0, the values of no vertex
+    far : V + 1 rows of scratch memory
+    """
     steps = len(lattice.neighbors)
     source, target = (near, far) if steps % 2 == 0 else (far, near)
     end = lattice.vertices * width

@@ -1,4 +1,4 @@
-"""Key points: distinctive points of an image with descriptors for matching. One file a method."""
+"""Key points: distinctive points of an image with descriptors for matching. One file per method."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class KeyPoints:
     ----------
     x, y : (N,) float32 position, pixels; the center of the first pixel is (0, 0)
     scale : (N,) float32 standard deviation of the blob's Gaussian, pixels
-    response : (N,) float32 strength, in the detector's own unit
+    response : (N,) float32 strength, in a unit of the detector
     sign : (N,) int8 +1 for dark blobs on light ground, -1 for the reverse, 0 where the detector does not distinguish
     descriptors : (N, K) float32, rows of length 1
     """

@@ -14,7 +14,7 @@ _LAYERS = 4  # filter sizes of an octave, as in the paper
 
 
 class Surf(Detector):
-    """Detect blobs by box-filtered Hessians over integral images and describe them by Haar responses, upright.
+    """Detect blobs by box-filtered Hessians on integral images and describe them by Haar responses, without rotation.
 
     In a rectified pair the orientation of a point would only add noise. The 64 numbers of a descriptor are the sums of
     dx, |dx|, dy and |dy| over 4 x 4 overlapping cells (Agrawal, Konolige and Blas, ECCV 2008), which change less than
@@ -51,7 +51,7 @@ class Surf(Detector):
 
 
 def filter_sizes(octave: int) -> list[int]:
-    """Return the side lengths of the box filters of an octave: 9, 15, 21, 27 in the first, steps double after it."""
+    """Return the side lengths of an octave's box filters: 9, 15, 21, 27 in octave 0; the step doubles per octave."""
     return [3 * ((2 << octave) * (layer + 1) + 1) for layer in range(_LAYERS)]
 
 

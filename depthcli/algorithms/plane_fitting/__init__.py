@@ -6,8 +6,8 @@
 | ``window_slopes`` | every pixel, through pixels of similar color | weights ``1 - r^2``, shrinkage | slopes alone |
 | ``sample_planes`` | any pixel, through the nearest samples | Tukey's biweight, narrowing gate | ``SamplePlanes`` |
 | ``segment_planes`` | every segment | RANSAC, least squares over the inliers | ``SegmentPlanes`` |
-| ``polynomials`` | every segment, up to degree 2 | Huber's weights until it settles | ``Surfaces`` |
+| ``polynomials`` | every segment, up to degree 2 | Huber's weights, until the surface no longer moves | ``Surfaces`` |
 
-What they share - weights, moments, solvers - is in ``least_squares``, for other kernels as well; ``samples`` finds the
-scattered samples that are nearest to a pixel.
+``least_squares`` has the weights, moments and solvers that they and other kernels share; ``samples`` finds the
+scattered samples nearest to a pixel.
 """

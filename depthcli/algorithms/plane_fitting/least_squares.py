@@ -27,19 +27,19 @@ def huber_weight(residual, limit):  # type: ignore[no-untyped-def]
 
 @jit
 def plane_slopes(xx, xy, yy, xd, yd, determinant):  # type: ignore[no-untyped-def]
-    """Solve for the slopes (a, b) of ``d = a x + b y + c`` by Cramer's rule.
+    """Return the slopes (a, b) of ``d = a x + b y + c`` by Cramer's rule.
 
     Parameters
     ----------
     xx, xy, yy, xd, yd : second moments about the means (sums or means alike)
-    determinant : ``xx * yy - xy * xy``, as the caller keeps it from 0
+    determinant : ``xx * yy - xy * xy``; the caller makes sure that it is not 0
     """
     return (xd * yy - yd * xy) / determinant, (yd * xx - xd * xy) / determinant
 
 
 @jit
 def plane_moments(x, y, d, weights):  # type: ignore[no-untyped-def]
-    """Return the sums of w, wx, wy, wd, wxx, wxy, wyy, wxd and wyd over float64 samples."""
+    """Return the sums of w, wx, wy, wd, wxx, wxy, wyy, wxd and wyd over samples, (N,) float64 each."""
     s = sx = sy = sd = sxx = sxy = syy = sxd = syd = 0.0
     for i in range(d.size):
         w = weights[i]
@@ -58,9 +58,10 @@ def plane_moments(x, y, d, weights):  # type: ignore[no-untyped-def]
 
 @jit
 def solve_cholesky(matrix, right, terms, solution):  # type: ignore[no-untyped-def]
-    """Solve normal equations of ``terms`` unknowns, by the lower half of ``matrix``, which is overwritten.
+    """Write the ``solution`` of normal equations by Cholesky's method; return False if the system is singular.
 
-    False, and no ``solution``, where a pivot vanishes beside its diagonal element: the system is singular.
+    The first ``terms`` unknowns are solved for. Only the lower half of ``matrix`` is read; it is overwritten. Singular
+    is a system with a pivot below 1e-8 of its diagonal element.
     """
     for i in range(terms):
         diagonal = matrix[i, i]
@@ -90,7 +91,7 @@ def solve_cholesky(matrix, right, terms, solution):  # type: ignore[no-untyped-d
 
 @jit
 def smallest(values, k):  # type: ignore[no-untyped-def]
-    """Return the k-th smallest of ``values`` (Hoare's selection), which are reordered."""
+    """Return the k-th smallest of ``values``, counted from 0, by Hoare's selection, which reorders them."""
     low, high = 0, values.size - 1
     while low < high:
         pivot = values[(low + high) >> 1]

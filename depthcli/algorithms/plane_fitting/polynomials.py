@@ -1,4 +1,4 @@
-"""Polynomials in (x, y), one a segment, fitted by reweighted least squares with Huber's weights (thesis chapter 4)."""
+"""Polynomials in (x, y), one per segment, fitted by reweighted least squares (thesis, section 4)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Surfaces:
     ----------
     coefficients : (n, 6) float64 of 1, x, y, x^2, xy, y^2, where x and y are pixels from ``center`` over ``unit``
     center : (n, 2) float64, y and x, pixels
-    bounds : (n, 2) float32, least and greatest value that the surface takes
+    bounds : (n, 2) float32, smallest and largest value of the surface; values beyond them are clipped
     scale : (n,) float32, robust standard deviation of the residuals; NaN where nothing was known
     unit : length that x and y are divided by, pixels
     """
@@ -45,7 +45,7 @@ class Surfaces:
     unit: float
 
     def at(self, labels: NDArray[np.int32]) -> NDArray[np.float32]:
-        """Evaluate the surface that ``labels`` (H, W) name at every pixel: (H, W) float32, NaN for negative labels."""
+        """Return, at every pixel, the value of the surface of its label; (H, W) float32, NaN for negative labels."""
         values = np.empty(labels.shape, np.float32)
         _evaluate(labels, self.coefficients, self.center, self.bounds, self.unit, values)
         return values
@@ -53,7 +53,7 @@ class Surfaces:
 
 @jit
 def surface_at(coefficients, center, bounds, unit, s, y, x):  # type: ignore[no-untyped-def]
-    """Return the value of surface ``s`` at (y, x), from the arrays of :class:`Surfaces`; for other kernels."""
+    """Return the value of surface ``s`` at (y, x), given the arrays of :class:`Surfaces`; for other kernels."""
     u = (x - center[s, 1]) / unit
     v = (y - center[s, 0]) / unit
     value = (
@@ -83,18 +83,19 @@ def fit_polynomials(
     samples: int,
     floor: float,
 ) -> Surfaces:
-    """Fit a polynomial to the known values of every segment.
+    """Fit a polynomial to the known values of every segment, by least squares with Huber's weights.
 
     Parameters
     ----------
     values : (H, W) float32, NaN = unknown
     labels : (H, W) int32, 0 .. n - 1; -1: in no segment
-    start : n surfaces to begin at, or None; one that is fitted stays as it is where fewer than 30 pixels are known
-    degree : at most 1 below 100 known pixels, 0 below 30
-    huber : residuals of u > huber scales have weight huber / u; inf: plain least squares
-    iterations, warm_iterations : largest number of reweightings, from nothing and from a fitted surface
-    samples : largest number of pixels a segment that are used, evenly spread
-    floor : smallest scale of residuals: what the sensor resolves
+    start : n initial surfaces, or None; a segment with fewer than 30 known pixels keeps an initial surface that was
+        already fitted
+    degree : largest degree; at most 1 in segments of fewer than 100 known pixels, 0 in those of fewer than 30
+    huber : a residual of u > huber scales has the weight huber / u; inf: plain least squares
+    iterations, warm_iterations : largest number of reweightings of a new surface, and of an initial one
+    samples : largest number of pixels per segment that are used, evenly spaced
+    floor : smallest scale of residuals, such as the resolution of the sensor
     """
     if start is None:
         count, nan = int(labels.max()) + 1, np.float32(np.nan)

@@ -1,4 +1,4 @@
-"""Planes through scattered, partly wrong samples: at every pixel through those of the nearest that agree."""
+"""Planes through scattered, partly wrong samples: at every pixel, through those nearest samples that agree."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ class SamplePlanes:
     Attributes
     ----------
     values : in the unit of the samples; NaN where there is no sample
-    sigma : standard deviation of the values: of the plane at the pixel, and of the surface from the plane
+    sigma : standard deviation of the values: that of the plane at the pixel together with that of the surface from it
     confidence : weighted share in [0, 1] of the neighboring samples that lie on the plane
-    mark : weighted mean of these samples' marks; 0 where none are given
+    averaged : weighted mean over these samples of the property that was given to be averaged; else 0
     """
 
     values: NDArray[np.float32]
     sigma: NDArray[np.float32]
     confidence: NDArray[np.float32]
-    mark: NDArray[np.float32]
+    averaged: NDArray[np.float32]
 
 
 class SamplePlaneFit(BaseModel):
     """Fit a plane at a pixel to the nearest samples of similar color that agree with each other, by Tukey's biweight.
 
-    The fit begins at the sample that the largest weight agrees with; slopes have a Gaussian prior.
+    The fit starts at the sample with which samples of the largest total weight agree; slopes have a Gaussian prior.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -46,7 +46,7 @@ class SamplePlaneFit(BaseModel):
     slope: float = Field(
         0.8, ge=0, description="typical slope of surfaces: change of depth across the image's width, over the depth"
     )
-    steps: int = Field(5, ge=1, le=50, description="reweighted least squares, from a wide to a narrow gate")
+    steps: int = Field(5, ge=1, le=50, description="number of reweighted least squares, each with a narrower gate")
 
     def __call__(
         self,
@@ -55,30 +55,30 @@ class SamplePlaneFit(BaseModel):
         noise: float,
         at: tuple[NDArray[np.int32], NDArray[np.int32]],
         skip_own: bool = False,
-        marks: NDArray[np.float32] | None = None,
+        to_average: NDArray[np.float32] | None = None,
     ) -> SamplePlanes:
-        """Fit a plane at every one of some pixels.
+        """Fit a plane at each of P pixels.
 
         Parameters
         ----------
-        samples : M of them
+        samples : M samples
         image : (H, W, 3) uint8
         noise : standard deviation of good samples, in the unit of their values
         at : (P,) int32 rows and columns of the pixels
         skip_own : leave out a sample on the pixel itself
-        marks : (M,) float32, a property of the samples to average
+        to_average : (M,) float32, a property of the samples, of which the result holds means
         """
         shape = image.shape[0], image.shape[1]
         nearest = samples.nearest(at, self.neighbors, shape, skip_own)
         values, sigma = (np.full(at[0].size, np.nan, np.float32) for _ in range(2))
-        confidence, mark = (np.zeros(at[0].size, np.float32) for _ in range(2))
-        marks = np.zeros(samples.values.size, np.float32) if marks is None else marks
+        confidence, averaged = (np.zeros(at[0].size, np.float32) for _ in range(2))
+        marks = np.zeros(samples.values.size, np.float32) if to_average is None else to_average
         _fit(
             nearest, samples.rows, samples.columns, samples.values, image, at[0], at[1], np.float32(max(noise, 1e-9)),
             np.float32(1.0 / (2.0 * self.color_scale**2)), np.float32(self.slope / shape[1]), self.steps,
-            marks, values, sigma, confidence, mark,
+            marks, values, sigma, confidence, averaged,
         )  # fmt: skip
-        return SamplePlanes(values, sigma, confidence, mark)
+        return SamplePlanes(values, sigma, confidence, averaged)
 
 
 @parallel_jit

@@ -27,16 +27,16 @@ class Samples:
 
     @classmethod
     def of(cls, values: NDArray[np.float32]) -> Samples:
-        """Return all finite pixels of an (H, W) map."""
+        """Return the samples at all finite pixels of an (H, W) float32 map."""
         rows, columns = (axis.astype(np.int32) for axis in np.nonzero(np.isfinite(values)))
         return cls(rows, columns, values[rows, columns])
 
     def chosen(self, keep: NDArray[np.bool_]) -> Samples:
-        """Return those where ``keep`` (M,) is true."""
+        """Return the samples where ``keep`` (M,) is true."""
         return Samples(self.rows[keep], self.columns[keep], self.values[keep])
 
     def distance(self, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Compute the distance of every pixel of a map of ``shape`` from the nearest sample, (H, W), pixels."""
+        """Return, for a map of ``shape`` (H, W), the distance of every pixel from the nearest sample, pixels."""
         blank = np.ones(shape, np.uint8)
         blank[self.rows, self.columns] = 0
         return np.asarray(cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)
@@ -48,18 +48,18 @@ class Samples:
         shape: tuple[int, int],
         skip_own: bool = False,
     ) -> NDArray[np.int32]:  # fmt: skip
-        """Return indices of the samples nearest to pixels, the nearest first; of equally near ones the earlier first.
+        """Return the indices of the K samples nearest to each pixel, nearest first; ties in the order of the samples.
 
         Parameters
         ----------
         at : (P,) int32 rows and columns of the pixels
-        count : K
+        count : number K of samples per pixel
         shape : (H, W) of the map
         skip_own : leave out a sample that lies on the pixel itself
 
         Returns
         -------
-        (P, K) int32; -1 where there are fewer
+        (P, K) int32; -1 in the last columns where there are fewer than K samples
         """
         height, width = shape
         # Cells that hold about two samples each.

@@ -1,4 +1,4 @@
-"""Planes of segments: RANSAC and least squares over the inliers, and a small set that stands for the scene."""
+"""Planes of segments: RANSAC and least squares over the inliers, and a small set of distinct planes of the scene."""
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ class SegmentPlanes:
     def distinct(
         self, slope_tolerance: float, offset_tolerance: float, max_planes: int
     ) -> tuple[SegmentPlanes, NDArray[np.int32]]:
-        """Select planes without near-duplicates, the best supported first, at most ``max_planes`` of them.
+        """Return at most ``max_planes`` planes without near-duplicates, the best supported ones first.
 
-        A plane is a near-duplicate where a better supported one has slopes within ``slope_tolerance`` and,
-        at the center of the lesser one, a disparity within ``offset_tolerance`` pixels.
+        A plane is a near-duplicate of a better supported one if their slopes differ by at most ``slope_tolerance`` and
+        their disparities at its own center by at most ``offset_tolerance`` pixels.
 
         Returns
         -------
         planes : SegmentPlanes
-        representative : (L,) int32, for every plane given the index of the one that stands for it; -1 for none
+        representative : (L,) int32, for every plane the index in ``planes`` of the one that replaces it; -1 for none
         """
         order = np.argsort(-self.support, kind="stable")
         by_support = self[order]
@@ -68,7 +68,10 @@ class SegmentPlanes:
         return by_support[kept], representative[np.argsort(order)]
 
     def at(self, choice: NDArray[np.int32], max_disparity: float) -> NDArray[np.float32]:
-        """Evaluate the plane ``choice`` (H, W) at every pixel, limited to [0, ``max_disparity``]: (H, W) float32."""
+        """Return, at every pixel, the value of the plane with the index ``choice`` (H, W); (H, W) float32, pixels.
+
+        Values are limited to [0, ``max_disparity``].
+        """
         a, b, c = self.coefficients.T
         x, y = np.arange(choice.shape[1]), np.arange(choice.shape[0])[:, None]
         disparity = a[choice] * x + b[choice] * y + c[choice]
@@ -81,27 +84,29 @@ class SegmentPlaneFit(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     tolerance: float = Field(0.5, gt=0, le=16384, description="distance of a RANSAC inlier from the plane, pixels")
-    trials: int = Field(200, ge=1, le=100_000, description="RANSAC samples a segment")
-    max_slope: float = Field(1.0, ge=0, le=16, description="steepest plane, pixels of disparity a pixel")
+    trials: int = Field(200, ge=1, le=100_000, description="RANSAC samples per segment")
+    max_slope: float = Field(1.0, ge=0, le=16, description="steepest plane, pixels of disparity per pixel")
     flatness: float = Field(
-        1.0, ge=0, le=1, description="a sloping plane must bring the misfit below this part of a flat one's; 1: always"
+        1.0, ge=0, le=1, description="a sloping plane is kept if its misfit is below this share of the flat plane's"
     )  # fmt: skip
-    seed: int = Field(0, ge=0, le=2**31 - 1, description="of the RANSAC samples, with the number of the segment")
+    seed: int = Field(
+        0, ge=0, le=2**31 - 1, description="seed of the RANSAC samples, combined with the segment's number"
+    )
 
     def __call__(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
-        """Fit one plane to each of the segments ``chosen`` (K,), none of them empty.
+        """Fit one plane to each of the segments ``chosen`` (K,), none of which is empty.
 
-        Where no three pixels span a plane of an allowed slope, it is the flat one of the median disparity.
+        Where no three pixels define a plane with an allowed slope, that is the flat plane at the median disparity.
 
         Parameters
         ----------
         values : (H, W) float32 disparities, pixels
-        members : the pixels to fit, by segment
+        members : the pixels of every segment that its plane is fitted to
         """
         return self._planes(values, members, chosen, self.trials, self.max_slope, self.flatness)
 
     def constant(self, values: NDArray[np.float32], members: RegionPixels, chosen: NDArray[np.int64]) -> SegmentPlanes:
-        """Return the plane of constant disparity, the median, of each of the segments ``chosen``."""
+        """Return, for each of the segments ``chosen`` (K,), the flat plane at its median disparity."""
         return self._planes(values, members, chosen, 0, 0.0, 0.0)
 
     def _planes(

@@ -1,4 +1,4 @@
-"""Planes through the 9 x 9 window of every pixel: what a surface is like beside and beyond the pixel."""
+"""Planes through the 9 x 9 window of every pixel, which describe the surface around it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ RADIUS = 4
 
 # Values that refine-kinect accurate was published with; nothing in the repository varies them.
 _GATE = 4.0  # larger residuals have no weight, multiples of the noise
-_FIRST_GATE, _FIRST_GATE_GROWTH = 6.4, 1.0  # before there is a plane: the gate, and its growth a pixel of distance
+_FIRST_GATE, _FIRST_GATE_GROWTH = 6.4, 1.0  # before there is a plane: the gate, and its growth per pixel of distance
 _RIDGE = 1.0  # square pixels added to the scatter: thin support must not yield steep planes
-_MAX_SLOPE = 0.7  # pixels of disparity a pixel
+_MAX_SLOPE = 0.7  # pixels of disparity per pixel
 _MIN_SUPPORT = 8.0  # with less weight than this the plane is level
 _BLOCK = 64  # pixels of a row that are worked on together: a few vectors, and all sums stay in the cache
 
@@ -30,7 +30,7 @@ class WindowPlanes:
     Attributes
     ----------
     value : disparity of the plane at the pixel, pixels; NaN where the disparity is unknown
-    slope_x, slope_y : pixels of disparity a pixel, to the right and downwards
+    slope_x, slope_y : pixels of disparity per pixel, to the right and downwards
     scale : root of the mean weighted squared residual, pixels
     """
 
@@ -40,7 +40,7 @@ class WindowPlanes:
     scale: NDArray[np.float32]
 
     def every(self, stride: int) -> WindowPlanes:
-        """Return the planes of every n-th pixel of every n-th row, with slopes by such steps."""
+        """Return the planes of every n-th pixel of every n-th row, n = ``stride``; slopes are per n pixels."""
         part, steps = np.s_[::stride, ::stride], np.float32(stride)
         return WindowPlanes(self.value[part], self.slope_x[part] * steps, self.slope_y[part] * steps, self.scale[part])
 
@@ -52,15 +52,15 @@ def window_planes(
     previous: WindowPlanes | None = None,
     changed: NDArray[np.bool_] | None = None,
 ) -> WindowPlanes:
-    """Fit planes by three reweighted least squares with Tukey's biweight.
+    """Fit a plane to the window of every pixel, by three reweighted least squares with Tukey's biweight.
 
     Parameters
     ----------
     disparity : (H, W) float32, pixels, NaN = unknown
     trust : (H, W) float32 >= 0, weight of every pixel; unknown ones have none
     noise : standard deviation of the disparity, pixels
-    previous, changed : planes of a map that had other values or weights only at the pixels (H, W) bool ``changed``:
-        planes whose windows hold none of these are taken over
+    previous, changed : planes of an earlier map, and (H, W) bool: the pixels whose disparity or trust has changed
+        since; planes whose windows contain none of these are copied
     """
     known = ~np.isnan(disparity)
     padded = np.pad(np.where(known, disparity, np.float32(0)), RADIUS)

@@ -1,4 +1,4 @@
-"""Slopes of a disparity map: those of the plane through the pixels around that belong to the same surface."""
+"""Slopes of a disparity map: those of a plane through the surrounding pixels that belong to the same surface."""
 
 from __future__ import annotations
 
@@ -11,37 +11,38 @@ from depthcli.algorithms.plane_fitting.least_squares import biweight_root, plane
 from depthcli.kernels.jit import jit, parallel_jit, prange
 
 BLOCK = 64
-"""Pixels of a row that kernels work on at a time, one in every lane."""
+"""Number of pixels of a row that kernels process together; widths of their arrays are multiples of it."""
 
 # Values of the preset stereo accurate, not varied by any script; the device kernels (slanted.cl) have the same.
 _RIDGE = np.float32(0.2)  # square pixels added to the variance of positions
 _COLOR_THRESHOLD = np.float32(75.0)  # sum over the channels of the differences, grey levels
 _MIN_SAMPLES = np.float32(6.0)
-_MAX_SLOPE = np.float32(1.0)  # pixels of disparity a pixel
+_MAX_SLOPE = np.float32(1.0)  # pixels of disparity per pixel
 _NOISE_VARIANCE = np.float32(0.01)  # square pixels, added to that of the residuals
 _SHRINKAGE = np.float32(4.0)  # variances of a slope that count as much as its square
 _STEPS = 4  # samples from the center of the window to its side
 
 
 def framed(array: NDArray[Any], margin: int, value: float = 0) -> NDArray[Any]:
-    """Pad (..., H, W) with ``margin`` more of ``value`` on all sides, and on the right up to a whole block."""
+    """Return (..., H, W) padded with ``value``: by ``margin`` on all sides, and on the right up to a whole block."""
     *others, _, width = array.shape
     frame = [(0, 0)] * len(others) + [(margin, margin), (margin, margin + -width % BLOCK)]
     return np.pad(array, frame, constant_values=value)
 
 
 def color_planes(image: NDArray[np.uint8], margin: int) -> NDArray[np.uint8]:
-    """Return the channels of an (H, W, 3) image as (3, H + margins, W + margins) uint8."""
+    """Return the channels of an (H, W, 3) uint8 image, one after another, padded as by :func:`framed`; uint8."""
     return framed(np.ascontiguousarray(image.transpose(2, 0, 1)), margin)
 
 
 def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 16) -> NDArray[np.float32]:
-    """Compute the change of disparity from a pixel to the next in its row and in its column.
+    """Compute the change of disparity from a pixel to the next one in its row and in its column.
 
-    Least squares through 9 x 9 pixels of the window whose color is similar (sum over the channels of the difference
-    at most 75) and whose disparity is near (at most 1 + 0.15 distance); fitted once more to those within a pixel of
-    the plane, with weights ``1 - residual^2``. A slope that the residuals could explain is shrunk: by
-    ``g^2 / (g^2 + 4 (variance + 0.01) / spread)``, the spread of the window's pixels being ``radius^2 / 3``.
+    A plane is fitted by least squares to those of 9 x 9 samples of the window whose color is similar to the pixel's
+    (differences of the channels sum to at most 75) and whose disparity is close (difference at most 1 + 0.15 distance).
+    It is fitted once more to the samples within one pixel of disparity of it, with weights ``1 - residual^2``. Slopes
+    that noise can explain are reduced: a slope g is multiplied by ``g^2 / (g^2 + 4 (variance + 0.01) / spread)``, with
+    the variance of the residuals and the spread ``radius^2 / 3`` of positions in the window.
 
     Parameters
     ----------
@@ -67,9 +68,13 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
 
 
 def window_sampling(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
-    """Return pixels between samples, (9, 9) float32 largest differences of theirs, and the inverse window spread.
+    """Return how the window of :func:`slopes` is sampled; the kernels of devices use the same numbers.
 
-    The kernels of devices take the same.
+    Returns
+    -------
+    step : distance of neighboring samples, pixels
+    limits : (9, 9) float32, the largest difference of disparity from the center, by the sample's row and column
+    inverse_spread : one over the spread of positions in the window, 1 / square pixels
     """
     step = max(1, radius // _STEPS)
     offsets = np.arange(-_STEPS, _STEPS + 1) * step

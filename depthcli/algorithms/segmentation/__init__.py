@@ -1,4 +1,4 @@
-"""Image segmentation: partitions of an image into connected regions. One file a method."""
+"""Image segmentation: partitions of an image into connected regions. One file per method."""
 
 from __future__ import annotations
 

@@ -11,12 +11,14 @@ from depthcli.algorithms.segmentation import Segmenter
 
 
 class Felzenszwalb(Segmenter):
-    """Join pixels along edges weaker than those inside the regions on both sides; sizes follow the texture."""
+    """Join regions that differ little compared with the differences inside both; textured regions grow larger."""
 
     aliases = ("FH",)
 
     scale: float = Field(20.0, gt=0, le=1e6, description="larger values give larger regions, grey levels x pixels")
-    sigma: float = Field(0.8, ge=0, le=10, description="standard deviation of the smoothing before, pixels")
+    sigma: float = Field(
+        0.8, ge=0, le=10, description="standard deviation of the smoothing before segmentation, pixels"
+    )
     min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor, pixels")
 
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:

@@ -34,13 +34,13 @@ class MeanShift(Segmenter):
 
 
 def mode_colors(image: NDArray[np.uint8], spatial_radius: float, color_radius: float) -> NDArray[np.uint8]:
-    """Compute the color of every pixel's mode, as ``cv2.pyrMeanShiftFiltering`` with ``maxLevel=0`` but much faster.
+    """Return the color of every pixel's mode, as ``cv2.pyrMeanShiftFiltering`` with ``maxLevel=0``, but much faster.
 
     Parameters
     ----------
     image : (H, W, 3) uint8
     spatial_radius : half side of the square window, pixels; at least 1
-    color_radius : Euclidean, grey levels
+    color_radius : largest Euclidean distance of colors inside the window, grey levels
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Statistical region merging (Nock and Nielsen, PAMI 2004), guided by depth where it is known (thesis chapter 4)."""
+"""Statistical region merging (Nock and Nielsen, PAMI 2004), guided by depth where it is known (thesis, section 4)."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class StatisticalRegionMerging(Segmenter):
     extend over the gaps of a sensor's map.
     """
 
-    complexity: float = Field(128, gt=0, le=65536, description="Q, statistical sources; a larger Q gives more regions")
+    complexity: float = Field(128, gt=0, le=65536, description="Q of the paper; a larger Q gives more regions")
     coarser: tuple[Annotated[float, Field(gt=0, le=65536)], ...] = Field(
-        (), description="Q of further layers, falling: each goes on merging the regions of the one before"
+        (), description="Q of further, coarser layers, in falling order; each merges regions of the layer before it"
     )
-    depth_guidance: float = Field(16, ge=0, le=65536, description="Q of the test on depth; 0: plain SRM, without depth")
+    depth_guidance: float = Field(16, ge=0, le=65536, description="Q of the test on depth; 0: depth is not used")
     smoothing: float = Field(1.0, ge=0, le=10, description="sigma of the 3 x 3 Gaussian before merging; 0: none")
     min_size: int = Field(20, ge=1, le=10**8, description="smaller regions finally join a neighbor, pixels")
 

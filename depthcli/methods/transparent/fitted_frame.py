@@ -71,7 +71,7 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, rule: UnreliableRegions, 
     marks = np.clip(np.nan_to_num(nearer, nan=0.5), 0, 1)
     clock.stop("samples")
     rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: frame.shape[0], : frame.shape[1]])
-    planes = fit(samples, frame.color, noise, (rows, columns), marks=marks.astype(np.float32))
+    planes = fit(samples, frame.color, noise, (rows, columns), to_average=marks.astype(np.float32))
     clock.stop("fit")
     unreliable = rule(sensor, planes, samples, noise, frame.color)
     clock.stop("unreliable")

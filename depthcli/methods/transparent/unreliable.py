@@ -132,7 +132,7 @@ class UnreliableRegions(BaseModel):
         )
         score = np.clip(planes.confidence * off * off / 2 - self.score_threshold, *_SCORE_RANGE) * fading
         # Samples that agree with the sensor are no evidence beside their surface, however far the fit is continued.
-        gain = np.clip((planes.mark - self.contradiction) / self.contradiction, 0, 1)
+        gain = np.clip((planes.averaged - self.contradiction) / self.contradiction, 0, 1)
         score = np.where(score > 0, score * gain, score)
         # Through glass the sensor measures a farther surface, never a nearer one.
         score = np.where(off > 0, np.minimum(score, -self.score_threshold), score)
