@@ -165,7 +165,7 @@ def load_config(
     Parameters
     ----------
     model : of the config's root
-    source : a file, or a config that was read already (and whose ``base`` is not followed)
+    source : a file, or a config that was read already, whose ``base`` is not followed
     settings : as for :func:`overlay`
     find : as for :func:`with_base`
 

@@ -35,9 +35,10 @@ def _steps(shifts):  # type: ignore[no-untyped-def]
 
 @parallel_jit
 def embed(features, scales, shifts, band, slots, weights, keys, sizes):  # type: ignore[no-untyped-def]
-    """Write simplices, as ``slots`` that count from 0 in every band, and barycentric ``weights`` of points.
+    """Find the simplex of every point: write its vertices to ``slots`` and its barycentric weights to ``weights``.
 
-    ``sizes`` becomes the number of vertices of every band, even where ``keys`` has no room for them.
+    Slots count from 0 in every band. ``keys`` gets the keys of their vertices, ``sizes`` their number per band, which
+    is also right where ``keys`` has no room for all.
     """
     count, d = features.shape
     size = d + 1
@@ -131,7 +132,10 @@ def _nearest(elevated, base, rest, rank, off):  # type: ignore[no-untyped-def]
 
 @jit
 def merge_vertices(keys, sizes, vertex, own, first_slot):  # type: ignore[no-untyped-def]
-    """Number the vertices of all bands; return the hash table, and how many first keys of ``own`` are vertices."""
+    """Write the vertex of every slot to ``vertex`` and the vertices' keys to ``own``.
+
+    Returns the hash table of the vertices (keys, numbers) and their number.
+    """
     total = first_slot[-1]
     capacity = 1024
     while capacity < 2 * total:
@@ -153,7 +157,7 @@ def merge_vertices(keys, sizes, vertex, own, first_slot):  # type: ignore[no-unt
 
 @parallel_jit
 def find_neighbors(own, table, place, shifts, neighbors):  # type: ignore[no-untyped-def]
-    """Write the two neighbors of every vertex along every axis, the number of vertices for none."""
+    """Write the two neighbors of every vertex along every axis; the number of vertices stands for none."""
     axes, _, vertices = neighbors.shape
     steps, wrap = _steps(shifts)
     none = np.uint64(0)
@@ -170,7 +174,7 @@ def find_neighbors(own, table, place, shifts, neighbors):  # type: ignore[no-unt
 
 @parallel_jit
 def spread(values, slots, weights, first_slot, band, partial):  # type: ignore[no-untyped-def]
-    """Spread (N, C) values over (T, C) slots."""
+    """Add (N, C) values, weighted, to the (T, C) slots of their simplices: ``partial``."""
     count, corners = slots.shape
     for b in prange(first_slot.size - 1):
         partial[first_slot[b] : first_slot[b + 1]] = np.float32(0.0)
@@ -183,7 +187,7 @@ def spread(values, slots, weights, first_slot, band, partial):  # type: ignore[n
 
 @parallel_jit
 def read(values, slots, vertex, weights, result):  # type: ignore[no-untyped-def]
-    """Read (N, C) values from (V + 1, C) vertices."""
+    """Write to ``result`` (N, C) the weighted sums of the (V + 1, C) ``values`` at the vertices of every simplex."""
     count, corners = slots.shape
     for n in prange(count):
         for k in range(result.shape[1]):
@@ -196,7 +200,7 @@ def read(values, slots, vertex, weights, result):  # type: ignore[no-untyped-def
 
 @parallel_jit
 def compute_own_share(slots, vertex, weights, neighbors, factors, density, result):  # type: ignore[no-untyped-def]
-    """Write the own share of every point; see ``Lattice.own_share``."""
+    """Write to ``result`` the weight of every point's own value (see ``Lattice.own_share``)."""
     axes = factors.shape[0]
     for n in prange(result.size):
         total = np.float32(0.0)
@@ -238,7 +242,7 @@ def _response(slots, vertex, neighbors, start, stop, turn):  # type: ignore[no-u
 
 @parallel_jit
 def gather_vertices(partial, order, first, values, width):  # type: ignore[no-untyped-def]
-    """Sum the slots of every vertex, rows of ``width``."""
+    """Write to ``values`` the sum of the slots of every vertex; all are rows of ``width`` numbers."""
     for v in prange(first.size - 1):
         to = v * width
         for k in range(0, width - LANES + 1, LANES):
@@ -250,7 +254,7 @@ def gather_vertices(partial, order, first, values, width):  # type: ignore[no-un
 
 @parallel_jit
 def blur_axis(source, left, right, target, width):  # type: ignore[no-untyped-def]
-    """Blur vertices, rows of ``width``, by [1/2 1 1/2] along one axis."""
+    """Write to ``target`` the vertices' rows of ``width`` numbers, blurred by [1/2 1 1/2] along one axis."""
     half = splat(np.float32(0.5))
     for v in prange(left.size):
         at, low, high = v * width, left[v] * width, right[v] * width

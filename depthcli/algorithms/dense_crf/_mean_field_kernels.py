@@ -14,7 +14,7 @@ _BLOCK = 4 * LANES  # labels that are held in registers together
 
 @parallel_jit
 def join_lattices(slots, weights, density, share, weight, offset, column, all_slots, all_weights, own):  # type: ignore[no-untyped-def]
-    """Write the corners of one lattice into the columns from ``column`` on, with normalized weights."""
+    """Write slots and normalized weights of one lattice to the columns from ``column`` on of those of all lattices."""
     for n in prange(own.size):
         scale = np.sqrt(weight / density[n])
         own[n] += share[n] * scale * scale
@@ -27,9 +27,10 @@ def join_lattices(slots, weights, density, share, weight, offset, column, all_sl
 def update(  # type: ignore[no-untyped-def]
     unary, q, labels, near, slots, vertex, weights, corners, own, truncation, bands, width, receive, send, partial,
 ):  # fmt: skip
-    """Write marginals of all points to ``q``: read their messages (if ``receive``), spread the result (if ``send``).
+    """Write the marginals of all points to ``q``, and spread them over the slots in ``partial`` if ``send``.
 
-    Without messages they are those of the energies alone, softmax(-unary).
+    They are those of the energies with the messages in ``near`` if ``receive``; else of the energies alone,
+    softmax(-unary).
     """
     count = own.size
     # Rows of a tile lie one behind the other, with zeros between them for the windows that reach beyond their ends.
