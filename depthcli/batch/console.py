@@ -83,14 +83,14 @@ class Reporter:
             if isinstance(error, OSError) and number not in (errno.EPIPE, errno.EBADF):
                 raise IncompleteError(f"stdout: cannot be written ({error.strerror or error})") from error
 
-    def start(self, total: int, done: int, what: str) -> None:
+    def start(self, total: int, done: int, what: str, unit: str = "scene") -> None:
         """Begin to show progress: a bar on a terminal, otherwise a line every 30 seconds."""
         self._what, self._total, self._done, self._failed = what, total, done, 0
         self._start = self._said = time.monotonic()
         if self.level >= 0 and _is_terminal():
             from tqdm import tqdm
 
-            self._bar = tqdm(total=total, initial=done, desc=what, unit="scene", file=sys.stderr, leave=False)
+            self._bar = tqdm(total=total, initial=done, desc=what, unit=unit, file=sys.stderr, leave=False)
 
     def step(self, failed: bool = False) -> None:
         """Count one more scene."""

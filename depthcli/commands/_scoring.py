@@ -18,6 +18,7 @@ from depthcli.data.scenes import Scene
 from depthcli.evaluation.plots import curve_plot
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load
 from depthcli.evaluation.results import MapResult
+from depthcli.report.contact_sheet import ContactSheet
 
 if TYPE_CHECKING:
     from depthcli.report.page import Page
@@ -51,6 +52,11 @@ class Scoring:
         """Run -> scene -> row of the run's own report."""
         return {run: read_report(place) for run, place in self.runs.items()}
 
+    @cached_property
+    def sheet(self) -> ContactSheet:
+        """Small pictures of the first scenes."""
+        return ContactSheet(list(self.runs))
+
     def results(self, scene: Scene, unique: bool) -> list[MapResult]:
         """Return the results of one scene for every run; ``unique``: no other scene has its short name."""
         folder, _, short = scene.name.rpartition("/")
@@ -65,6 +71,8 @@ class Scoring:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
         if self.page is not None:
             self.page.scene(protocol, scene, truth)
+        if self.output is not None and protocol.presentation.error_pictures:
+            self.sheet.scene(scene.name, protocol.presentation.image(scene))
         start = replace(start, warning="; ".join(lines))
         return [self._result(replace(start, run=run), protocol, scene, truth, names) for run in self.runs]
 
@@ -124,6 +132,7 @@ class Scoring:
             picture = protocol.picture(estimate, truth)
             if picture is not None:
                 write_png(self.output / result.picture, picture)
+                self.sheet.map(result.scene, result.run, path, picture)
             for (region, of), plot in result.plots.items():
                 lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
                 write_text(self.output / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))

@@ -102,7 +102,7 @@ def evaluate(
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
-    Written to ``output``, all at the end: ``scores.csv``, ``scores.json``, ``report.md``,
+    Written to ``output``, all at the end: ``scores.csv``, ``scores.json``, ``report.md``, ``contact_sheet.png``,
     ``errors/<run>/<scene>.png``, ``curves/<run>/<scene>_<region>_<kind>.svg``, ``points/<run>/<scene>.csv``, and
     ``record.json``, by which the next evaluation knows which files it may replace.
 
@@ -244,6 +244,7 @@ def _write(report: EvaluationReport, scoring: Scoring) -> None:
         write_text(scoring.output / "scores.csv", to_csv([record.row() for record in report.records()]))
         write_text(scoring.output / "scores.json", scores)
         write_text(scoring.output / "report.md", report_markdown(report))
+        scoring.sheet.write(scoring.output / "contact_sheet.png")
     if scoring.page is not None:
         scoring.page.write(report, scores, {run: saved_config(place) for run, place in scoring.runs.items()})
 

@@ -148,11 +148,11 @@ def _decode_with_pillow(data: bytes, kind: str) -> Image:
     with decoding(kind):
         image.load()
         if image.mode in ("1", "LA", "La"):
-            pixels = np.asarray(image.convert("L"))
+            pixels = np.array(image.convert("L"))  # a copy: kernels are compiled apart for read-only arrays
         elif image.mode in ("L", "RGB") or image.mode.startswith("I;16"):
-            pixels = np.asarray(image)
+            pixels = np.array(image)
         else:
-            pixels = np.asarray(image.convert("RGB"))
+            pixels = np.array(image.convert("RGB"))
     return cast(Image, np.ascontiguousarray(pixels, np.uint8 if pixels.dtype == np.uint8 else np.uint16))
 
 

@@ -1,0 +1,127 @@
+"""Compile the kernels that presets need, in several processes side by side, so that the first run starts at once."""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from typing import TYPE_CHECKING
+
+from depthcli.batch.command import SOME_FAILED, Command, Values
+from depthcli.core.errors import ConfigError
+from depthcli.core.option import Option
+
+if TYPE_CHECKING:
+    from depthcli.batch.console import Reporter
+    from depthcli.kernels.calls import KernelCall
+
+
+class WarmupCommand(Command):
+    """Compiles kernels, or lists them with the time that it takes."""
+
+    @property
+    def arguments(self) -> tuple[Option, ...]:
+        """Presets."""
+        return (Option("presets", str, "Presets, as COMMAND/NAME or COMMAND (all of it).", "PRESET", repeatable=True),)
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        """What to compile, and with how many processes."""
+        return (
+            Option("all", bool, "Every preset.", default=False),
+            Option(
+                "list", bool, "List the kernels by the time that compiling them takes; compile none.", default=False
+            ),
+            Option("jobs", int, "Processes side by side; default: one a core.", "N", short="-j", min_value=1),
+        )
+
+    def run(self, values: Values, reporter: Reporter) -> int:
+        """Compile or list; return the exit code."""
+        from depthcli.batch.console import aligned
+        from depthcli.batch.json_csv import to_json
+        from depthcli.kernels.calls import recorded_calls
+        from depthcli.kernels.jit import cache_folder
+
+        presets = _chosen(values["presets"] or [], values["all"] or (values["list"] and not values["presets"]))
+        calls = recorded_calls(presets)
+        if values["list"]:
+            if values["json"]:
+                reporter.data(to_json([call._asdict() for call in calls]))
+            else:
+                total = sum(call.seconds for call in calls)
+                rows = [(f"{call.module}.{call.kernel}", _arguments(call), f"{call.seconds:.2f}") for call in calls]
+                footer = (f"{len(calls)} kernels", "", f"{total:.2f}")
+                reporter.data(aligned([("kernel", "arguments", "seconds"), *rows, footer]))
+            return 0
+        if cache_folder() is None:
+            raise ConfigError("no folder for compiled kernels can be written; name one in NUMBA_CACHE_DIR")
+        n_compiled, failed = _prepare(calls, values["jobs"] or os.cpu_count() or 1, reporter)
+        for line in failed:
+            reporter.error(line)
+        if values["json"]:
+            reporter.data(to_json({"kernels": len(calls), "compiled": n_compiled, "failed": failed}))
+        else:
+            reporter.info(f"{len(calls)} kernels of {len(presets)} presets: {n_compiled} compiled, in {cache_folder()}")
+        return SOME_FAILED if failed else 0
+
+
+def _chosen(words: list[str], every: bool) -> list[str]:
+    """Return the presets, as ``command/name``, that the words name."""
+    from depthcli.batch.presets import list_presets
+
+    known = [f"{command}/{name}" for command, name, _ in list_presets()]
+    chosen = list(known) if every else []
+    for word in words:
+        found = [name for name in known if word in (name, name.partition("/")[0], name.replace("/thesis/", "/"))]
+        if not found:
+            raise ConfigError(f"no preset {word!r}; give COMMAND/NAME (see depthcli presets), COMMAND, or --all")
+        chosen += found
+    if not chosen:
+        raise ConfigError("name presets, such as stereo/accurate, or give --all")
+    return sorted(set(chosen))
+
+
+def _arguments(call: KernelCall) -> str:
+    return ", ".join(each if isinstance(each, str) else each[0].rpartition(":")[2] for each in call.arguments)
+
+
+def _prepare(calls: list[KernelCall], n_processes: int, reporter: Reporter) -> tuple[int, list[str]]:
+    """Load or compile all kernels; return how many were compiled, and a line for each that cannot be."""
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from concurrent.futures.process import BrokenProcessPool
+
+    # The kernels of one module share helpers: in one process, these are compiled once.
+    modules: dict[str, list[KernelCall]] = defaultdict(list)
+    for call in calls:
+        modules[call.module].append(call)
+    longest_first = sorted(modules.values(), key=lambda group: -sum(call.seconds for call in group))
+    n_processes = min(n_processes, len(modules))
+    n_compiled, failed = 0, []
+    with reporter, ProcessPoolExecutor(n_processes, multiprocessing.get_context("spawn")) as pool:
+        reporter.start(len(calls), 0, "compiling", unit="kernel")
+        pending = {pool.submit(_prepare_module, group): group for group in longest_first}
+        for future in as_completed(pending):
+            try:
+                count, lines = future.result()
+            except BrokenProcessPool as error:
+                raise ConfigError(
+                    "a process that compiled kernels was ended from outside (memory?); try --jobs 1"
+                ) from error
+            n_compiled += count
+            failed += lines
+            for _ in pending[future]:
+                reporter.step()
+    return n_compiled, failed
+
+
+def _prepare_module(calls: list[KernelCall]) -> tuple[int, list[str]]:
+    n_compiled, failed = 0, []
+    for call in calls:
+        try:
+            n_compiled += call.prepare()[0] > 0
+        except (AttributeError, ImportError, ValueError, TypeError) as error:
+            failed.append(f"{call.module}.{call.kernel}: cannot be compiled ({error})")
+    return n_compiled, failed
+
+
+COMMAND = WarmupCommand()

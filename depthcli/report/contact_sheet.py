@@ -1,0 +1,90 @@
+"""One picture of an evaluation: a row for each scene with its image, and every run's map above its errors."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.errors import InputError
+from depthcli.core.frames import color8
+from depthcli.data.formats.images import read_image, write_png
+
+Picture: TypeAlias = NDArray[np.uint8]
+
+_MAX_SCENES = 4  # rows: the sheet fits a screen
+_MAX_RUNS = 4
+_WIDTH, _GAP, _LINE = 240, 8, 20  # pixels: width of one picture, space around it, height of a line of text
+_INK = (40, 40, 40)
+
+
+class ContactSheet:
+    """Small pictures of the first scenes of an evaluation, side by side.
+
+    Parameters
+    ----------
+    runs : names of the runs, a column each
+    """
+
+    def __init__(self, runs: Sequence[str]) -> None:
+        self._runs = list(runs)[:_MAX_RUNS]
+        self._rows: dict[str, dict[str, list[Picture]]] = {}
+
+    def scene(self, scene: str, image: NDArray[np.uint8] | None) -> None:
+        """Begin the row of a scene with its (H, W, 3) image; a scene without one, or a volume, has no row."""
+        if image is not None and image.ndim == 3 and image.shape[2] == 3 and len(self._rows) < _MAX_SCENES:
+            self._rows[scene] = {"": [_small(image)]}
+
+    def map(self, scene: str, run: str, map_file: Path, errors: NDArray[np.uint8]) -> None:
+        """Add a run's map, as the ``preview.png`` beside ``map_file`` shows it, and its (H, W, 3) error picture."""
+        if scene not in self._rows or run not in self._runs:
+            return
+        pictures = [_small(errors)]
+        with contextlib.suppress(InputError):  # another program's map has no preview
+            pictures.insert(0, _small(color8(read_image(map_file.with_name("preview.png")))))
+        self._rows[scene][run] = pictures
+
+    def write(self, path: Path) -> bool:
+        """Write the sheet as PNG; False where there is nothing to show."""
+        rows = {scene: row for scene, row in self._rows.items() if len(row) > 1}
+        if not rows:
+            return False
+        columns = ["", *(run for run in self._runs if any(run in row for row in rows.values()))]
+        heights = [max(map(_height, row.values())) for row in rows.values()]
+        width = _GAP + len(columns) * (_WIDTH + _GAP)
+        sheet = np.full((_LINE + sum(_LINE + height for height in heights), width, 3), 255, np.uint8)
+        for k, run in enumerate(columns):
+            _write_text(sheet, run, _GAP + k * (_WIDTH + _GAP), 0)
+        top = _LINE
+        for (scene, row), height in zip(rows.items(), heights, strict=True):
+            _write_text(sheet, scene, _GAP, top)
+            for k, run in enumerate(columns):
+                y, x = top + _LINE, _GAP + k * (_WIDTH + _GAP)
+                for picture in row.get(run, ()):
+                    sheet[y : y + len(picture), x : x + _WIDTH] = picture
+                    y += len(picture) + _GAP
+            top += _LINE + height
+        write_png(path, sheet)
+        return True
+
+
+def _small(picture: Picture) -> Picture:
+    height = max(1, round(picture.shape[0] * _WIDTH / picture.shape[1]))
+    shrink = cv2.INTER_AREA if picture.shape[1] > _WIDTH else cv2.INTER_NEAREST
+    return np.asarray(cv2.resize(picture, (_WIDTH, min(height, 2 * _WIDTH)), interpolation=shrink), np.uint8)
+
+
+def _height(pictures: Sequence[Picture]) -> int:
+    return sum(len(picture) + _GAP for picture in pictures)
+
+
+def _write_text(sheet: Picture, text: str, x: int, top: int) -> None:
+    shown = text.encode("ascii", "replace").decode()
+    while len(shown) > 4 and cv2.getTextSize(shown, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0] > _WIDTH:
+        shown = shown[:-4] + "..."
+    cv2.putText(sheet, shown, (x, top + 14), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)
