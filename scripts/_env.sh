@@ -1,6 +1,7 @@
 # Makes the checkout's own virtual environment, or finds it ready. Sourced by the scripts in sh, run by _env.py for
 # those in Python.
-# Wants only a python3 of at least 3.11 with venv; PYTHON names another one.
+# Wants only a python3 of at least 3.11 with venv; PYTHON names another one. With extra="" it installs what the
+# program needs, else also what its tests need.
 set -eu
 cd "$(dirname "$0")/.."
 python=${PYTHON:-python3}
@@ -9,12 +10,15 @@ python=${PYTHON:-python3}
   exit 1
 }
 wanted=$("$python" -c 'import hashlib, sys; print(sys.version, hashlib.sha256(open("pyproject.toml", "rb").read()).hexdigest())')
-if [ ! -f .venv/ready ] || [ "$(cat .venv/ready)" != "$wanted" ]; then
+is_ready() { [ -f ".venv/ready$1" ] && [ "$(cat ".venv/ready$1")" = "$wanted" ]; }
+if ! is_ready "" || ! is_ready "${extra-dev}"; then
   echo "setting up .venv ..." >&2
-  rm -rf .venv
-  "$python" -m venv .venv
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' >&2
+  is_ready "" || rm -rf .venv
+  is_ready "" || "$python" -m venv .venv
+  # Modules are compiled to byte code as they are used: most of those in the packages never are.
+  PIP_NO_COMPILE=1 .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".[${extra-dev}]" >&2
   printf '%s' "$wanted" > .venv/ready
+  printf '%s' "$wanted" > ".venv/ready${extra-dev}"
 fi
 PATH="$PWD/.venv/bin:$PATH"
 export PATH
