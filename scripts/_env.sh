@@ -16,7 +16,7 @@ if ! is_ready "" || ! is_ready "${extra-dev}"; then
   is_ready "" || rm -rf .venv
   is_ready "" || "$python" -m venv .venv
   # Modules are compiled to byte code as they are used: most of those in the packages never are.
-  PIP_NO_COMPILE=1 .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".[${extra-dev}]" >&2
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[${extra-dev}]" >&2
   printf '%s' "$wanted" > .venv/ready
   printf '%s' "$wanted" > ".venv/ready${extra-dev}"
 fi
