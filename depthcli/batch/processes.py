@@ -14,7 +14,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import Any
 
 import cv2
-import pebble
 
 from depthcli.batch.console import Reporter, silence_warnings
 from depthcli.batch.json_csv import Row
@@ -58,6 +57,8 @@ def compute(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Ta
     The first scene is computed alone for a moment. If kernels have to be compiled for it, the other processes wait
     for them instead of compiling the same ones.
     """
+    import pebble  # with asyncio: 30 ms that a run in one process does without
+
     context = multiprocessing.get_context("spawn")  # threads of OpenMP do not survive a fork
     begun, compiling = context.Event(), context.Event()
     waiting, tries = list(reversed(tasks)), dict[str, int]()

@@ -89,6 +89,7 @@ from numba.core.caching import (  # noqa: E402
     IndexDataCacheFile,
     _CacheLocator,
 )
+from numba.core.runtime import rtsys  # noqa: E402
 
 from depthcli.kernels.fingerprint import fingerprint  # noqa: E402
 from depthcli.kernels.shipped import shipped_kernels  # noqa: E402
@@ -156,7 +157,11 @@ class KernelCache(FunctionCache):
         """Return the kernel compiled for the types ``sig``, from the wheel or the folder; None if there is none."""
         files = self._prepare()
         try:
-            found = self._load_shipped(sig, target_context) or super().load_overload(sig, target_context)
+            # Not by numba's load_overload, which first sets up all that compiling needs: that takes 0.2 s. Compiled
+            # code needs the runtime system alone.
+            rtsys.initialize(target_context)
+            with self._guard_against_spurious_io_errors():
+                found = self._load_shipped(sig, target_context) or self._load_overload(sig, target_context)
         except Exception:  # damage can show anywhere in unpickling and linking
             warn_once(f"{_FOLDER}: compiled kernels there are damaged; they are compiled again")
             with contextlib.suppress(OSError):
@@ -170,7 +175,6 @@ class KernelCache(FunctionCache):
         shipped = shipped_kernels()
         if shipped is None:
             return None
-        target_context.refresh()
         path, header, stamp = self._prepare().identity(self._kernel.py_func.__module__)
         data = shipped.load(path, header, stamp, self._index_key(sig, target_context.codegen()))
         return None if data is None else self._impl.rebuild(target_context, data)
