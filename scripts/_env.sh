@@ -10,15 +10,16 @@ python=${PYTHON:-python3}
   exit 1
 }
 wanted=$("$python" -c 'import hashlib, sys; print(sys.version, hashlib.sha256(open("pyproject.toml", "rb").read()).hexdigest())')
-is_ready() { [ -f ".venv/ready$1" ] && [ "$(cat ".venv/ready$1")" = "$wanted" ]; }
-if ! is_ready "" || ! is_ready "${extra-dev}"; then
+extra=${extra-dev}
+mark() { echo ".venv/ready${1:+-$1}"; }
+is_ready() { [ -f "$(mark "$1")" ] && [ "$(cat "$(mark "$1")")" = "$wanted" ]; }
+if ! is_ready "$extra"; then
   echo "setting up .venv ..." >&2
-  is_ready "" || rm -rf .venv
-  is_ready "" || "$python" -m venv .venv
+  is_ready "" || { rm -rf .venv && "$python" -m venv .venv; }
   # Modules are compiled to byte code as they are used: most of those in the packages never are.
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[${extra-dev}]" >&2
-  printf '%s' "$wanted" > .venv/ready
-  printf '%s' "$wanted" > ".venv/ready${extra-dev}"
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[$extra]" >&2
+  printf '%s' "$wanted" > "$(mark "")"
+  printf '%s' "$wanted" > "$(mark "$extra")"
 fi
 PATH="$PWD/.venv/bin:$PATH"
 export PATH

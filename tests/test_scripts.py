@@ -37,7 +37,8 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if line.startswith("wanted="):
             code = line.partition("-c '")[2].rpartition("'")[0]
     ready = subprocess.run([*BARE, "-c", code], cwd=root, capture_output=True, text=True, check=True).stdout
-    (root / ".venv" / "ready").write_text(ready.rstrip("\n"))
+    for mark in ("ready", "ready-dev"):
+        (root / ".venv" / mark).write_text(ready.rstrip("\n"))
     return root
 
 
