@@ -22,6 +22,7 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 _MIN_PLANE_PIXELS, _MIN_QUADRIC_PIXELS = 30, 100  # known pixels from which a surface has degree 1, 2
 _CONVERGED = 0.05  # a surface that moves by less than this share of the floor of the scale is final
 _SCALE_UPDATES = 3  # iterations after which the scale of the residuals is left as it is
+_GOLDEN_RATIO = 0.6180339887498949  # its multiples modulo 1 are the most evenly spread
 _SCALE_SAMPLES = 100  # residuals that the scale is estimated from
 
 
@@ -134,8 +135,9 @@ def _fit_one(pixels, values, beta, center, bounds, unit, degree, huber, iteratio
     n = min(total, samples)
     z, u, v = np.empty(n), np.empty(n), np.empty(n)
     residuals, scratch, weights = np.empty(n), np.empty(n), np.empty(n)
-    for k in range(n):
-        p = pixels[k * total // n]
+    for k in range(n):  # one of each n-th of the pixels, not the first: in a rectangle these could be one column
+        first, end = k * total // n, (k + 1) * total // n
+        p = pixels[first + int((end - first) * (k * _GOLDEN_RATIO % 1.0))]
         y, x = p // width, p % width
         z[k], u[k], v[k] = values[y, x], x, y
     scratch[:] = z

@@ -1,0 +1,20 @@
+"""Polynomials over segments: what is left of a plane that lies in many more pixels than are used."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthcli.algorithms.plane_fitting.polynomials import fit_polynomials
+
+
+@pytest.mark.parametrize("shape", [(40, 400), (400, 40), (100, 100), (30, 3000)])
+def test_a_plane_is_found_whatever_the_width_of_its_segment(shape: tuple[int, int]):
+    """With every n-th pixel, the chosen ones of a width that n divides lie on a few columns."""
+    y, x = np.indices(shape)
+    plane = 20 + 0.05 * x - 0.03 * y + np.random.default_rng(0).normal(0, 0.1, shape)
+    surfaces = fit_polynomials(
+        plane.astype(np.float32), np.zeros(shape, np.int32), None, 1, np.inf, 10, 10, samples=200, floor=0.01
+    )
+    found = surfaces.at(np.zeros(shape, np.int32))
+    assert abs(found - (20 + 0.05 * x - 0.03 * y)).max() < 0.15
