@@ -89,7 +89,7 @@ from numba.core.caching import (  # noqa: E402
     IndexDataCacheFile,
     _CacheLocator,
 )
-from numba.core.runtime import rtsys  # noqa: E402
+from numba.core.runtime.nrt import rtsys  # noqa: E402
 
 from depthcli.kernels.fingerprint import fingerprint  # noqa: E402
 from depthcli.kernels.shipped import shipped_kernels  # noqa: E402

@@ -71,7 +71,7 @@ def describe_type(kind: Any) -> TypeText:
         return str(kind)
     if isinstance(kind, types.BaseTuple):
         name = getattr(kind, "instance_class", tuple)
-        return [f"{name.__module__}:{name.__qualname__}", *(describe_type(each) for each in kind)]
+        return [f"{name.__module__}:{name.__qualname__}", *(describe_type(each) for each in kind.types)]
     raise ValueError(f"no text for the type {kind}")
 
 
@@ -96,7 +96,8 @@ def parse_type(text: TypeText) -> Any:
     kind = getattr(types, {"bool": "boolean"}.get(name, name))
     if not array:
         return kind
-    return types.Array(kind, int(array[0].removesuffix("d")), array[1], readonly="readonly" in array)
+    layout: Any = array[1]
+    return types.Array(kind, int(array[0].removesuffix("d")), layout, readonly="readonly" in array)
 
 
 @cache
