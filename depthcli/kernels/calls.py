@@ -70,8 +70,8 @@ def describe_type(kind: Any) -> TypeText:
     if isinstance(kind, types.Number | types.Boolean | types.NoneType):
         return str(kind)
     if isinstance(kind, types.BaseTuple):
-        name = getattr(kind, "instance_class", tuple)
-        return [f"{name.__module__}:{name.__qualname__}", *(describe_type(each) for each in kind.types)]
+        name, content = getattr(kind, "instance_class", tuple), getattr(kind, "types", ())
+        return [f"{name.__module__}:{name.__qualname__}", *(describe_type(each) for each in content)]
     raise ValueError(f"no text for the type {kind}")
 
 
