@@ -50,7 +50,7 @@ def save_depth(
     folder: Path,
     scale: float,
     rotate: int = 0,
-    cloud: tuple[Intrinsics, NDArray[np.uint8]] | None = None,
+    cloud: tuple[Intrinsics, NDArray[np.uint8], NDArray[np.bool_]] | None = None,
 ) -> None:
     """Write everything a refinement of depth gave into the existing ``folder``.
 
@@ -58,7 +58,7 @@ def save_depth(
     ----------
     scale : codes a meter of ``depth.png``
     rotate : bits that the codes are rotated left by (SUN RGB-D: 3)
-    cloud : camera and (H, W, 3) color of a point cloud, or None for none
+    cloud : camera, (H, W, 3) color and (H, W) bool of the pixels of a point cloud, or None for none
     """
     write_pfm(folder / "sigma.pfm", result.sigma)
     _save_depth_map(result.depth.values, result.depth.status, DEPTH_STATUS_PALETTE, folder, scale, rotate)

@@ -6,6 +6,7 @@ The calibration lies beside the images that the run was made from (``calib.txt``
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypedDict
 
@@ -38,6 +39,8 @@ class DepthOptions(TypedDict):
     doffs: float | None
     mask: str | None
     ply: bool
+    near: float
+    far: float | None
     depth_scale: float
 
 
@@ -62,6 +65,8 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
                "ones with the highest confidence (confident:0.8:NAME if there are several maps). Default: all for "
                "maps, measured for point clouds.", "WHICH"),
         Option("ply", bool, "Also write a colored point cloud of every scene.", default=False),
+        Option("near", float, "Nearest depth of point clouds.", "METERS", default=0.0, min_value=0.0),
+        Option("far", float, "Farthest depth of point clouds.", "METERS", min_value=0.0),
         Option("depth_scale", float, "Codes per meter in depth.png.", "CODES", default=1000.0, min_value=1e-3,
                max_value=1e6),
         *RUN,
@@ -78,7 +83,8 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         _parse_mask(values["mask"])
         config = DepthOptions(
             focal=values["focal"], baseline=values["baseline"], doffs=values["doffs"],
-            mask=values["mask"], ply=values["ply"], depth_scale=values["depth_scale"],
+            mask=values["mask"], ply=values["ply"], near=values["near"], far=values["far"],
+            depth_scale=values["depth_scale"],
         )  # fmt: skip
         return self.run_on(config, find_maps(values, reporter), values, reporter)
 
@@ -137,6 +143,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         depth = geometry.depth(np.where(kept, disparity, np.float32(np.nan)))
         clock.stop("depth")
         in_cloud = _mask(config["mask"] or "measured", scene, disparity, status)
+        in_cloud &= (depth >= config["near"]) & (depth <= (math.inf if config["far"] is None else config["far"]))
         points = None if cloud is None else (geometry.left, cloud, in_cloud)
         save_metric_depth(depth, status, folder, config["depth_scale"], points)
         clock.stop("save")

@@ -12,6 +12,8 @@ from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.option import Option
+from depthcli.data.layouts import Folder
+from depthcli.data.layouts.rgbd import intrinsics
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.scenes.rgbd_sequence import SequenceScene, sequences
@@ -35,7 +37,14 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
     @property
     def options(self) -> tuple[Option, ...]:
         ply = Option("ply", bool, "Also write a colored point cloud of every frame.", default=False)
-        return (*super().options, ply)
+        return (
+            *super().options,
+            ply,
+            Option("intrinsics", str, "Of the color camera, pixels: fx,fy,cx,cy.", "NUMBERS"),
+            Option("mask", str, "Pixels of point clouds: all or measured.", "WHICH"),
+            Option("near", float, "Nearest depth of point clouds.", "METERS"),
+            Option("far", float, "Farthest depth of point clouds.", "METERS"),
+        )
 
     def config_model(self) -> type[RefineKinectConfig]:
         from depthcli.methods.kinect.config import RefineKinectConfig
@@ -43,13 +52,26 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         return RefineKinectConfig
 
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Refine every scene; ``--ply`` overrides the key of the config. Return the exit code."""
+        """Refine every scene; ``--ply`` and what it needs override the config. Return the exit code."""
+        given = {name: values[name] for name in ("mask", "near", "far") if values[name] is not None}
+        if values["intrinsics"] is not None:
+            given["intrinsics"] = f"[{values['intrinsics']}]"
         settings = [*(values["set"] or ()), *(["ply=true"] if values["ply"] else ())]
+        settings += [f"{name}={value}" for name, value in given.items()]
         return super().run({**values, "set": settings}, reporter)
 
     def run_on(self, config: RefineKinectConfig, scenes: Sequence[Scene], values: Values, reporter: Reporter) -> int:
         from depthcli.methods.kinect.pipeline import SequencePipeline
 
+        if values.get("color") is not None:
+            scenes = [_with_meta(scene) for scene in scenes]
+        frames = [scene for scene in scenes if isinstance(scene, RgbdScene) and not (scene.problem or scene.raw)]
+        n_without = sum(frame.intrinsics is None for frame in frames)
+        if config.ply and config.intrinsics is None and n_without:
+            reporter.info(
+                f"warning: {n_without} of {len(frames)} frames have no intrinsics; point clouds take those of a "
+                "typical Kinect (fx, fy 525 at a width of 640); see --intrinsics, or meta.json"
+            )
         if isinstance(config.pipeline, SequencePipeline):
             scenes = sequences(scenes)
         return super().run_on(config, scenes, values, reporter)
@@ -88,6 +110,12 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
             return _refine_sequence(config, scene, folder, memory)
         assert isinstance(scene, RgbdScene)
         return _refine_frame(config, scene, folder, memory, lambda frame: config.pipeline(frame))
+
+
+def _with_meta(scene: Scene) -> Scene:
+    """Return the frame of ``--color`` with the intrinsics of a meta.json beside it."""
+    assert isinstance(scene, RgbdScene)
+    return replace(scene, intrinsics=intrinsics(Folder(scene.folder, scene.name, "", "").meta))
 
 
 def _first_frame(scene: Scene) -> RgbdScene | None:
@@ -139,16 +167,17 @@ def _refine_frame(
 
     from depthcli.batch.resources import check_memory
     from depthcli.commands._save import save_depth, share
+    from depthcli.core.cameras.camera import typical_intrinsics
     from depthcli.core.maps import DepthStatus
     from depthcli.core.result import Clock
 
     clock = Clock()
     if config.depth_scale is not None and not scene.raw:
         scene = replace(scene, depth_scale=config.depth_scale)
+    if config.intrinsics is not None and not scene.raw:
+        scene = replace(scene, intrinsics=config.intrinsics)
     frame = scene.load()
     height, width = frame.shape
-    if config.ply and frame.intrinsics is None:
-        raise InputError(f"{scene.folder}: a point cloud needs the camera's intrinsics; give them in meta.json")
     check_memory(config.pipeline.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
     clock.stop("load")
     result = refine(frame)
@@ -170,7 +199,12 @@ def _refine_frame(
         "density": round(result.depth.density, 6),
         **{name: float(value) for name, value in result.figures.items()},
     }
-    cloud = (frame.intrinsics, frame.color) if config.ply and frame.intrinsics is not None else None
+    cloud = None
+    if config.ply:
+        in_cloud = (result.depth.values >= config.near) & (result.depth.values <= config.far)
+        if config.mask == "measured":
+            in_cloud &= (status & filled) == 0
+        cloud = (frame.intrinsics or typical_intrinsics(width, height), frame.color, in_cloud)
     save_depth(result, folder, scene.depth_scale, 3 if scene.rotated else 0, cloud)
     clock.stop("save")
     return Outcome(facts, clock.seconds, [] if scene.raw else _scale_warnings(scene, frame))

@@ -115,8 +115,17 @@ def test_single_frames_and_point_clouds(tmp_path: Path, capsys: pytest.CaptureFi
     one = ("refine-kinect", "nearest", "--color", tmp_path / "x/color.png", "--depth", tmp_path / "x/depth.png")
     assert run(*one, "-o", tmp_path / "r", "-q") == 0
     assert list(rows(tmp_path / "r")) == ["x"]
-    assert run(*one, "-o", tmp_path / "p", "--ply") == 3
-    assert "a point cloud needs the camera's intrinsics" in capsys.readouterr().err
+    assert run(*one, "-o", tmp_path / "p", "--ply") == 0
+    assert capsys.readouterr().err.count("1 of 1 frames have no intrinsics") == 1
+    clouds = [(tmp_path / "p" / "x" / "points.ply").read_bytes()]
+    assert run(*one, "-o", tmp_path / "given", "--ply", "--intrinsics", "50,50,15,10") == 0
+    assert run(*one, "-o", tmp_path / "far", "--ply", "--near", "1.5", "-q") == 0
+    assert b"element vertex 0\n" in (tmp_path / "far" / "x" / "points.ply").read_bytes()
+    (tmp_path / "x" / "meta.json").write_text('{"fx": 50, "fy": 50, "cx": 15, "cy": 10}')
+    assert run(*one, "-o", tmp_path / "meta", "--ply", "--mask", "measured") == 0
+    assert "intrinsics" not in capsys.readouterr().err
+    clouds += [(tmp_path / name / "x" / "points.ply").read_bytes() for name in ("given", "meta")]
+    assert clouds[0] != clouds[1] == clouds[2]
     (tmp_path / "x" / "meta.json").write_text('{"fx": 50, "fy": 50, "cx": 15, "cy": 10}')
     assert run("refine-kinect", "nearest", "-i", tmp_path / "x", "-o", tmp_path / "p", "--ply", "-q") == 0
     header = (tmp_path / "p" / "x" / "points.ply").read_bytes()[:80]

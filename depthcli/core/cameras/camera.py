@@ -30,6 +30,12 @@ class Intrinsics:
         return cls(float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2]))
 
 
+def typical_intrinsics(width: int, height: int) -> Intrinsics:
+    """Return those that drivers of the first Kinect and its kin assume: 525 pixels at 640, the center of the image."""
+    focal = 525.0 * width / 640
+    return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
 @dataclass(frozen=True)
 class Camera:
     """A camera with lens distortion.
