@@ -6,7 +6,7 @@ The life of a scene, from :func:`depthcli.batch.runner.run_scenes`, which gets a
 2. *Opened*: ``sharing`` locks the run folder, ``run_folder`` writes ``run.yaml`` or refuses the folder of another run.
 3. *Digested*: ``plan.Planner`` makes a ``task.Task`` of the scene, with a digest of every file that it depends on.
 4. *Resumed*: where ``record.json`` of the scene (``records``) has the same run and digests, and its files match, it is
-   done, and its row is that of the record. Nothing else of an earlier run is believed.
+   done, and its row is that of the record. Nothing else of an earlier run is trusted.
 5. *Computed*: ``runner`` gives the other tasks to this process, to worker ``processes`` (``--jobs``), or to the workers
    of a ``cluster`` (``--scheduler``). Each calls ``task.run_task``, which calls the command's ``compute`` with an empty
    folder ``.partial-<machine>-<process>-<time>/<number>`` in the run folder. Any failure becomes a row with its reason.

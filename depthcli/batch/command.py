@@ -1,4 +1,4 @@
-"""What a sub-command is, and what it gives for a scene. Nothing heavy is imported here: ``--help`` answers at once."""
+"""The interface of a sub-command, and its result for a scene. It imports nothing heavy, so ``--help`` is fast."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Outcome:
 
     Attributes
     ----------
-    facts : columns of the report that are the same in every run (size, density, figures)
+    facts : columns of the report that are the same in every run (size, density, counts)
     seconds : time by stage, in order
     warnings : lines that are shown to the user
     """
@@ -103,7 +103,7 @@ _Scene = TypeVar("_Scene", contravariant=True)
 
 
 class SceneCommand(Protocol[_Config, _Scene]):
-    """What a run needs of a command; picklable, for worker processes. ``BatchCommand`` of ``commands/`` has it."""
+    """What a run calls of a command, picklable for workers; ``BatchCommand`` of ``commands/`` implements it."""
 
     @property
     def name(self) -> str:
@@ -111,7 +111,7 @@ class SceneCommand(Protocol[_Config, _Scene]):
 
     @property
     def results(self) -> tuple[str, ...]:
-        """Shell patterns of the files that it writes for a scene, for a look at the folder before it computes."""
+        """Shell patterns of the files that it writes for a scene, checked before it computes."""
 
     def compute(self, config: _Config, scene: _Scene, folder: Path, memory: int, /) -> Outcome:
         """Compute ``scene`` with at most ``memory`` bytes and write its files into the empty ``folder``."""

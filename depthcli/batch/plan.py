@@ -41,7 +41,7 @@ def scenes_of_shard(
 
 
 def check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
-    """Raise ConfigError where a scene's name is none for a folder, or its folder is a link or holds its own input."""
+    """Raise ConfigError where a scene's name cannot name a folder, or its folder is a link or holds its own input."""
     for scene in scenes:
         if any(not part or part.startswith(".") or "\0" in part for part in scene.name.split("/")):
             raise ConfigError(f"{scene.name!r} is no name for a folder of results; give one with --name")
@@ -72,7 +72,7 @@ def check_files(run: Run, scenes: Sequence[Scene], output: Path) -> None:
 
 
 def inputs_digest(run: Run, scenes: Sequence[Scene]) -> str:
-    """Return what the inputs of all shards are known by: names, and sizes and ends of files, wherever they lie."""
+    """Return a digest of the inputs of all shards: names of scenes, sizes and ends of files, but not their folders."""
     sha = hashlib.sha256()
     for scene in sorted(scenes, key=lambda scene: scene.name):
         files = {} if scene.problem else run.command.files(run.config, scene)

@@ -1,4 +1,4 @@
-"""Records: from what a folder of results was made and which files are its own, so that no other file is replaced.
+"""Records of results: their inputs and their files, by which a later run resumes and replaces no other file.
 
 Every scene of a run has a record, and so has an evaluation. A record is not trusted when it is read: it may name only
 files in its own folder, holds a digest of itself and of each of them, and is ignored where a digest does not match.

@@ -32,7 +32,7 @@ _MAX_SHARE_BEYOND_PNG = 0.01
 
 
 class DepthOptions(TypedDict):
-    """What depth is computed from, as ``run.yaml`` holds it; None: not given."""
+    """Options of a run of ``depth``, as ``run.yaml`` holds them; None: not given."""
 
     focal: float | None
     baseline: float | None

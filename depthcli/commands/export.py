@@ -44,7 +44,7 @@ class ExportCommand(Command):
         Raises
         ------
         ConfigError
-            The benchmark would not take the maps: all reasons, a line each.
+            The benchmark would not take the maps: all reasons, one per line.
         """
         from depthcli.data.formats.disparity import read_disparity
         from depthcli.data.formats.files import collected_warnings, remove_temporaries

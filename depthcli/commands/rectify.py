@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class RectifyOptions(TypedDict):
-    """How the images of a run are rectified, as ``run.yaml`` holds it."""
+    """Options of a run of ``rectify``, as ``run.yaml`` holds them."""
 
     uncalibrated: bool
     unit: Literal["m", "cm", "mm"]

@@ -16,7 +16,7 @@ from depthcli.data.generated.samples import SampleScene, samples
 
 
 class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
-    """Generates scenes that the options describe, into a run folder."""
+    """``depthcli sample``: generates scenes with exact truth into a run folder."""
 
     results: ClassVar[tuple[str, ...]] = ("*.png", "*.pfm", "*.nii.gz", "meta.json", "calib.json")
 

@@ -1,4 +1,4 @@
-"""Files: from a folder to scenes, from a scene to arrays, and from arrays to files. Only here paths are opened.
+"""Files: from a folder to scenes, from a scene to arrays, and from arrays to files. Only here are files opened.
 
 ``walk.discover_scenes(folder)`` tries every layout on a folder and gives its scenes; no image is opened yet.
 ``scene.load()`` gives the input of a method, ``scene.truth()`` what its result is compared with. Both read by
@@ -6,10 +6,10 @@
 
 ===============  ==============================================================================================
 ``walk``         start here: the scenes of a folder, by layouts; those that a pattern chooses
-``pairs``        pairs that the command line names: two patterns, two folders, or a table
-``layouts/``     how people lay out folders, one module a layout: which files a scene has
-``scenes/``      what a scene holds and loads, one module a kind: stereo pairs, RGB-D frames, pairs of volumes
-``formats/``     what is in a file, one module a format: images, disparity, depth, volumes, fields, calibrations
+``pairs``        pairs of images given on the command line: two patterns, two folders, or a table
+``layouts/``     how people lay out folders, one module per layout: which files a scene has
+``scenes/``      what a scene holds and loads, one module per kind: stereo pairs, RGB-D frames, pairs of volumes
+``formats/``     what is in a file, one module per format: images, disparity, depth, volumes, fields, calibrations
 ``generated/``   scenes with exact truth: ``arrays/`` computes them, ``samples/`` writes them (``depthcli sample``)
 ``networks/``    trained networks that the package brings along
 ===============  ==============================================================================================

@@ -30,7 +30,7 @@ class NamedPair:
     ----------
     name : of the scene
     left, right : the files; one of them is None where it has no partner
-    more : what else a table says about the scene, by column
+    more : column -> value, for the other columns of the table
     """
 
     name: str
@@ -74,7 +74,7 @@ def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[Nam
 
 
 def read_table(path: Path) -> list[NamedPair]:
-    """Return the pairs of a CSV (or tab-separated) file with a line each, paths relative to the file's folder.
+    """Return the pairs of a CSV (or tab-separated) file with one line per pair, paths relative to the file's folder.
 
     A first line with ``left`` and ``right`` names the columns, of which also ``name``, ``calibration``,
     ``max_disparity`` and ``min_disparity`` are known; without it the first two are left and right, the third is the

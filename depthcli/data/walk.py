@@ -1,4 +1,4 @@
-"""From a folder to its scenes: which layouts are tried and where, how scenes are named, what becomes of broken ones."""
+"""From a folder to its scenes: which layouts are tried and where, how scenes are named, broken scenes."""
 
 from __future__ import annotations
 

@@ -43,12 +43,12 @@ def decode_npy(data: bytes) -> NDArray[Any]:
 
 
 def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
-    """Return the array of a ``.npy`` file, mapped into memory: only what is used of it is read.
+    """Return the array of a ``.npy`` file, mapped into memory, so that only the parts in use are read.
 
     Raises
     ------
     InputError
-        Not readable, damaged, or not an array of numbers with so many ``dimensions``.
+        Not readable, damaged, or not an array of numbers with ``dimensions`` axes.
     """
     with open_regular(path) as file, naming(path):
         layout = _layout(file.read(_HEADER_BYTES), os.fstat(file.fileno()).st_size, dimensions)
@@ -56,7 +56,7 @@ def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:
 
 
 def npy_shape(data: bytes, size: int) -> tuple[tuple[int, ...], int]:
-    """Return shape and bits a value, by the first bytes of a file of ``size`` bytes; InputError for a damaged one."""
+    """Return shape and bits per value, from the first bytes of a file of ``size`` bytes; InputError if damaged."""
     layout = _layout(data, size, None)
     return layout.shape, 8 * layout.dtype.itemsize
 

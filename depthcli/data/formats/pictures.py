@@ -1,4 +1,4 @@
-"""Pictures for people: what became of every pixel, confidence, maps in color, a legend."""
+"""Pictures for people: the status of every pixel, confidence, maps in color, a legend."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def write_status(path: Path | str, status: NDArray[np.uint8], palette: Palette) 
 
 
 def read_status(path: Path | str) -> NDArray[np.uint8]:
-    """The bits that :func:`write_status` wrote, (H, W) uint8.
+    """Return the bits that :func:`write_status` wrote, (H, W) uint8.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def read_status(path: Path | str) -> NDArray[np.uint8]:
 
 
 def status_color(value: int, palette: Palette) -> tuple[int, int, int]:
-    """RGB color of a pixel with the bits ``value``; black where no bit is in the palette."""
+    """Return the RGB color of a pixel with the bits ``value``; black where no bit is in the palette."""
     # Nearly every pixel is smoothed: that shows only where nothing else is to be said.
     shown = value if value == _SMOOTHED else value & ~_SMOOTHED
     colors = [np.array(color, float) for bit, (_, color) in palette.items() if shown & bit]
@@ -111,7 +111,7 @@ def _all_colors(entries: tuple[tuple[int, tuple[str, tuple[int, int, int]]], ...
 
 
 def status_words(value: int, palette: Palette) -> str:
-    """Words for the bits ``value``, such as ``occluded, filled``."""
+    """Return words for the bits ``value``, such as ``occluded, filled``."""
     words = [word for bit, (word, _) in palette.items() if (value & bit if value else bit == 0)]
     return ", ".join(words) or str(value)
 
@@ -147,7 +147,7 @@ def write_legend(path: Path | str, palette: Palette, values: Iterable[int] | Non
 
 
 def confidence_picture(confidence: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
-    """(H, W) confidences as (H, W) uint8: the 1st to 99th percentile over 0 to 255; NaN is 0."""
+    """Return (H, W) confidences as (H, W) uint8: the 1st to 99th percentile over 0 to 255; NaN is 0."""
     known = ~np.isnan(confidence)
     picture = np.zeros(confidence.shape, np.uint8)
     low, high = _range(confidence[known])
@@ -157,7 +157,7 @@ def confidence_picture(confidence: NDArray[np.floating[Any]]) -> NDArray[np.uint
 
 
 def preview(values: NDArray[np.float32], top: float) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB picture of a map for eyes: blue = 0 to red = ``top``, black = no value."""
+    """Return an (H, W, 3) RGB picture of a map: blue = 0 to red = ``top``, black = no value."""
     known = ~np.isnan(values)
     grey = np.zeros(values.shape, np.uint8)
     with np.errstate(over="ignore"):

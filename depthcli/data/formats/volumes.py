@@ -180,7 +180,7 @@ def _volume(image: Any, vector: bool) -> Volume:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keep what the readers' C++ prints from standard error; the exception has the message."""
+    """Hide what the readers' C++ code prints on standard error; the exception has the message."""
     try:
         saved = os.dup(2)
         sink = os.open(os.devnull, os.O_WRONLY)

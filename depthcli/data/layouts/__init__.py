@@ -1,4 +1,4 @@
-"""Layouts: how people lay out folders of data, one file a layout; the folder is the registry."""
+"""Layouts of data sets in folders, one module per layout; every module in this folder is registered."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Folder:
 
 
 class Meta:
-    """Fields of a ``meta.json``. What is asked for by a method is None, or the default, where it has none.
+    """Fields of a ``meta.json``, checked; a method returns None, or its default, where the file lacks the field.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class Meta:
         return {"min_disparity": low, "max_disparity": top}
 
     def error(self, key: str, wanted: str) -> InputError:
-        """Return the error of a field that is none of what is wanted."""
+        """Return the error that says that the field ``key`` must be ``wanted``."""
         return InputError(f"{self.path}: {key}: want {wanted} (got {short(self.fields.get(key))})")
 
     def _number(self, key: str, wanted: str) -> float | None:

@@ -11,7 +11,7 @@ _COLOR = (".jpg", ".png")
 
 
 class Cleargrasp(Layout):
-    """A folder a scene: the sensor's depth with glass in place and with the same objects painted; or rendered scenes.
+    """A folder per scene: the sensor's depth with glass in place and with the same objects painted; or rendered scenes.
 
     A rendered scene has its true depth alone: the sensor is made not to see the objects.
     """

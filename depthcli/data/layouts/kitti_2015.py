@@ -15,7 +15,7 @@ _MAX_DISPARITY = 255  # the largest disparity a file can hold: the frames come w
 
 
 class Kitti2015(Layout):
-    """One folder a view and one a kind of truth; a frame has the same name in each."""
+    """One folder per view and one per kind of truth; a frame has the same name in each."""
 
     kind = StereoScene
     wants = "`image_2`, `image_3`, `disp_noc_0`, `disp_occ_0`, `obj_map`, `calib_cam_to_cam`"

@@ -12,7 +12,7 @@ _MAX_DISPARITY = 255  # as of the other KITTI sets, which come without a range o
 
 
 class KittiOdometry(Layout):
-    """A folder a sequence; color where there is color."""
+    """One folder per sequence; the color images where there are any, else the grey ones."""
 
     kind = StereoScene
     protocol = "kitti_2015"

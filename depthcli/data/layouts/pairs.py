@@ -1,4 +1,4 @@
-"""Pairs in one folder, told apart by a word of their names."""
+"""Pairs in one folder, whose names say which view they are."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _POINTS = (".csv", ".txt", ".pts")
 
 
 class Registration(Layout):
-    """A folder a pair, everything under a name that says what it is."""
+    """One folder per pair; the name of each file says what it holds."""
 
     kind = VolumePairScene
     protocol = "registration"

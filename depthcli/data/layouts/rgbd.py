@@ -14,7 +14,7 @@ DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
 
 
 class Rgbd(Layout):
-    """A folder a frame, everything under a name that says what it is."""
+    """One folder per frame; the name of each file says what it holds."""
 
     kind = RgbdScene
     wants = (
@@ -29,7 +29,7 @@ class Rgbd(Layout):
 
 
 def frames_of(layout: Layout, folder: Folder, **more: Any) -> list[Scene]:
-    """Return the frame of ``color.*`` and ``depth.*`` in ``folder``, if it has one, with more fields of its scene."""
+    """Return the frame of ``color.*`` and ``depth.*`` in ``folder``, if it has one; ``more``: its other fields."""
     color = folder.one("color", IMAGE_SUFFIXES)
     depth = folder.one("depth", DEPTH_SUFFIXES) or folder.one("depth_raw", DEPTH_SUFFIXES)
     if folder.requested == "sun-rgbd" or (color is None and depth is None):

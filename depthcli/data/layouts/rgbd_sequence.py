@@ -16,7 +16,7 @@ _NUMBER = re.compile(r"(\d+)$")
 
 
 class RgbdSequence(Layout):
-    """A folder a sequence; color and depth of one number belong together."""
+    """One folder per sequence; color and depth of one number belong together."""
 
     kind = RgbdScene
     wants = "`color_00000.*` and `depth_00000.*`, or `color/` and `depth/` with numbered files; `meta.json` as `rgbd`"
@@ -47,7 +47,7 @@ class RgbdSequence(Layout):
 
 
 def numbered(folder: Folder, start: str, suffixes: tuple[str, ...]) -> dict[int, Path]:
-    """Number at the end of the stem -> file, of the files whose names begin with ``start``."""
+    """Return number at the end of the stem -> file, of the files whose names begin with ``start``."""
     files: dict[int, Path] = {}
     for rest, file in folder.starting(start, suffixes).items():
         if _NUMBER.search(rest) and not rest.startswith("true"):

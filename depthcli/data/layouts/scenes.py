@@ -10,7 +10,7 @@ from depthcli.data.scenes.stereo import StereoScene
 
 
 class Scenes(Layout):
-    """A folder a scene, everything under a name that says what it is."""
+    """One folder per scene; the name of each file says what it holds."""
 
     kind = StereoScene
     protocol = "middlebury_v2"

@@ -15,7 +15,7 @@ from depthcli.data.scenes.rgbd import RgbdScene
 
 
 class SunRgbd(Layout):
-    """Millimeters whose 16 bits are rotated left by 3."""
+    """Color with depth in millimeters, stored as 16 bits that are rotated left by 3."""
 
     kind = RgbdScene
     wants = "`image/`, `depth/` and `intrinsics.txt`; with `--layout sun-rgbd` also `color.*`, `depth.*`"

@@ -16,7 +16,7 @@ _MAX_DELAY = 0.02  # seconds, as the benchmark's associate.py
 
 
 class Tum(Layout):
-    """Color and depth with a time each, paired by ``associations.txt`` or by the nearest time."""
+    """Color and depth images, each with a time, paired by ``associations.txt`` or by the nearest time."""
 
     kind = RgbdScene
     wants = "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter"

@@ -1,4 +1,4 @@
-"""One folder a view."""
+"""One folder per view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes: what a command works on one at a time, one file a kind of input.
+"""Scenes: what a command works on one at a time, one module per kind of input.
 
 A scene knows its files and how to load them; none is opened before ``load`` or ``truth``.
 """

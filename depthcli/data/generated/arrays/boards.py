@@ -78,7 +78,7 @@ class Canvas:
         return Board(cover, self._plaster(paint), self._plane(center, disparity, 0.0 if flat else 0.1 * disparity))
 
     def put(self, board: Board) -> None:
-        """Lay a board over what is there, for good."""
+        """Draw a board over the picture and keep it there."""
         self.color, self.truth = self._over(board)
 
     def _over(self, board: Board) -> tuple[NDArray[np.float32], Disparity]:
@@ -87,7 +87,7 @@ class Canvas:
         return color, np.where(board.cover >= 0.5, np.maximum(board.disparity, self.truth), self.truth)
 
     def photograph(self, board: Board | None = None) -> tuple[NDArray[np.uint8], Disparity]:
-        """Return color, (H, W, 3) uint8, blurred as by a lens, and disparity; with one more board on top."""
+        """Return color, (H, W, 3) uint8, blurred as by a lens, and disparity; ``board`` is on top only here."""
         color, truth = (self.color, self.truth) if board is None else self._over(board)
         shown = cv2.GaussianBlur(color, (0, 0), 0.6) * 255
         return np.clip(np.rint(shown), 0, 255).astype(np.uint8), truth

@@ -92,7 +92,7 @@ def simulate_kinect(
     fattening : pixels
     noise : standard deviation, pixels of disparity
     discs : how many specular spots
-    disc_radius : least and largest radius, pixels
+    disc_radius : smallest and largest radius, pixels
     jump : pixels of disparity; smaller steps are slopes
 
     Raises
@@ -236,7 +236,7 @@ def make_kinect_sequence(
     frames : how many
     seed : chooses the scene, discs and noise; specular discs stay where they are
     width, height, max_disparity : pixels
-    speed : pixels a frame that the board moves to the right
+    speed : pixels per frame that the board moves to the right
     fattening, noise : as in :func:`simulate_kinect`
 
     Raises

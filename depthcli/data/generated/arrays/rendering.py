@@ -23,7 +23,7 @@ def _rays(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Vector,
 
 
 def trace(room: Room, columns: Array, rows: Array, right: bool) -> tuple[Array, NDArray[np.int16]]:
-    """Depth and index of the nearest surface along rays: ``columns`` (1, W) or (H, W), ``rows`` (H, 1)."""
+    """Return depth and index of the nearest surface along rays: ``columns`` (1, W) or (H, W), ``rows`` (H, 1)."""
     shape = np.broadcast_shapes(columns.shape, rows.shape)
     depth = np.full(shape, np.inf, np.result_type(columns, rows))
     owner = np.full(shape, -1, np.int16)
@@ -57,7 +57,7 @@ def _bounds(room: Room, surface: Surface, right: bool) -> tuple[float, float, fl
 
 
 def light_maps(room: Room) -> list[NDArray[np.float32] | None]:
-    """The light on every plane, as :func:`render` wants it; None for other shapes."""
+    """Return the light on every plane, as :func:`render` wants it; None for other shapes."""
     return [_lightmap(room, i) if s.shape == "plane" else None for i, s in enumerate(room.surfaces)]
 
 
@@ -81,7 +81,7 @@ def _lightmap(room: Room, index: int) -> NDArray[np.float32]:
 
 
 def render(room: Room, lightmaps: list[NDArray[np.float32] | None], right: bool, rays: int) -> NDArray[np.float32]:
-    """One view, (H, W, 3) float32, nominally in [0, 1]."""
+    """Return one view, (H, W, 3) float32, nominally in [0, 1]."""
     offsets = (np.arange(rays) + 0.5) / rays - 0.5
     columns = (np.arange(room.width)[:, None] + offsets).ravel()[None].astype(np.float32)
     image = np.empty((room.height, room.width, 3), np.float32)

@@ -1,8 +1,8 @@
 """Rectified stereo scenes with exact ground truth in both views.
 
-Every scene is a toy room of analytic surfaces, seen by two pinhole cameras. Disparity and visibility come
+Every scene is a room of analytic surfaces, seen by two pinhole cameras. Disparity and visibility come
 from the ray through each pixel's center, not from a warped map, so they are exact to rounding; colors are
-the mean over a grid of rays a pixel (a box filter) of pictures that stick to the surfaces, so that both
+the mean over a grid of rays per pixel (a box filter) of pictures attached to the surfaces, so that both
 views see the same continuous picture at their own sub-pixel positions.
 """
 
@@ -105,7 +105,7 @@ def make_scene(
     radiometry : of the right camera; None = both cameras are alike
     wall_contrast : contrast of the walls' pictures: 1 = full, 0 = walls without texture (the repeated pattern
         of ``repetitive`` stays as it is)
-    supersampling : rays a pixel, along each axis
+    supersampling : rays per pixel, along each axis
 
     Raises
     ------

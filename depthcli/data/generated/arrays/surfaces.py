@@ -44,7 +44,7 @@ class Surface:
     half_size : (3,) float64, baselines
     texture : (h, w, 3) float32 RGB in [0, 1]
     outline : which (x, y) of a plane belong to it; None = the whole square
-    unbounded : a plane that goes on for ever (its picture is mirrored on)
+    unbounded : an infinite plane (its picture is repeated, mirrored each time)
     period : width of one repetition of the picture along local x, in baselines; 0 = does not repeat
     gloss : share of the far surroundings that is mirrored; they lie at the same pixel of both views
     """
