@@ -17,7 +17,7 @@ if ! is_ready "$extra"; then
   echo "setting up .venv ..." >&2
   is_ready "" || { rm -rf .venv && "$python" -m venv .venv; }
   # Modules are compiled to byte code as they are used: most of those in the packages never are.
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[$extra]" >&2
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".${extra:+[$extra]}" >&2
   printf '%s' "$wanted" > "$(mark "")"
   printf '%s' "$wanted" > "$(mark "$extra")"
 fi
