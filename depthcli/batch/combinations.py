@@ -133,7 +133,7 @@ def _plain(value: str) -> str:
 
 @dataclass(frozen=True)
 class Effect:
-    """The effect of one key on the figure by which runs are compared.
+    """The effect of one key on the number by which runs are compared.
 
     Attributes
     ----------

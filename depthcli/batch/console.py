@@ -25,7 +25,7 @@ _MAX_ROWS = 50  # of a table; of longer ones only the failed scenes and a summar
 
 
 def silence_warnings() -> None:
-    """Leave warnings of libraries out of the terminal: lines of their code say nothing to a user (python -W does)."""
+    """Hide warnings of libraries, which quote code that a user does not know; ``python -W`` shows them."""
     if not sys.warnoptions:
         warnings.showwarning = lambda *arguments, **options: None
 

@@ -139,7 +139,7 @@ def remove_results(folder: Path) -> None:
 
 
 def discard(folder: Path) -> None:
-    """Delete a hidden folder; it is renamed first, so that a process that writes into it loses it all at once."""
+    """Delete a hidden folder; it is renamed first, so that a process still writing into it loses all of it at once."""
     away = folder.with_name(f"{folder.name}-{time.time_ns()}")
     try:
         folder.rename(away)

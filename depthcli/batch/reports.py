@@ -35,7 +35,7 @@ _MEASURED_COLUMNS = frozenset({"scene", "status", "error", "seconds", "peak_memo
 
 @dataclass(frozen=True)
 class Part:
-    """What the report of one process is about.
+    """Which run, inputs and shard the report of one process belongs to.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Part:
 
 
 class ReportWriter:
-    """Keeps the report on disk up to date, without writing it again after each of a thousand scenes.
+    """Keeps the report on disk up to date, without writing it again after every scene of a long run.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class ReportWriter:
         self._written, self._pause = 0.0, _MIN_PAUSE
 
     def update(self, final: bool = False) -> None:
-        """Write the report, unless that was done a moment ago."""
+        """Write the report, unless it was written shortly before."""
         start = time.monotonic()
         if not final and start - self._written <= self._pause:
             return

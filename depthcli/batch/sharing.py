@@ -160,7 +160,7 @@ class FolderLock:
             self.warn(f"{self.output}: no locks on this file system; make sure that no other run writes there")
 
     def settle(self) -> None:
-        """Let other processes of the same shared run in, when the folder is set up."""
+        """Admit other processes of the same shared run, once the folder is set up."""
         if not self.shared or fcntl is None:
             return
         with contextlib.suppress(OSError):

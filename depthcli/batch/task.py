@@ -78,7 +78,7 @@ class Run:
 
     @property
     def identity(self) -> str:
-        """What tells this run from others: the digest of its ``run.yaml``."""
+        """The identity of this run: the digest of its ``run.yaml``."""
         return digest(self.text.encode())
 
 

@@ -17,7 +17,7 @@ from depthcli.core.option import Option
 
 @dataclass(frozen=True, kw_only=True)
 class Scene(ABC):
-    """Base of all kinds.
+    """The base class of all kinds of scene.
 
     Attributes
     ----------

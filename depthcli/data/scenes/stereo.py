@@ -30,7 +30,7 @@ _GENERIC_NAMES = ("left", "im0", "im2", "iml", "view0", "view1", "image_0", "ima
 
 @dataclass(frozen=True)
 class StereoTruth:
-    """Ground truth of one pair, as stored; what follows from it is up to the protocol.
+    """Ground truth of one pair, as stored; the protocol derives regions and occlusions from it.
 
     Attributes
     ----------
