@@ -1,31 +1,42 @@
-"""Confidence of the best match of a cost curve: one file a measure, larger values are surer in every one.
+"""Confidence of the best match of a cost curve: one file per measure; larger values are surer in every one.
 
 In: a cost volume (H, W, D) of stereo, to :func:`confidence_maps`; or curves over any search space, to
-:class:`CostCurves`, whose statistics one pass over all curves computes (``_curves``). Out: (H, W) float32 a measure.
+:class:`CostCurves`. Out: one float32 per curve, (H, W) for a volume. One pass over all curves computes their statistics
+(``_curves``), and most measures are a short formula of these. Others look at further pixels: ``apkr`` and ``da`` want
+one curve per pixel, costs (H, W, K) over any search space; ``lrc``, ``lrd`` and ``dap`` want a stereo volume.
 
-A curve has costs ``c``: ``c1`` is the smallest, at ``d1``; ``c2`` the next smallest anywhere; ``c2m`` the second
-smallest local minimum; ``s`` is the standard deviation of all costs of the volume. Ranges hold for costs >= 0. A
-trailing N ("naive") takes ``c2`` where the measure takes ``c2m``.
+A curve has costs ``c``:
+
+- ``c1`` is the smallest cost, at ``d1``;
+- ``c2`` is the next smallest cost anywhere;
+- ``c2m`` is the second smallest local minimum, at ``d2m``; in a curve without one, the largest cost;
+- ``s`` is the standard deviation of all costs of the volume.
+
+Ranges hold for costs >= 0.
 
 | name | full name | formula | range |
 |---|---|---|---|
 | ``msm`` | matching score | -c1 | <= 0, costs |
 | ``cur`` | curvature | c(d1 - 1) + c(d1 + 1) - 2 c1 | >= 0, costs |
-| ``mm``, ``mmn`` | maximum margin | c2m - c1 | >= 0, costs |
-| ``pkr``, ``pkrn`` | peak ratio | c2m / c1 | >= 1 |
-| ``apkr`` | average peak ratio | mean of c(d2m) / c(d1) in 5 x 5 pixels | > 0 |
-| ``wmn``, ``wmnn`` | winner margin | (c2m - c1) / sum of c | 0 .. 1 |
+| ``mm`` | maximum margin | c2m - c1 | >= 0, costs |
+| ``mmn`` | naive maximum margin | c2 - c1 | >= 0, costs |
+| ``pkr`` | peak ratio | c2m / c1 | >= 1 |
+| ``pkrn`` | naive peak ratio | c2 / c1 | >= 1 |
+| ``apkr`` | average peak ratio | mean of c(d2m) / c(d1) in 5 x 5 pixels; 1 where there is no d2m | > 0 |
+| ``wmn`` | winner margin | (c2m - c1) / sum of c | 0 .. 1 |
+| ``wmnn`` | naive winner margin | (c2 - c1) / sum of c | 0 .. 1 |
 | ``mlm`` | maximum likelihood | 1 / sum of exp(-2 (c - c1) / s) | 0 .. 1 |
 | ``aml`` | attainable maximum likelihood | 1 / sum of exp(-8 ((c - c1) / s)^2) | 0 .. 1 |
 | ``nem`` | negative entropy | sum of p log p, p = softmax(-4 c / s) | -log D .. 0 |
-| ``noi`` | number of inflections | - local minima of the smoothed curve | <= -1 |
+| ``noi`` | number of inflections (Hu and Mordohai's name) | -(number of local minima of the smoothed curve) | <= -1 |
 | ``lrc`` | left-right consistency | -abs(d1 - disparity of its match in the right view) | <= 0, pixels |
 | ``lrd`` | left-right difference | (c2 - c1) / (c1 - smallest cost of the right pixel) | >= 0 |
 | ``da`` | disparity agreement | share of 25 x 25 pixels within 1 pixel of d1 | 0 .. 1 |
 | ``dap`` | disparity agreement and peak | agreement in both views, 13 x 13, times sqrt(1 - 1 / apkr) | 0 .. 1 |
 
 Sources: Hu and Mordohai, "A quantitative evaluation of confidence measures for stereo vision", TPAMI 2012; ``apkr``:
-Kim et al. 2014. Ratios of two costs get 1e-3 of the mean cost added to both, other denominators too: none is zero.
+Kim et al. 2014. A ratio of two costs has 1e-3 of the mean cost added to both of them; where only the denominator could
+be zero, it is added to the denominator.
 """
 
 from __future__ import annotations
@@ -44,17 +55,17 @@ from depthcli.methods.confidence._curves import CostCurves
 __all__ = ["ConfidenceMeasure", "CostCurves", "Map", "MeasureName", "confidence_maps", "measure_name", "measures"]
 
 Map = NDArray[np.float32]
-"""One value a curve, in the shape of the curves."""
+"""One value per curve, in the shape of the curves."""
 
 _FAMILY = Family.of("depthcli.methods.confidence")
 
 
 class ConfidenceMeasure(Method):
-    """One number a cost curve; the first paragraph of a measure's docstring is its line in the documentation."""
+    """One number per cost curve; the first paragraph of a measure's docstring is its line in the documentation."""
 
     @abstractmethod
     def __call__(self, curves: CostCurves) -> Map:
-        """Return the measure in the shape of the curves; those that look at other pixels want curves (H, W, D)."""
+        """Return the measure in the shape of the curves; the table above says which measures want certain shapes."""
 
 
 def measures() -> dict[str, str]:
@@ -85,7 +96,7 @@ def confidence_maps(costs: NDArray[Any], names: Iterable[str]) -> dict[str, Map]
 
     Parameters
     ----------
-    costs : (H, W, D) uint8, uint16 or float32, finite, lower is better; cells with d > x take no part
+    costs : (H, W, D) uint8, uint16 or float32, finite, lower is better; cells with d > x are left out
     names : of measures
 
     Returns

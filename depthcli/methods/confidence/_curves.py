@@ -1,4 +1,4 @@
-"""Cost curves, and what one pass over them gives that measures are computed from."""
+"""Cost curves, and their statistics, from which measures are computed; one pass over the curves gives them all."""
 
 from __future__ import annotations
 
@@ -20,23 +20,24 @@ _FAR = np.float32(1e30)
 
 @dataclass(frozen=True)
 class CurveStatistics:
-    """Statistics of curves; arrays have the curves' shape, float32 where nothing else is said.
+    """Statistics of curves; arrays have the curves' shape and are float32 unless stated otherwise.
 
     Attributes
     ----------
     lowest : smallest cost, c1
     second_lowest : next smallest cost anywhere, c2; c1 in a curve of one entry
-    second_minimum : second smallest local minimum (below its left neighbor, not above its right one; the ends of the
-        curve count); without one the largest cost, in a curve of one entry c1
+    second_minimum : second smallest local minimum, c2m. A local minimum is below its left neighbor and not above its
+        right one; beyond the ends of the curve costs count as infinite. In a curve without a second one: the largest
+        cost, which in a curve of one entry is c1
     total : sum of the costs
     curvature : c(d1 - 1) + c(d1 + 1) - 2 c1, mirrored at the ends
-    likelihood : of d1, exp(-2 c1) / sum of exp(-2 c), costs in standard deviations of all valid cells
-    attainable_likelihood : of d1, 1 / sum of exp(-8 (c - c1)^2), likewise
-    negative_entropy : of softmax(-4 c), likewise
+    likelihood : of d1, 1 / sum of exp(-2 (c - c1) / s); s is the standard deviation of all valid cells
+    attainable_likelihood : of d1, 1 / sum of exp(-8 ((c - c1) / s)^2)
+    negative_entropy : sum of p log p, p = softmax(-4 c / s)
     n_minima : number of local minima of the curve smoothed by (1, 2, 1) / 4
     winner : int32, d1, the first one of equals
-    second_winner : int32, index of the second smallest local minimum; -1: there is none
-    eps : guard of ratios, 1e-3 of the mean cost
+    second_winner : int32, d2m, index of the second smallest local minimum; -1: there is none
+    eps : 1e-3 of the mean cost, which keeps denominators of ratios above zero
     """
 
     lowest: NDArray[np.float32]
@@ -59,7 +60,7 @@ class CostCurves:
     Parameters
     ----------
     costs : (..., K) uint8, uint16 or float32, finite, lower is better
-    valid : (...) integers in 1 .. K; only the first ``valid`` entries of a curve take part. Default: all
+    valid : (...) integers in 1 .. K; only the first ``valid`` entries of a curve count. Default: all
 
     Raises
     ------
@@ -97,8 +98,12 @@ class CostCurves:
         return CurveStatistics(**dict(zip(names, (*arrays, eps), strict=True)))
 
     @cached_property
-    def views(self) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-        """The cheapest disparities of the left and of the right view, (H, W) each, of curves (H, W, D)."""
+    def stereo_winners(self) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+        """The disparities of least cost of the left and of the right view, (H, W) each.
+
+        Only of a stereo volume (H, W, D): entry d of the curve at column x is the match at column x - d of the right
+        view. Entries with d > x are left out, whatever ``valid`` says; ``lrc``, ``lrd`` and ``dap`` need these maps.
+        """
         return winners(self.costs)
 
 
@@ -116,7 +121,7 @@ def _value(key: Any) -> Any:
 
 @parallel_jit
 def _moments(costs: Any, valid: Any, sums: Any) -> None:
-    """Sum and sum of squares of the valid cells of (R, C, K) costs, one row of (R, 2) float64 each."""
+    """Write the sum and the sum of squares of the valid cells of (R, C, K) costs; ``sums`` is (R, 2) float64."""
     for r in prange(costs.shape[0]):
         total = 0.0
         squares = 0.0

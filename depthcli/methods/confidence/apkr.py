@@ -13,7 +13,7 @@ _RADIUS = 2  # half of the window, pixels
 
 
 class AveragePeakRatio(ConfidenceMeasure):
-    """Average peak ratio: mean in 5 x 5 pixels of their peak ratio at the center's two disparities."""
+    """Average peak ratio: mean of c(d2m) / c(d1) in 5 x 5 pixels, at the disparities of the center."""
 
     def __call__(self, curves: CostCurves) -> Map:
         known = curves.statistics

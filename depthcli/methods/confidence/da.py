@@ -14,14 +14,20 @@ _RADIUS = 12  # half of the window, pixels
 
 
 class DisparityAgreement(ConfidenceMeasure):
-    """Disparity agreement: share of a 25 x 25 window within 1 px of d1."""
+    """Disparity agreement: share of a 25 x 25 window whose d1 is within 1 pixel of the center's."""
 
     def __call__(self, curves: CostCurves) -> Map:
         return agreement(curves.statistics.winner, _RADIUS)
 
 
 def agreement(winner: NDArray[np.int32], radius: int) -> Map:
-    """Return the share of the pixels of the window around a pixel whose (H, W) ``winner`` is within 1 of its own."""
+    """Return the share of the window around each pixel whose winner is within 1 of the pixel's own, (H, W) float32.
+
+    Parameters
+    ----------
+    winner : (H, W), index of the smallest cost
+    radius : half the side of the window, pixels
+    """
     out = np.empty(winner.shape, np.float32)
     _agreement(winner, radius, out)
     return out

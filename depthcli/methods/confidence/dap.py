@@ -15,19 +15,22 @@ _RADIUS = 6  # half of the window, pixels
 
 
 class AgreementAndPeak(ConfidenceMeasure):
-    """Disparity agreement and peak: agreement in both views, 13 x 13 around the match, times (1 - 1 / apkr)^0.5."""
+    """Disparity agreement and peak: agreement in both views of a stereo volume times sqrt(1 - 1 / apkr).
+
+    The windows are 13 x 13 pixels, in the left view around the pixel, in the right view around its match.
+    """
 
     def __call__(self, curves: CostCurves) -> Map:
         winner = curves.statistics.winner
         of_right = np.empty(winner.shape, np.float32)
-        _mutual_agreement(winner, curves.views[1], _RADIUS, of_right)
+        _mutual_agreement(winner, curves.stereo_winners[1], _RADIUS, of_right)
         distinct = np.sqrt(np.maximum(1 - 1 / AveragePeakRatio()(curves), 0))
         return (agreement(winner, _RADIUS) * of_right * distinct).astype(np.float32)
 
 
 @parallel_jit
 def _mutual_agreement(winner: Any, right: Any, radius: int, out: Any) -> None:
-    # As agreement, in the right view's map in the window around the match.
+    # The share of the window around the match, in the right view's map, that is within 1 of the pixel's disparity.
     height, width = winner.shape
     for y in prange(height):
         top, bottom = max(0, y - radius), min(height, y + radius + 1)

@@ -3,7 +3,7 @@ from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
 
 
 class LeftRightConsistency(ConfidenceMeasure):
-    """Left-right consistency: -|d1 - right view's d|."""
+    """Left-right consistency: -abs(d1 - disparity of its match in the right view), of a stereo volume."""
 
     def __call__(self, curves: CostCurves) -> Map:
-        return -left_right_difference(*curves.views)
+        return -left_right_difference(*curves.stereo_winners)

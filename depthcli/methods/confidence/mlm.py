@@ -2,7 +2,7 @@ from depthcli.methods.confidence import ConfidenceMeasure, CostCurves, Map
 
 
 class MaximumLikelihood(ConfidenceMeasure):
-    """Maximum likelihood: exp(-2 c1) / sum of exp(-2 c), costs in standard deviations."""
+    """Maximum likelihood: 1 / sum of exp(-2 (c - c1) / s), s the standard deviation of all costs."""
 
     def __call__(self, curves: CostCurves) -> Map:
         return curves.statistics.likelihood
