@@ -70,9 +70,9 @@ class Scoring:
         except DepthcliError as error:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
         if self.page is not None:
-            self.page.scene(protocol, scene, truth)
+            self.page.begin_scene(protocol, scene, truth)
         if self.output is not None and protocol.presentation.error_pictures:
-            self.sheet.scene(scene.name, protocol.presentation.image(scene))
+            self.sheet.begin_scene(scene.name, protocol.presentation.image(scene))
         start = replace(start, warning="; ".join(lines))
         return [self._result(replace(start, run=run), protocol, scene, truth, names) for run in self.runs]
 
@@ -122,7 +122,7 @@ class Scoring:
             curves=tuple(protocol.curves(estimate, truth, confidences)),
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
             size=protocol.size(truth),
-            disparities=largest if isinstance(largest := row.get("max_disparity"), int) and largest > 0 else 0,
+            n_disparities=largest if isinstance(largest := row.get("max_disparity"), int) and largest > 0 else 0,
             warning="; ".join(filter(None, [start.warning, *warnings])),
             pooling_data=protocol.pooling_data(estimate, truth),
         )
@@ -132,10 +132,10 @@ class Scoring:
             picture = protocol.picture(estimate, truth)
             if picture is not None:
                 write_png(self.output / result.picture, picture)
-                self.sheet.map(result.scene, result.run, path, picture)
+                self.sheet.add_map(result.scene, result.run, path, picture)
             for (region, of), plot in result.plots.items():
                 lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
                 write_text(self.output / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))
         if self.page is not None:
-            self.page.map(result, path, estimate, truth, confidences)
+            self.page.add_map(result, path, estimate, truth, confidences)
         return result

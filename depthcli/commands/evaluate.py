@@ -224,7 +224,7 @@ def _find_truth(
         holding = scene_with_file(truth)
         if holding is None and scored_by is None:
             reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")
-        return [holding or (scored_by or load(_DEFAULT_PROTOCOL)(settings)).single(truth)]
+        return [holding or (scored_by or load(_DEFAULT_PROTOCOL)(settings)).scene_of_file(truth)]
     found = discover_scenes(truth, kinds if scored_by is None else [scored_by.kind], layout, patterns, reporter.info)
     found = [scene for scene in found if scene.problem or scene.has_truth]
     if not any(scene.has_truth and not scene.problem for scene in found):

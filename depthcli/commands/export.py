@@ -74,7 +74,7 @@ class ExportCommand(Command):
                 for line in lines:
                     reporter.info(f"warning: {line}")
                 reporter.step()
-        problems += bench.whole(submission)
+        problems += bench.problems_together(submission)
         if problems:
             head = f"{values['run']}: not as {values['for_']} takes it, nothing written:"
             raise ConfigError("\n".join([head, *(f"  {line}" for line in problems)]))

@@ -163,7 +163,7 @@ def _print_result(
     documents, texts = [], []
     for section in report.by_protocol:
         headline = section.protocol.headline
-        figures = {run: section.figure(run).value for run in report.runs}
+        figures = {run: section.overall(run).value for run in report.runs}
         order = sorted(report.runs, key=lambda run: (math.isnan(figures[run]), headline.sign * figures[run]))
         found = effects(axes, {chosen[run]: figures[run] for run in report.runs}, headline.larger_is_better)
         for run in order:

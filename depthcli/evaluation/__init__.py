@@ -1,10 +1,10 @@
-"""Comparison of runs with ground truth: maps of the runs and scenes with truth in, figures, tables and plots out.
+"""PairedTest of runs with ground truth: maps of the runs and scenes with truth in, scores, tables and plots out.
 
-A figure's way, which ``depthcli/commands/_scoring.py`` goes for every scene and run; arrays hold NaN where they have
+The data flow, which ``depthcli/commands/_scoring.py`` runs for every scene and run; arrays hold NaN where they have
 no value:
 
 1. ``map_files`` names the places where a run folder may hold the map of a scene.
-2. A protocol (``protocols``, one file a benchmark or kind of truth) reads the scene's truth, once, and the run's map:
+2. A protocol (``protocols``, one file per benchmark or kind of truth) reads the scene's truth, once, and the run's map:
    (H, W) float32 disparities in pixels, (H, W) float32 depths in meters, or (N,) float32 errors in millimeters at
    points of a volume.
 3. It scores the map by region (``nonocc``, ``all`` ...): a ``Score`` (``scores``) for every metric, and the
@@ -12,7 +12,7 @@ no value:
 4. ``pooling``: several scenes' scores become one, by the protocol's rule.
 5. ``comparison``: a ``Section`` holds the results of one data set under one protocol, with means and ranks; an
    ``EvaluationReport`` all sections. ``statistics``: ranks, correlation, the sign test.
-6. ``tables`` arranges the figures, ``render`` writes any table as text, Markdown, LaTeX, CSV or HTML, ``plots`` draws.
+6. ``tables`` arranges the numbers, ``render`` writes any table as text, Markdown, LaTeX, CSV or HTML, ``plots`` draws.
    A protocol's words, units and colors are its ``presentation``. The commands write the files.
 
 ``benchmarks`` stands apart: which files a submission to a benchmark holds. Begin with

@@ -87,7 +87,7 @@ class Benchmark(ABC):
             found.append("no run time: the run has no report of this scene; say it with --seconds")
         return found
 
-    def whole(self, submission: Submission) -> list[str]:
+    def problems_together(self, submission: Submission) -> list[str]:
         """Return what is wrong with all maps together."""
         return []
 
@@ -126,7 +126,7 @@ class MiddleburyV3Benchmark(Benchmark):
             found.append(f"{holes} pixels without a value; fill them, or submit sparse maps with --sparse")
         return found
 
-    def whole(self, submission: Submission) -> list[str]:
+    def problems_together(self, submission: Submission) -> list[str]:
         """Return a reason where the maps have several resolutions."""
         found: dict[str, list[str]] = {}
         for scene, (width, _) in submission.sizes.items():

@@ -15,7 +15,7 @@ from depthcli.core.errors import InputError
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.results import COMMON_MEAN, MEAN, MapResult, Record
 from depthcli.evaluation.scores import Key, Score
-from depthcli.evaluation.statistics import Comparison, average_ranks, compare
+from depthcli.evaluation.statistics import PairedTest, average_ranks, compare
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Section:
         """Return a run's mean over all scenes or the common ones; NaN where there is none."""
         return self._means[run, common].get(key) or Score(*key, math.nan, 0, math.nan)
 
-    def figure(self, run: str, common: bool = False) -> Score:
+    def overall(self, run: str, common: bool = False) -> Score:
         """Return the single figure of a run over all scenes or the common ones; NaN where there is none.
 
         It is the headline over the protocol's regions for it.
@@ -116,11 +116,11 @@ class Section:
             for key, score in self._means[run, False].items()
         ]
 
-    def figure_rows(self) -> list[dict[str, Any]]:
+    def overall_rows(self) -> list[dict[str, Any]]:
         """Return the single figure of every run as plain values."""
         regions = "+".join(self.protocol.figure_regions(self.regions))
         return [
-            self._row(run, self.figure(run), self.figure(run, common=True)) | {"mask": regions} for run in self.runs
+            self._row(run, self.overall(run), self.overall(run, common=True)) | {"mask": regions} for run in self.runs
         ]
 
     def _row(self, run: str, score: Score, common: Score) -> dict[str, Any]:
@@ -210,7 +210,7 @@ class EvaluationReport:
                 groups.setdefault((name(result), result.protocol), []).append(result)
         return [Section(d, self.protocols[p], self.runs, tuple(results)) for (d, p), results in groups.items()]
 
-    def comparisons(self) -> list[tuple[Section, str, Comparison]]:
+    def comparisons(self) -> list[tuple[Section, str, PairedTest]]:
         """Compare every further run with the first, by protocol: the headline in the main region of common scenes."""
         made = []
         for section in self.by_protocol:
@@ -230,7 +230,7 @@ class EvaluationReport:
             "runs": list(self.runs),
             "results": [result.to_dict() for result in self.results],
             "means": [row for section in self.sections for row in section.rows()],
-            "headlines": [row for section in self.sections for row in section.figure_rows()],
+            "headlines": [row for section in self.sections for row in section.overall_rows()],
             "by_threshold": [row for section in self.sections for row in section.threshold_rows()],
             "comparisons": [
                 {

@@ -99,7 +99,7 @@ def _times(section: Section, what: str) -> str:
 
     with _figure() as (axes, out):
         for i, run in enumerate(section.runs):
-            score, seconds = section.figure(run), mean_of_known(r.seconds for r in section.results_of(run))
+            score, seconds = section.overall(run), mean_of_known(r.seconds for r in section.results_of(run))
             if not math.isnan(score.value + seconds):
                 axes.plot([seconds], [score.value], linestyle="", marker=_marker(i), ms=8, color=_color(i),
                           label=_plain(run))  # fmt: skip

@@ -18,7 +18,7 @@ COLUMNS = (
     "run", "data_set", "scene", "protocol", "metric", "threshold", "mask", "value", "unit", "wrong", "pixels",
     "density", "convention", "map", "note",
 )  # fmt: skip
-"""Columns of ``scores.csv``."""
+"""Columns of ``scores.csv``; ``mask`` is the region, by the name that the column has always had."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ class ConfidenceCurve:
     Attributes
     ----------
     region, confidence : names of the region and of the confidence measure
-    of : ``bad``, the share of wrong pixels, or ``error``, the mean absolute error
-    line : the curve with its areas
+    of : what falls along the curve: ``bad``, the share of wrong pixels, or ``error``, the mean absolute error
+    line : the sparsification curve with its areas
     """
 
     region: str
@@ -79,11 +79,11 @@ class MapResult:
     source : the map's path inside its run folder, or empty
     scores : where the map is missing, the worst of every metric (``Protocol.missing``); empty where there is no
         usable truth
-    dense : the headline's metric at many thresholds, for plots (``Protocol.threshold_curve``)
+    dense : scores of the headline's metric at many thresholds, for plots (``Protocol.threshold_curve``)
     curves : sparsification curves of the confidence maps that lie beside the map
     seconds : run time by the run's report, or NaN
     size : number of pixels (or voxels) of the scene, with known truth or without; 0 where there is no map
-    disparities : number of disparities that the run searched, 0 where its report does not say
+    n_disparities : number of disparities that the run searched, 0 where its report does not say
     warning : what looks wrong with the map, or empty
     error : why there is no map to score, or empty
     pooling_data : what the protocol needs beside the scores to pool several scenes, or None
@@ -99,7 +99,7 @@ class MapResult:
     curves: tuple[ConfidenceCurve, ...] = ()
     seconds: float = math.nan
     size: int = 0
-    disparities: int = 0
+    n_disparities: int = 0
     warning: str = ""
     error: str = ""
     pooling_data: Any = field(default=None, repr=False, compare=False)

@@ -61,7 +61,7 @@ def roc_area(score: NDArray[np.float64], positive: NDArray[np.bool_]) -> float:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PairedTest:
     """Method ``b`` against method ``a`` over the scenes that both have.
 
     Attributes
@@ -82,7 +82,7 @@ class Comparison:
     p_value: float
 
 
-def compare(a: Sequence[float], b: Sequence[float]) -> Comparison:
+def compare(a: Sequence[float], b: Sequence[float]) -> PairedTest:
     """Compare two methods scene by scene; lower is better, pairs with a NaN are left out.
 
     Raises
@@ -95,7 +95,7 @@ def compare(a: Sequence[float], b: Sequence[float]) -> Comparison:
     pairs = [(x, y) for x, y in zip(a, b, strict=True) if not (math.isnan(x) or math.isnan(y))]
     wins = sum(y < x for x, y in pairs)
     losses = sum(y > x for x, y in pairs)
-    return Comparison(
+    return PairedTest(
         scenes=len(pairs),
         wins=wins,
         losses=losses,

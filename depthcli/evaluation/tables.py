@@ -81,7 +81,7 @@ def summary(section: Section) -> Table:
     rows = []
     for run, common, mark in _mean_rows(section):
         cells: list[str] = [_cell(section, section.mean(run, key, common), mark) for key in keys]
-        cells += [_cell(section, section.figure(run, common), mark)] * with_figure
+        cells += [_cell(section, section.overall(run, common), mark)] * with_figure
         cells += [Number(ranks[run], 1) if common or not section.incomplete else ""]
         cells += [Number(section.mean(run, keys[0], common).density, 1)]
         cells += [Number(mean_of_known(r.seconds for r in section.results_of(run, common)))] * with_times
@@ -139,7 +139,7 @@ def overview(report: EvaluationReport) -> list[Table]:
     together = [s for s in report.by_protocol if sum(o.protocol is s.protocol for o in report.sections) > 1]
     sections = [*report.sections, *together]
     rows = tuple(
-        (run, *(_cell(section, section.figure(run), "*" * bool(section.n_missing(run))) for section in sections))
+        (run, *(_cell(section, section.overall(run), "*" * bool(section.n_missing(run))) for section in sections))
         for run in report.runs
     )
     titles = [f"{section.data_set} ({section.protocol.name})" for section in sections]
@@ -248,7 +248,7 @@ def _wide(section: Section, title: str, columns: list[Column]) -> Table:
         "seconds": [mean_of_known(r.seconds for r in results) for results in runs],
         "s/MP": [mean_of_known(1e6 * r.seconds / r.size for r in results if r.size) for results in runs],
         "s/GD": [
-            mean_of_known(1e9 * r.seconds / (r.size * r.disparities) for r in results if r.size and r.disparities)
+            mean_of_known(1e9 * r.seconds / (r.size * r.n_disparities) for r in results if r.size and r.n_disparities)
             for results in runs
         ],
     }

@@ -35,12 +35,12 @@ class ContactSheet:
         self._runs = list(runs)[:_MAX_RUNS]
         self._rows: dict[str, dict[str, list[Picture]]] = {}
 
-    def scene(self, scene: str, image: NDArray[np.uint8] | None) -> None:
+    def begin_scene(self, scene: str, image: NDArray[np.uint8] | None) -> None:
         """Begin the row of a scene with its (H, W, 3) image; a scene without one, or a volume, has no row."""
         if image is not None and image.ndim == 3 and image.shape[2] == 3 and len(self._rows) < _MAX_SCENES:
             self._rows[scene] = {"": [_small(image)]}
 
-    def map(self, scene: str, run: str, map_file: Path, errors: NDArray[np.uint8]) -> None:
+    def add_map(self, scene: str, run: str, map_file: Path, errors: NDArray[np.uint8]) -> None:
         """Add a run's map, as the ``preview.png`` beside ``map_file`` shows it, and its (H, W, 3) error picture."""
         if scene not in self._rows or run not in self._runs:
             return

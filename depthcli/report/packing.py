@@ -19,14 +19,21 @@ _MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps
 
 
 def pack(values: NDArray[np.floating[Any]], low: float, high: float, levels: int = _MAX_CODE) -> Packed:
-    """Return numbers within [low, high] as at most ``levels`` codes: 0 for NaN, 1 below low, 65535 above high.
+    """Return numbers as 16-bit codes: ``value = origin + code * step``, and code 0 for NaN.
 
-    ``value = origin + code * step``; the step is a power of two, so that disparities in 256ths of a pixel, or depths
-    in millimeters, come back as they are where the range allows.
+    Values in [low, high] span at most ``levels`` codes. Values outside go on with the same step down to code 1 and up
+    to code 65535, where they are clipped. The step is a power of two, so that disparities in 256ths of a pixel, or
+    depths in millimeters, come back as they are where the range allows.
 
     Parameters
     ----------
     values : (H, W) float, NaN = none
+    low, high : smallest and largest value whose difference from its neighbors matters
+    levels : number of codes between them
+
+    Returns
+    -------
+    ``height``, ``width``, ``data`` (base64 of deflated codes), ``bits`` (16), ``origin``, ``step``
     """
     step = 2.0 ** math.ceil(math.log2(max(high - low, 1e-6) / (levels - 8)))
     return _packed(values, (math.floor(low / step) - 3) * step, step)
@@ -76,14 +83,14 @@ def _deflated(data: NDArray[np.uint8], shape: tuple[int, ...]) -> Packed:
 
 
 @dataclass(frozen=True)
-class Cut:
-    """A plane of an array that is shown.
+class Slice:
+    """A plane of an array that is shown: an image itself, or a slice of a volume.
 
     Attributes
     ----------
     axis : the axis that it is perpendicular to, -1 for an image itself
-    place, count : index of the slice along that axis, and the number of slices
-    index : of the plane in the array
+    place, count : number of the slice along that axis, from 0, and how many there are
+    index : ``array[index]`` is the plane
     """
 
     axis: int
@@ -92,7 +99,7 @@ class Cut:
     index: tuple[Any, ...]
 
 
-def cuts(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Cut]:
+def slices(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Slice]:
     """Return the planes that are shown: an image itself; of a volume (Z, Y, X) slices across every axis.
 
     The middle slices are among them.
@@ -102,7 +109,7 @@ def cuts(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Cut]:
     max_pixels : of all slices together, about; where a volume has more, every second, third ... slice is taken
     """
     if len(shape) == 2:
-        return [Cut(-1, 0, 1, (...,))]
+        return [Slice(-1, 0, 1, (...,))]
     planes = [tuple(n for other, n in enumerate(shape) if other != axis) for axis in range(3)]
     axes = [axis for axis in range(3) if min(planes[axis]) > 1] or [0]  # an image of one slice has no others
     step = max(1, math.ceil(len(axes) * math.prod(shape) / max_pixels))
@@ -110,5 +117,5 @@ def cuts(shape: tuple[int, ...], max_pixels: int = _MAX_PIXELS) -> list[Cut]:
     for axis in axes:
         for place in range(shape[axis] // 2 % step, shape[axis], step):
             index = tuple(place if other == axis else slice(None) for other in range(3))
-            made.append(Cut(axis, place, shape[axis], index))
+            made.append(Slice(axis, place, shape[axis], index))
     return made

@@ -46,7 +46,7 @@ class _SavedScene:
 
 
 class Page:
-    """Collects scenes and maps while they are evaluated, and writes the page at the end.
+    """Collects scenes and maps while they are evaluated, and writes the page: begin_scene, add_map per run, ..., write.
 
     Scenes are saved in the folder ``assets``, so that only one is in memory; where all of them fit into the page they
     move there, and the folder is removed.
@@ -63,13 +63,21 @@ class Page:
         self._saved: list[_SavedScene] = []
         self._scene: SceneView | None = None
 
-    def scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
-        """Begin a scene, to which the maps that follow belong."""
+    def begin_scene(self, protocol: AnyProtocol, scene: Scene, truth: Any) -> None:
+        """Begin a scene, to which the maps that follow belong; ``truth`` is what ``protocol.truth(scene)`` returned."""
         self._save()
         self._scene = SceneView.of(protocol, scene, truth)
 
-    def map(self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, Any]) -> None:
-        """Add one run's map to the scene."""
+    def add_map(self, result: MapResult, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, Any]) -> None:
+        """Add one run's map to the scene.
+
+        Parameters
+        ----------
+        result : its scores
+        path : its file
+        estimate, truth : as the protocol's ``read`` and ``truth`` return them
+        confidences : name -> confidence map, as the protocol's ``read_confidence`` returns it
+        """
         if self._scene is not None:
             self._scene.add(result.run, path, estimate, truth, confidences)
 
@@ -145,7 +153,7 @@ def _embedded(saved: _SavedScene, factor: int) -> str:
 def _section_data(section: Section) -> dict[str, Any]:
     """What the template shows of a section: runs from the best to the worst, tables, plots, comparisons."""
     headline, runs = section.protocol.headline, section.runs
-    figures = {run: section.figure(run).value for run in runs}
+    figures = {run: section.overall(run).value for run in runs}
     known = [run for run in runs if not math.isnan(figures[run])]
     best = sorted(known, key=lambda run: headline.sign * figures[run])
     order = best + [run for run in runs if run not in known]
@@ -176,7 +184,7 @@ def _verdict(section: Section, best: list[str], signed: Mapping[str, list[float]
     """The best run against the second: by how much, on how many scenes, where it gains and loses most."""
     if len(best) < 2:
         return None
-    first, second = (section.figure(run).value for run in best[:2])
+    first, second = (section.overall(run).value for run in best[:2])
     gains = sorted(
         (
             (b - a, abs(a), abs(b), scene)

@@ -19,7 +19,7 @@ from depthcli.data.scenes import Scene
 from depthcli.evaluation.presentation import UNKNOWN, Axis, pixel_kinds
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.report import colors
-from depthcli.report.packing import Cut, Packed, cuts, pack, pack_bytes, thinned
+from depthcli.report.packing import Packed, Slice, pack, pack_bytes, slices, thinned
 
 _CONFIDENCE_LEVELS = 4096  # of a packed confidence; noise below them would only fill the page
 _MAX_THUMB = 240  # pixels of a small picture's longer side
@@ -37,7 +37,13 @@ class SceneView:
     protocol : by which it is scored
     image : (H, W, 3) RGB or (Z, Y, X) grey levels, or None
     known, hidden : pixels with known truth, and those of them that are occluded; of the shape of the maps
-    data : what the script reads
+    data : what ``viewer.js`` reads, as JSON. Of the scene: ``name``, ``protocol``, ``quantity`` and ``unit`` of its
+        values, ``low`` and ``high`` of their scale, ``top`` of the errors', ``hidden`` (some pixels are occluded),
+        ``words`` of the kinds of pixel, ``status`` (code -> words and color), ``opacity``, ``start`` (first view) and
+        ``views``. Of a view, one per slice: ``name``, ``axis``, ``plane``, ``axes`` (of columns and rows), ``tall``
+        (height of a pixel over its width), ``width``, ``height``, ``factor`` (it is thinned by), ``image`` (data URI),
+        packed ``truth`` and ``region`` (1: known, 2: occluded), and ``runs``: name -> packed ``values``, ``error``,
+        ``wrong``, ``status``, and ``confidence`` by measure
     thumbs : run (empty: the scene itself) -> kind of picture -> data URI
     """
 
@@ -48,7 +54,7 @@ class SceneView:
     hidden: NDArray[np.bool_]
     data: dict[str, Any] = field(default_factory=dict)
     thumbs: dict[str, dict[str, str]] = field(default_factory=dict)
-    _cuts: list[Cut] = field(default_factory=list)
+    _cuts: list[Slice] = field(default_factory=list)
     # What the small error pictures are drawn from, once the scale is known: run -> kinds of pixel, errors, quantile.
     _errors: dict[str, tuple[NDArray[np.uint8], NDArray[np.floating[Any]], float]] = field(default_factory=dict)
 
@@ -68,7 +74,7 @@ class SceneView:
         """Pack image, truth and regions of every cut; make the small pictures of the scene."""
         shown, known = self.protocol.presentation, self.known
         low, high = _range(None if true is None else true[known])
-        self._cuts = cuts(known.shape)
+        self._cuts = slices(known.shape)
         self.data = {"name": self.name, "protocol": self.protocol.name, "quantity": shown.quantity, "unit": shown.unit,
                      "low": low, "high": high, "hidden": bool(self.hidden.any()), "status": {}, "views": [],
                      "words": shown.pixel_kind_names, "opacity": shown.opacity,
@@ -162,7 +168,7 @@ class SceneView:
         beneath = None if image is None else image[:: (step := _step(image.shape[:2])), ::step]
         return _png(colors.overlaid(small, nothing, beneath, self.protocol.presentation.opacity))
 
-    def _image_of(self, cut: Cut) -> NDArray[np.uint8] | None:
+    def _image_of(self, cut: Slice) -> NDArray[np.uint8] | None:
         """(H, W, 3) RGB image beneath a cut of the maps, at their size; None where its shape does not fit."""
         shape = self.known.shape
         if self.image is None:
@@ -204,7 +210,7 @@ def smaller(data: dict[str, Any], factor: int) -> dict[str, Any]:
     return {**data, "views": views}
 
 
-def _name(cut: Cut, axes: tuple[Axis, ...]) -> str:
+def _name(cut: Slice, axes: tuple[Axis, ...]) -> str:
     """The plane of a cut, where it lies, and its number; empty for an image."""
     number = f"{cut.place + 1} of {cut.count}"
     if cut.axis < 0 or not axes:

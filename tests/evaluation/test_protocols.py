@@ -380,7 +380,7 @@ def test_kitti_2012_averages_frames_and_2015_pools_their_pixels():
 def test_kitti_frames_without_any_estimate(name, others):
     """The kits divide by at least one pixel: such a frame scores 0 on its estimated pixels, and has a density of 0."""
     judge, empty = make(name), everywhere(np.full((1, 6), 10, np.float32), "occ")
-    nothing = judge.scores(judge.nothing(empty), empty)
+    nothing = judge.scores(judge.empty_estimate(empty), empty)
     for metric, t in (("out", 3.0), ("avgerr", None)):
         score = pick(nothing, metric, t, ESTIMATED_ONLY)
         assert (score.value, score.pixels, score.density) == (0, 0, 0)

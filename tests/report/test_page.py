@@ -31,7 +31,7 @@ from depthcli.evaluation.protocols.registration import PreparedTruth, Registrati
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.scores import Metric, Score
 from depthcli.report import colors
-from depthcli.report.packing import cuts, pack, pack_bytes, thinned, unpack
+from depthcli.report.packing import pack, pack_bytes, slices, thinned, unpack
 from depthcli.report.page import Page
 from tests.report.conftest import ODD, SHAPE
 
@@ -111,8 +111,8 @@ def mean_row(row: dict[str, str]) -> bool:
 
 def test_everything_is_in_the_file_and_nothing_else(made: Path):
     page = read(made)
-    assert sorted(p.name for p in made.iterdir()) == ["curves", "errors", "record.json", "report.html", "report.md",
-                                                      "scores.csv", "scores.json"]  # fmt: skip
+    assert sorted(p.name for p in made.iterdir()) == ["contact_sheet.png", "curves", "errors", "record.json", "report.html",
+                                                      "report.md", "scores.csv", "scores.json"]  # fmt: skip
     assert all(source.startswith("data:image/") for source in page.images)
     assert len(page.images) > 2 * 2 * 2 + 3  # maps and errors of two runs and scenes, and plots
     assert all(link.startswith("#") for link in page.links)
@@ -247,7 +247,7 @@ class Boxes(Protocol[Any, Any]):
     def read(self, path: Path, scene: Scene, truth: Any) -> Any:
         raise NotImplementedError
 
-    def nothing(self, truth: Any) -> Any:
+    def empty_estimate(self, truth: Any) -> Any:
         return truth * np.nan
 
     def regions(self, truth: Any) -> dict[str, Any]:
@@ -266,9 +266,9 @@ class Boxes(Protocol[Any, Any]):
 def test_volumes_show_slices_of_their_errors(tmp_path: Path):
     judge, scene, page = Boxes(), BrokenScene(name="box", folder=tmp_path), Page(tmp_path)
     volume = np.arange(4 * 6 * 8, dtype=float).reshape(4, 6, 8)
-    page.scene(judge, scene, judge.truth(scene))
+    page.begin_scene(judge, scene, judge.truth(scene))
     result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(volume, judge.truth(scene))))
-    page.map(result, tmp_path / "box", volume, judge.truth(scene), {})
+    page.add_map(result, tmp_path / "box", volume, judge.truth(scene), {})
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})
     data = json.loads(read(tmp_path).scripts["data-0"])
     planes = [*volume, *volume.swapaxes(0, 1), *np.moveaxis(volume, 2, 0)]
@@ -317,8 +317,8 @@ def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
     truth = judge.truth(scene)
     points = np.arange(truth.size, dtype=float) * 4
     result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
-    page.scene(judge, scene, truth)
-    page.map(result, tmp_path / "box", points, truth, {"c": points})
+    page.begin_scene(judge, scene, truth)
+    page.add_map(result, tmp_path / "box", points, truth, {"c": points})
     page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})
     reader = read(tmp_path)
     assert ("data-0" in reader.scripts) == on_grid
@@ -333,15 +333,15 @@ def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
 
 def test_volumes_are_cut_across_every_axis():
     volume = np.arange(4 * 6 * 8).reshape(4, 6, 8)
-    every = cuts(volume.shape)
+    every = slices(volume.shape)
     assert [volume[cut.index].shape for cut in every] == [(6, 8)] * 4 + [(4, 8)] * 6 + [(4, 6)] * 8
     assert np.array_equal(volume[every[7].index], volume[:, 3])
-    few = cuts(volume.shape, max_pixels=volume.size)
+    few = slices(volume.shape, max_pixels=volume.size)
     assert [(cut.axis, cut.place) for cut in few] == [(0, 2), (1, 0), (1, 3), (2, 1), (2, 4), (2, 7)]
-    assert {cut.axis for cut in cuts((1, 6, 8))} == {0}
-    assert [cut.axis for cut in cuts((3, 4))] == [-1]
+    assert {cut.axis for cut in slices((1, 6, 8))} == {0}
+    assert [cut.axis for cut in slices((3, 4))] == [-1]
     large = (300, 512, 512)
-    taken = cuts(large)
+    taken = slices(large)
     assert {(cut.axis, cut.place) for cut in taken} >= {(0, 150), (1, 256), (2, 256)}
     assert sum(512 * 512 if cut.axis == 0 else 300 * 512 for cut in taken) < 4_000_000
 

@@ -118,13 +118,13 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
             raise InputError(f"{path}: the size differs from the truth's")
         return values
 
-    def single(self, truth: Path) -> Scene:
+    def scene_of_file(self, truth: Path) -> Scene:
         """Return the scene of a ground truth file that lies in no folder of a known layout."""
         raise InputError(f"{truth}: {self.name} wants a folder of scenes as the ground truth")
 
-    # One map
+    # One map: ``regions``, ``error`` and ``scores`` have to be written, the others where a benchmark differs.
 
-    def nothing(self, truth: Truth) -> Any:
+    def empty_estimate(self, truth: Truth) -> Any:
         """Return the estimate without any value: NaN for every true value; overridden where ``true_values`` is None."""
         return np.full_like(self.true_values(truth), np.nan)
 
@@ -190,7 +190,7 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
 
     def missing(self, truth: Truth, dense: bool = False) -> list[Score]:
         """Return the scores (or ``dense``) of a scene without a map: the worst value, NaN where there is no bound."""
-        scores = (self.threshold_curve if dense else self.scores)(self.nothing(truth), truth)
+        scores = (self.threshold_curve if dense else self.scores)(self.empty_estimate(truth), truth)
         sizes = {name: int(np.count_nonzero(region)) for name, region in self.regions(truth).items()}
         made = []
         for score in scores:

@@ -106,7 +106,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
             stored.disparity, ordered, stored.noc, stored.scale, scene.max_disparity, scene.round_disparity
         )
 
-    def single(self, truth: Path) -> Scene:
+    def scene_of_file(self, truth: Path) -> Scene:
         """Return a scene of one disparity map without masks; integer codes have the scale of the settings."""
         scale = None if truth.suffix.lower() == ".pfm" else self.settings.scale
         return StereoScene(name=truth.stem, folder=truth.parent, protocol=self.name, left=truth, disparity_left=truth,

@@ -92,7 +92,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         scale = getattr(scene, "depth_scale", _CODES_PER_METER)
         return DepthTruth(depth, {name: regions[name] for name in self.ordered(regions)}, stored.fb, scale)
 
-    def single(self, truth: Path) -> Scene:
+    def scene_of_file(self, truth: Path) -> Scene:
         """Return a scene of one depth map without masks."""
         scale = self.settings.scale or _CODES_PER_METER
         return RgbdScene(
