@@ -1,18 +1,24 @@
-"""Fusion: several similarity measures into one cost volume, weighted by confidence and consensus (chapter 6).
+"""Fusion: several measures in one cost volume, weighted by confidence and consensus (thesis, chapter 6).
 
 In: a ``StereoPair``, the largest disparity (pixels), and for measures made elsewhere their (H, W, D) costs. Out: a
 ``StereoResult``: left disparities (H, W) in pixels with status and confidences. :class:`.config.FuseConfig` is the root
-of the command's config. Start reading at :meth:`.pipeline.Fusion.fuse`; what follows is in the order of use:
+of the command's config. Start reading at :meth:`.pipeline.Fusion.fuse`, which numbers the steps.
+
+A *voter* is a disparity map: each measure's own one, in further rounds the optimized one. At every pixel its disparity
+is a *vote*, which counts as much as its confidence says. The *support* of a pixel are the pixels around that vote for
+it. The *share* of a disparity at a pixel, 0 .. 1, is the sum of the votes for it in the support, weighted by distance
+and color, over the largest possible sum. A *ballot* (``Ballot``) holds the votes of all voters at all pixels. In the
+order of first use:
 
 | module | what it does |
 |---|---|
 | ``measures`` | costs (H, W, D) of every measure |
-| ``blend`` | brings them to one scale; later their weights (M, H, W), and the weighted mean |
-| ``votes`` | a measure's disparity counts as far as the pixels around vote for it |
-| ``support`` | which pixels may vote, weighted by distance and color, and sums over them |
+| ``blend`` | brings them to one scale; later the measures' weights (M, H, W), and the weighted mean of the costs |
+| ``votes`` | the ballot: shares of disparities, and costs of disparities with a small share |
+| ``support`` | the supports, and sums of votes over them |
 | ``maps`` | optional: mixes the finished map with maps of other methods |
-| ``map_costs`` | costs of a map at a pixel: matching, the other maps, the right view, the neighbors |
 | ``choice`` | which map is taken at a pixel: by graph cuts (``energy``) or by a trained ``network`` |
+| ``map_costs`` | costs of a map at a pixel: matching, the other maps, the right view, the neighbors |
 """
 
 from __future__ import annotations

@@ -18,15 +18,15 @@ UNIT = 255
 _MIN_SCORE = np.float32(1e-4)  # changes no weight visibly, and gives pixels without any vote equal weights
 
 
-def squash(volume: CostVolume, scale: float | None, outside: float | None = None) -> CostVolume:
+def normalize_costs(volume: CostVolume, scale: float | None, outside: float | None = None) -> CostVolume:
     """Bring costs of any measure to [0, 1]: ``1 - exp(-C / scale)`` (the form of Mei et al. 2011).
 
     Parameters
     ----------
-    volume : (H, W, D); costs below zero are shifted up to zero
+    volume : (H, W, D); if any cost is below zero, all are shifted so that the smallest one is zero
     scale : cost that becomes 1 - 1/e, in units of the measure; None: the median cost, so that every
         measure has half of its costs above 1 - 1/e
-    outside : cost in [0, 1] of cells outside the right image; None: the mean of the others
+    outside : cost in [0, 1] of cells outside the right image; None: the mean of the cells inside
 
     Returns
     -------
@@ -55,7 +55,7 @@ def squash(volume: CostVolume, scale: float | None, outside: float | None = None
     return CostVolume(out, float(UNIT))
 
 
-def comparable(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32]:
+def normalize_confidences(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32]:
     """Bring confidences of several measures to one scale in [0, 1].
 
     ``lrc`` is in pixels for every measure and becomes 1 / (1 + |difference|). Any other becomes its rank
@@ -64,6 +64,11 @@ def comparable(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32
     Parameters
     ----------
     confidence : (M, H, W) float32
+    name : the confidence measure that made them
+
+    Returns
+    -------
+    (M, H, W) float32 in [0, 1]
     """
     if name == "lrc":
         trust: NDArray[np.float32] = (1.0 / (1.0 - confidence)).astype(np.float32)
@@ -75,14 +80,25 @@ def comparable(confidence: NDArray[np.float32], name: str) -> NDArray[np.float32
 
 
 def measure_weights(mode: str, ballot: Ballot, exponent: float) -> NDArray[np.float32]:
-    """Compute (M, H, W) float32 weights that sum to 1 over the measures; ``mode`` as in the config of fusion."""
+    """Compute the weights of M measures at every pixel.
+
+    Parameters
+    ----------
+    mode : ``weights`` of the config of fusion
+    ballot : one voter per measure
+    exponent : power of the shares (mode ``consensus``) or vote weights (mode ``confidence``)
+
+    Returns
+    -------
+    (M, H, W) float32, sum 1 over the measures
+    """
     if mode in ("equal", "vote"):
-        return np.full(ballot.weights.shape, 1.0 / ballot.weights.shape[0], np.float32)
+        return np.full(ballot.vote_weights.shape, 1.0 / ballot.vote_weights.shape[0], np.float32)
     if mode == "select":
-        best = ballot.weights.argmax(axis=0)
-        chosen: NDArray[np.bool_] = np.arange(ballot.weights.shape[0])[:, None, None] == best
+        best = ballot.vote_weights.argmax(axis=0)
+        chosen: NDArray[np.bool_] = np.arange(ballot.vote_weights.shape[0])[:, None, None] == best
         return chosen.astype(np.float32)
-    score = ballot.shares(ballot.disparities) if mode == "consensus" else ballot.weights
+    score = ballot.shares(ballot.disparities) if mode == "consensus" else ballot.vote_weights
     powered = np.maximum(score, _MIN_SCORE) ** exponent
     weights: NDArray[np.float32] = (powered / powered.sum(axis=0, keepdims=True)).astype(np.float32, copy=False)
     return weights

@@ -17,7 +17,7 @@ from depthcli.methods.stereo.volume import StereoResult
 
 
 class FuseConfig(PairConfig, Fusion):
-    """The fields of fusion and the search range, side by side."""
+    """The fields of ``Fusion`` and of every config that matches pairs, side by side."""
 
     run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
 
@@ -28,7 +28,8 @@ class FusionWithVolumes(Matcher):
 
     Attributes
     ----------
-    read_volumes : gives file name -> (H, W, D) costs, when a pair is matched
+    fusion : fuses the measures
+    read_volumes : returns file name -> (H, W, D) costs; called when a pair is matched
     """
 
     has_tiles: ClassVar[bool] = False  # the volumes are those of the whole pair

@@ -28,8 +28,8 @@ def misfit(
 
     Parameters
     ----------
-    here, there : disparities of pixels and of the next ones
-    slope_here, slope_there : change to the next pixel, of either
+    here, there : disparities of pixels and of the next ones, pixels
+    slope_here, slope_there : slopes of the map at these pixels, change of disparity to the next pixel
     truncation : largest result, pixels
     """
     step = there - here
@@ -69,7 +69,16 @@ def disagreements(
 def agreement(
     values: NDArray[np.float32], maps: NDArray[np.float32], weights: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Compute the weighted share of the (N, H, W) ``maps`` that agree with (H, W) ``values``."""
+    """Compute the weighted share of maps that agree with ``values``, (H, W) float32 in [0, 1].
+
+    Maps within half a pixel agree; from there to one and a half their agreement fades.
+
+    Parameters
+    ----------
+    values : (H, W) disparities, pixels
+    maps : (N, H, W) disparities, pixels
+    weights : (N,) weight of every map
+    """
     total = np.zeros(values.shape, np.float32)
     for one, weight in zip(maps, weights, strict=True):
         total += weight * np.clip(np.float32(1.5) - np.abs(one - values), 0, 1)

@@ -33,7 +33,7 @@ class MapSource(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     weight: float = Field(
-        1.0, ge=0, le=100, description="weight of its vote in the agreement of maps; the own map has 1"
+        1.0, ge=0, le=100, description="weight of the map in the agreement of maps; the map of the fused costs has 1"
     )
 
 
@@ -58,21 +58,27 @@ class PlaneMap(MapSource):
 class MapFusion(BaseModel):
     """The map of the fused costs and maps of other methods, and which of them is taken at a pixel.
 
-    Proposed are the median of the maps, the own map, those of ``matchers``, of ``optimizations`` and of
-    ``segmentations``, in this order.
+    Proposed are the median of the maps, the map of the fused costs (the own one), those of ``matchers``, of
+    ``optimizations`` and of ``segmentations``, in this order.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    matchers: tuple[PipelineMap, ...] = Field((), max_length=16, description="other methods")
-    optimizations: tuple[OptimizedMap, ...] = Field((), max_length=16, description="further maps of the fused costs")
-    segmentations: tuple[PlaneMap, ...] = Field((), max_length=16, description="maps of planes")
+    matchers: tuple[PipelineMap, ...] = Field(
+        (), max_length=16, description="pipelines of stereo, each of which makes a map"
+    )
+    optimizations: tuple[OptimizedMap, ...] = Field(
+        (), max_length=16, description="optimizations that make further maps of the fused costs"
+    )
+    segmentations: tuple[PlaneMap, ...] = Field(
+        (), max_length=16, description="segmentations of the left image, each of which makes a map of planes"
+    )
     planes: SegmentPlaneFit = Field(
         default_factory=lambda: SegmentPlaneFit(tolerance=1.0, trials=100, flatness=0.9),
-        description="how planes are fitted",
+        description="how planes are fitted to segments",
     )
     choice: Choice = Field(default_factory=LeastEnergyChoice, description="which map is taken where")
-    refinement: tuple[RefinementStep, ...] = Field((), description="steps on the mix, in order")
+    refinement: tuple[RefinementStep, ...] = Field((), description="steps on the mixed map, in order")
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -121,7 +127,7 @@ class MapFusion(BaseModel):
     def bytes_beside(self, shape: tuple[int, int]) -> int:
         """Estimate the memory that mixing needs beside the fused costs, bytes."""
         count = len(self.kinds)
-        return shape[0] * shape[1] * (9 * count + self.choice.bytes_a_pixel(count))
+        return shape[0] * shape[1] * (9 * count + self.choice.bytes_per_pixel(count))
 
     def _proposals(
         self, pair: StereoPair, volume: CostVolume, right: NDArray[np.uint16], maps: list[DisparityMap]
@@ -157,7 +163,7 @@ def _largest_agreement(agreeing: NDArray[np.int64], labels: NDArray[np.int32], c
 
 
 def _status(values: NDArray[np.float32], right: NDArray[Any]) -> NDArray[np.uint8]:
-    # Measured where the right view agrees within a pixel; else filled, and hidden from it or mismatched.
+    # Measured where the right view agrees within one pixel; else filled, and hidden from it or mismatched.
     columns = np.arange(values.shape[1])[None] - np.rint(values).astype(np.int64)
     at_match = np.take_along_axis(right, np.clip(columns, 0, None), axis=1).astype(np.float32)
     hidden = (columns < 0) | (at_match > values + 1)

@@ -32,7 +32,7 @@ class FusedMeasure(BaseModel):
         None,
         gt=0,
         le=1e9,
-        description="cost that counts as 1 - 1/e, in units of the measure; default: the pair's median cost",
+        description="cost that counts as 1 - 1/e, in units of the measure; null: the pair's median cost",
     )
 
     @model_validator(mode="before")

@@ -16,7 +16,14 @@ from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import MeasureName, confidence_maps, measure_name
-from depthcli.methods.fusion.blend import UNIT, add_weighted, blend, comparable, measure_weights, squash
+from depthcli.methods.fusion.blend import (
+    UNIT,
+    add_weighted,
+    blend,
+    measure_weights,
+    normalize_confidences,
+    normalize_costs,
+)
 from depthcli.methods.fusion.maps import MapFusion
 from depthcli.methods.fusion.measures import FusedMeasure
 from depthcli.methods.fusion.votes import Ballot, Consensus
@@ -51,10 +58,13 @@ class Fusion(AdjustingMatcher):
         "select: only the most confident measure; vote: no costs, only votes",
     )
     exponent: float = Field(
-        2.0, gt=0, le=8, description="weights are proportional to votes or confidence to this power"
+        2.0,
+        gt=0,
+        le=8,
+        description="consensus or confidence: weights are proportional to votes or confidence to this power",
     )
     vote_confidence: MeasureName | None = Field(
-        "lrc", description="measure that says how much a vote counts; null: all count alike"
+        "lrc", description="confidence measure that says how much a vote counts; null: all count alike"
     )
     vote_aggregation: Aggregation | None = Field(
         default_factory=lambda: ConstantWindow(window=11),
@@ -70,7 +80,10 @@ class Fusion(AdjustingMatcher):
     )
     optimization: Optimization = Field(default_factory=WinnerTakesAll, description="optimization of the fused costs")
     outside: float | None = Field(
-        None, ge=0, le=1, description="cost of a match outside the right image; default: the mean of the others"
+        None,
+        ge=0,
+        le=1,
+        description="cost of a match outside the right image, in units of one measure; null: the mean of the others",
     )
     segments: SegmentSteps | None = Field(
         None,
@@ -170,29 +183,44 @@ class Fusion(AdjustingMatcher):
     ) -> FusedCosts:
         """Compute the fused cost volume.
 
-        Costs of every measure -> its disparities, which vote -> its weight at every pixel -> weighted mean of the costs
-        and aggregation -> cost of few votes, added; then further rounds, in which the optimized map votes.
+        The steps, by the names of their times:
+
+        1. ``cost``: costs of every measure, on one scale.
+        2. ``voters``: the disparity map of every measure, which is its vote, and how much each vote counts.
+        3. ``weights``: the ballot, and from it the weight of every measure at every pixel. Where the light of the two
+           images differs, ``light_weights`` multiply the votes' weights before the ballot and the measures' weights
+           after it, which are then divided by their sum.
+        4. ``aggregation``: weighted mean of the costs, aggregated before or after it (``blend``).
+        5. ``votes``: a cost is added to disparities with a small share of the votes; with ``weights: vote`` it is the
+           only one.
+        6. Rounds, timed with ``votes``: the map that ``optimization`` finds in these costs votes instead of the
+           measures, and the cost of step 5 is replaced by that of its votes.
+
+        Parameters
+        ----------
+        max_disparity : last disparity, pixels
+        volumes : file name -> (H, W, D) costs, as in :meth:`__call__`
         """
         clock = clock or Clock()
         n_disparities, tolerance = max_disparity + 1, self.consensus.tolerance
         parts = [
-            squash(measure.costs(pair, n_disparities, volumes), measure.scale, self.outside)
+            normalize_costs(measure.costs(pair, n_disparities, volumes), measure.scale, self.outside)
             for measure in self.measures
         ]
         clock.stop("cost")
         aggregate = self.vote_aggregation or (lambda part, pair: part)
-        disparities, trust = self._voters(self.vote_optimization(aggregate(part, pair), pair) for part in parts)
+        disparities, vote_weights = self._voters(self.vote_optimization(aggregate(part, pair), pair) for part in parts)
         clock.stop("voters")
         light = light_weights([measure.cost for measure in self.measures], pair)
         if light is not None:
-            trust *= light
-        ballot = Ballot(disparities, trust, n_disparities, tolerance, self.consensus.support_in(pair))
+            vote_weights *= light
+        ballot = Ballot(disparities, vote_weights, n_disparities, tolerance, self.consensus.support_in(pair))
         weights = measure_weights(self.weights, ballot, self.exponent)
         if light is not None:
             weights = weights * light
             weights /= weights.sum(axis=0, keepdims=True)
         clock.stop("weights")
-        blended = None if self.weights == "vote" else self._blend(parts, weights, pair)
+        blended = None if self.weights == "vote" else self._aggregated_mean(parts, weights, pair)
         clock.stop("aggregation")
         if blended is None:
             volume = ballot.costs(None, 1.0, _MAX_VOTED_COST)
@@ -201,8 +229,8 @@ class Fusion(AdjustingMatcher):
         else:
             volume = blended
         for _ in range(self.consensus.rounds):
-            disparities, trust = self._voters([self.optimization(volume, pair)])
-            ballot = Ballot(disparities, trust, n_disparities, tolerance, ballot.support)
+            disparities, vote_weights = self._voters([self.optimization(volume, pair)])
+            ballot = Ballot(disparities, vote_weights, n_disparities, tolerance, ballot.support)
             volume = ballot.costs(blended, self.consensus.map_vote_cost, _MAX_VOTED_COST)
         clock.stop("votes")
         return FusedCosts(volume, weights, ballot)
@@ -210,15 +238,15 @@ class Fusion(AdjustingMatcher):
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the peak working memory for images of ``shape``, in bytes."""
         pixels = shape[0] * shape[1]
-        # A byte a measure; raw, aggregated, voted and optimized costs of two bytes; a vote block of 16 floats.
-        a_cell = len(self.measures) + (6 if self.blend == "before" else 10)
-        need = pixels * (max_disparity + 1) * a_cell + pixels * (2 * 16 * 4 + 24 * len(self.measures)) + (32 << 20)
+        # A byte per measure; raw, aggregated, voted and optimized costs of two bytes; blocks of 16 floats for votes.
+        per_cell = len(self.measures) + (6 if self.blend == "before" else 10)
+        need = pixels * (max_disparity + 1) * per_cell + pixels * (2 * 16 * 4 + 24 * len(self.measures)) + (32 << 20)
         if self.maps is None:
             return need
         return max(need + self.maps.bytes_beside(shape), self.maps.peak_bytes(shape, max_disparity))
 
     def _voters(self, volumes: Iterable[CostVolume]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        # (M, H, W) disparities of every volume, and how much each counts
+        # (M, H, W) disparities of every volume, int32, and the weights of these votes, float32
         chosen, trust = [], []
         for volume in volumes:
             left, right = winners(volume.costs)
@@ -231,9 +259,11 @@ class Fusion(AdjustingMatcher):
                 trust.append(confidence_maps(volume.costs, [self.vote_confidence])[self.vote_confidence])
             del volume  # before the next one is made
         weights = np.stack(trust)
-        return np.stack(chosen), weights if self.vote_confidence is None else comparable(weights, self.vote_confidence)
+        return np.stack(chosen), weights if self.vote_confidence is None else normalize_confidences(
+            weights, self.vote_confidence
+        )
 
-    def _blend(self, parts: list[CostVolume], weights: NDArray[np.float32], pair: StereoPair) -> CostVolume:
+    def _aggregated_mean(self, parts: list[CostVolume], weights: NDArray[np.float32], pair: StereoPair) -> CostVolume:
         if self.blend == "before":
             fused = blend(parts, weights)
             parts.clear()  # what follows needs room for volumes of its own
@@ -253,7 +283,7 @@ class FusedCosts:
     Attributes
     ----------
     volume : uint16 (H, W, D), at most 4080
-    weights : (M, H, W) float32, sum 1 over the measures
+    weights : of the measures, (M, H, W) float32, sum 1 over M
     ballot : the last vote
     """
 

@@ -1,8 +1,8 @@
-"""Supports: the pixels around a pixel that may vote for it, weighted by color or all alike, and sums over them."""
+"""Supports: the pixels around a pixel that vote for it, weighted by color or all alike, and sums over them."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import Any
 
 import cv2
@@ -16,8 +16,8 @@ BLOCK_DEPTH = 16
 NO_VOTE = np.float32(1e-20)  # instead of 0: what is left of far votes must not become denormal, which is slow
 
 
-class Support:
-    """Sums over the pixels that may vote for a pixel, for 16 disparities at a time.
+class Support(ABC):
+    """Weighted sums over the pixels that vote for a pixel, for 16 disparities at a time.
 
     Attributes
     ----------
@@ -40,8 +40,8 @@ class Support:
 class ColorSupport(Support):
     """Weights that fall with the distance and with the color change along the way (row first, then column).
 
-    Recursive filters in both directions: from one pixel to the next a vote is multiplied by
-    exp(-1 / reach - color step / softness); time does not depend on the reach.
+    From one pixel to the next a vote is multiplied by exp(-1 / reach - color step / softness). Sums are made by
+    recursive filters, whose time does not depend on the reach.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Consensus: the pixels around a pixel vote for its disparity.
 
-A vote volume would be as large as a cost volume. It is never stored: votes are counted for 16 disparities
-at a time and read at once.
+A volume of votes would be as large as a cost volume. It is never stored: votes are counted for 16 disparities
+at a time, and the counts are used before the next 16 are counted.
 """
 
 from __future__ import annotations
@@ -31,27 +31,35 @@ class Consensus(BaseModel):
         "color", description="color: votes fade with distance and color change; window: all of a square count alike"
     )
     window: Odd = Field(
-        65, ge=1, le=255, description="side of the window, odd, pixels; votes across color fade to 1/e at half of it"
+        65,
+        ge=1,
+        le=255,
+        description="side of the window, odd, pixels; votes of support color fade to 1/e at half of it",
     )
-    softness: float = Field(15.0, gt=0, le=1e4, description="color change at which a vote fades to 1/e, grey levels")
+    softness: float = Field(
+        15.0, gt=0, le=1e4, description="color change at which a vote of support color fades to 1/e, grey levels"
+    )
     tolerance: int = Field(
-        1, ge=0, le=16384, description="how far beside its own disparity a vote still counts, pixels"
+        1, ge=0, le=16384, description="largest difference from its own disparity at which a vote still counts, pixels"
     )
     vote_cost: float = Field(
         0.4,
         ge=0,
         le=1e3,
-        description="cost of a disparity that no measure votes for, in units of one measure; 0: weights only",
+        description="cost of a disparity that no vote is for, in units of one measure; 0: votes only weigh measures",
     )
     rounds: int = Field(
-        0, ge=0, le=8, description="further rounds: the optimized map votes, instead of the measures, for its costs"
+        0, ge=0, le=8, description="number of further rounds, in which the optimized map votes instead of the measures"
     )
     map_vote_cost: float = Field(
-        0.2, gt=0, le=1e3, description="vote_cost of the further rounds, in units of one measure"
+        0.2,
+        gt=0,
+        le=1e3,
+        description="cost of a disparity that no vote is for in further rounds, in units of one measure",
     )
 
     def support_in(self, pair: StereoPair) -> Support:
-        """Return the pixels of a pair that may vote for each pixel, with their weights."""
+        """Return the support of every pixel of a pair."""
         if self.support == "window":
             return WindowSupport(pair.shape, self.window)
         return ColorSupport(pair.color8[0], max(1, self.window // 2), self.softness)
@@ -59,27 +67,27 @@ class Consensus(BaseModel):
 
 @dataclass(frozen=True)
 class Ballot:
-    """Votes of M voters a pixel.
+    """Votes of M voters per pixel.
 
     Attributes
     ----------
     disparities : (M, H, W) int32, 0 .. n_disparities - 1
-    weights : (M, H, W) float32 in [0, 1]; rounded to 1/256, which keeps the sums of windows exact
+    vote_weights : (M, H, W) float32 >= 0, how much each vote counts; their sum at a pixel is at most M. Rounded to
+        1/256 for counting, which keeps the sums of windows exact
     n_disparities : number of disparities
-    tolerance : how far beside the voter's own disparity a vote still counts in full. Where votes are all there
-        is, nothing else breaks the ties of neighboring disparities: there they count less and less
-    support : the pixels that may vote for each pixel
+    tolerance : largest difference from the voter's own disparity at which a vote counts, pixels
+    support : the pixels that vote for each pixel, with their weights
     """
 
     disparities: NDArray[np.int32]
-    weights: NDArray[np.float32]
+    vote_weights: NDArray[np.float32]
     n_disparities: int
     tolerance: int
     support: Support
 
     def _blocks(self, fading: bool) -> Iterator[tuple[int, NDArray[np.float32]]]:
         voters, height, width = self.disparities.shape
-        weights = np.round(self.weights * 256) / np.float32(256 * voters)
+        weights = np.round(self.vote_weights * 256) / np.float32(256 * voters)
         block = memory.empty((height, width, BLOCK_DEPTH), np.float32)
         for first in range(0, self.n_disparities, BLOCK_DEPTH):
             _cast(self.disparities, weights, first, self.tolerance, fading, block)
@@ -87,18 +95,24 @@ class Ballot:
             yield first, block
 
     def shares(self, disparities: NDArray[np.int32]) -> NDArray[np.float32]:
-        """Return (N, H, W) float32 in [0, 1], the share of the votes that (N, H, W) ``disparities`` got."""
+        """Return the shares of (N, H, W) ``disparities``, (N, H, W) float32 in [0, 1].
+
+        Votes count in full up to the tolerance.
+        """
         shares = np.zeros(disparities.shape, np.float32)
         for first, block in self._blocks(fading=False):
             _look_up(block, self.support.inverse_sum, disparities, first, shares)
         return np.minimum(shares, np.float32(1.0))
 
     def costs(self, base: CostVolume | None, strength: float, largest: int) -> CostVolume:
-        """Return the costs plus ``strength`` times the share of the votes that a disparity does not have.
+        """Return costs plus ``strength * (1 - share)`` of every disparity.
 
         Parameters
         ----------
-        base : (H, W, D) uint16 costs, whose unit is ``base.scale``; None: the votes alone
+        base : (H, W, D) uint16 costs, at most ``base.scale``; votes then count in full up to the tolerance. None: the
+            votes alone; they fade linearly with the difference from the voter's disparity, to 0 one pixel beyond the
+            tolerance, since nothing else tells neighboring disparities apart
+        strength : cost of a disparity that no vote is for, in units of ``base.scale``
         largest : largest cost of the result, which is uint16 fixed point
         """
         shape = (*self.disparities.shape[1:], self.n_disparities)

@@ -20,7 +20,7 @@ from depthcli.data.formats.networks import network_path, read_network, write_net
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.evaluation.curves import sparsification
 from depthcli.methods.fusion.choice import Proposals
-from depthcli.methods.fusion.choice._inputs import OWN, RELATIVE, SHARED, NetworkInputs, input_names
+from depthcli.methods.fusion.choice._inputs import PIXEL_PLANES, PROPOSAL_PLANES, RELATIVE, NetworkInputs, input_names
 from depthcli.methods.fusion.choice.network import NetworkChoice, log_odds_of
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.map_costs import matching_costs
@@ -65,7 +65,7 @@ def test_inputs_agree_with_the_reference():
     given = proposals()
     count, height, width = given.values.shape
     inputs = NetworkInputs.of(given)
-    own = dict(zip(OWN, inputs.own.reshape(len(OWN), count, height, width), strict=True))
+    own = dict(zip(PROPOSAL_PLANES, inputs.own.reshape(len(PROPOSAL_PLANES), count, height, width), strict=True))
     left, right = given.pair.color8
     expected = naive.pointwise(
         given.values, given.volume.costs, given.volume.scale, given.right, left.astype(float), right
@@ -77,13 +77,13 @@ def test_inputs_agree_with_the_reference():
     far = matching_costs(given.values, given.volume, 0.7, ColorSupport(left, 8.0, 15.0))
     np.testing.assert_array_equal(own["cost_wide"], far)
     np.testing.assert_array_equal(own["filled"], given.filled)
-    shared = dict(zip(SHARED, inputs.shared.reshape(len(SHARED), height, width), strict=True))
+    shared = dict(zip(PIXEL_PLANES, inputs.shared.reshape(len(PIXEL_PLANES), height, width), strict=True))
     np.testing.assert_allclose(shared["min_cost"], given.volume.costs.min(axis=2) / given.volume.scale, rtol=1e-5)
     np.testing.assert_allclose(shared["filled_share"], (given.filled > 0).mean(axis=0))
     assert (shared["light_trust"] == 1).all()
     trust = texture((height, width), 5)
     dim = NetworkInputs.of(replace(given, pair=replace(given.pair, light_trust=trust)))
-    np.testing.assert_allclose(dim.shared[SHARED.index("light_trust")], trust.ravel() / 255, rtol=1e-6)
+    np.testing.assert_allclose(dim.shared[PIXEL_PLANES.index("light_trust")], trust.ravel() / 255, rtol=1e-6)
 
 
 def test_rows_hold_the_planes_in_the_order_of_their_names():
@@ -94,15 +94,15 @@ def test_rows_hold_the_planes_in_the_order_of_their_names():
     rows = inputs.rows(pixels)
     assert rows.shape == (3, 4, len(names))
     column = {name: rows[:, :, k] for k, name in enumerate(names)}
-    for k, name in enumerate(OWN):
+    for k, name in enumerate(PROPOSAL_PLANES):
         np.testing.assert_array_equal(column[name], inputs.own[k][:, pixels].T)
     for name in RELATIVE:
-        plane = inputs.own[OWN.index(name)][:, pixels].T
+        plane = inputs.own[PROPOSAL_PLANES.index(name)][:, pixels].T
         np.testing.assert_allclose(column[f"{name}_relative"], plane - plane.min(axis=1, keepdims=True), atol=1e-6)
     flat = given.values.reshape(4, -1)[:, pixels].T
     for k, kind in enumerate(given.kinds):
         np.testing.assert_array_equal(column[f"distance_{k}_{kind}"], np.minimum(np.abs(flat - flat[:, k : k + 1]), 4))
-    for k, name in enumerate(SHARED):
+    for k, name in enumerate(PIXEL_PLANES):
         np.testing.assert_array_equal(column[name], np.repeat(inputs.shared[k, pixels][:, None], 4, axis=1))
 
 

@@ -10,7 +10,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.kernels.winners import left_right_difference, winners
 from depthcli.methods.confidence import confidence_maps
 from depthcli.methods.fusion import Fusion
-from depthcli.methods.fusion.blend import add_weighted, blend, comparable, measure_weights, squash
+from depthcli.methods.fusion.blend import add_weighted, blend, measure_weights, normalize_confidences, normalize_costs
 from depthcli.methods.fusion.support import ColorSupport, WindowSupport
 from depthcli.methods.fusion.votes import Ballot
 from depthcli.methods.stereo.cost.census import Census
@@ -37,18 +37,18 @@ def shifted_pair(shape=(40, 70), d=7, seed=0):
 @pytest.mark.parametrize(("scale", "outside"), [(None, None), (40.0, 0.25)])
 def test_squash_agrees_with_the_reference(dtype, shape, scale, outside):
     costs = (np.random.default_rng(0).random(shape) * 200).astype(dtype)
-    got = squash(CostVolume(costs), scale, outside)
+    got = normalize_costs(CostVolume(costs), scale, outside)
     want = naive.squash(costs, scale, outside)
     assert got.costs.dtype == np.uint8
     assert np.abs(got.costs - want).max() <= 0.51
 
 
 def test_squash_of_constant_and_negative_costs():
-    flat = squash(CostVolume(np.zeros((4, 5, 6), np.uint8)), None)
+    flat = normalize_costs(CostVolume(np.zeros((4, 5, 6), np.uint8)), None)
     assert not flat.costs.any()
     costs = np.random.default_rng(0).normal(size=(8, 9, 5)).astype(np.float32)
-    got = squash(CostVolume(costs), None).costs
-    moved = squash(CostVolume(costs - costs.min()), None).costs
+    got = normalize_costs(CostVolume(costs), None).costs
+    moved = normalize_costs(CostVolume(costs - costs.min()), None).costs
     np.testing.assert_allclose(got.astype(int), moved.astype(int), atol=1)
 
 
@@ -111,8 +111,8 @@ def test_votes_do_not_cross_a_color_edge_but_reach_far_within_a_surface():
 
 def test_confidences_become_comparable_by_their_ranks_and_lrc_by_its_pixels():
     values = np.random.default_rng(0).integers(0, 9, (2, 5, 6)).astype(np.float32)
-    np.testing.assert_allclose(comparable(values, "pkr"), naive.ranks(values), rtol=1e-6)
-    np.testing.assert_allclose(comparable(-values, "lrc"), 1 / (1 + values), rtol=1e-6)
+    np.testing.assert_allclose(normalize_confidences(values, "pkr"), naive.ranks(values), rtol=1e-6)
+    np.testing.assert_allclose(normalize_confidences(-values, "lrc"), 1 / (1 + values), rtol=1e-6)
 
 
 def test_left_right_difference_is_the_confidence_measure():
@@ -156,7 +156,7 @@ def test_the_true_shift_is_found_in_every_mode(weights, support, blend_when):
 def test_equal_weights_without_votes_are_the_plain_mean():
     pair = shifted_pair()
     fused = fusion(weights="equal", consensus={"vote_cost": 0}, aggregation=None).fuse(pair, 11, {})
-    parts = [squash(m.cost(pair, 12), None).costs.astype(int) for m in fusion().measures]
+    parts = [normalize_costs(m.cost(pair, 12), None).costs.astype(int) for m in fusion().measures]
     np.testing.assert_array_equal(fused.volume.costs, 16 * ((64 * sum(parts) + 128) >> 8))
 
 

@@ -1,4 +1,4 @@
-"""Choice: which of several maps is right at a pixel. One file a method.
+"""Choice: which of several maps is right at a pixel. One file per method.
 
 In: :class:`Proposals`, N maps (N, H, W) with the images and the fused costs. Out: a :class:`ChosenMap` (H, W).
 ``energy`` cuts graphs and takes any maps; ``network`` was trained for certain maps, on the inputs of ``_inputs``.
@@ -33,7 +33,7 @@ class Proposals:
     kinds : names of the methods that made them
     values : (N, H, W) float32 disparities without gaps, 0 .. D - 1
     filled : (N, H, W) uint8: 0 measured, 1 filled, 2 filled where the right view does not see
-    weights : (N,) float32, weight of a map's vote in the agreement of maps
+    weights : (N,) float32, weight of every map in the agreement of maps
     pair : the images
     volume : the fused costs
     right : (H, W) uint16 disparities of the right view
@@ -91,8 +91,8 @@ class ChoiceMethod(Method):
     def __call__(self, proposals: Proposals) -> ChosenMap:
         """Choose one of the proposals at every pixel."""
 
-    def bytes_a_pixel(self, count: int) -> int:
-        """Estimate the working memory beside ``count`` proposals, bytes a pixel."""
+    def bytes_per_pixel(self, count: int) -> int:
+        """Estimate the working memory beside ``count`` proposals, bytes per pixel."""
         return 0
 
 

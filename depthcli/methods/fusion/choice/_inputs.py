@@ -24,14 +24,14 @@ from depthcli.methods.fusion.map_costs import (
     misfit,
 )
 
-OWN = (
+PROPOSAL_PLANES = (
     "cost_wide", "cost_narrow", "disagreement_narrow", "disagreement_wide", "decorrelation", "color_difference",
     "color_difference_5", "contradiction_narrow", "contradiction_wide", "hidden_narrow", "excess_cost",
     "right_view_difference", "match_column", "self_occlusion", "roughness", "roughness_9", "slope_x", "slope_y",
     "above_mean_11", "above_mean_25", "filled",
 )  # fmt: skip
-"""Planes of every proposal, in their order: ``wide`` and ``narrow`` are means over that support, numbers the sides of
-windows in pixels.
+"""Planes of every proposal, one value per pixel, in their order. ``wide`` and ``narrow`` are means over that support;
+numbers are the sides of windows in pixels.
 
 | plane | what it measures |
 |---|---|
@@ -50,11 +50,11 @@ windows in pixels.
 | ``filled`` | 0 measured, 1 filled, 2 filled and occluded |
 """
 RELATIVE = ("cost_wide", "cost_narrow", "decorrelation", "color_difference_5")
-"""Of these the smallest value of all proposals is subtracted once more."""
-SHARED = ("min_cost", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
-"""Planes of the pixel: its smallest cost, standard deviations of windows and gradient of the left image (grey levels),
-share of the proposals that are filled, and how far its light is trusted (0 .. 1)."""
-# Names that networks have which version 0.1.0 wrote, and those of today.
+"""These planes are also given relative to the smallest value among the proposals (``<name>_relative``)."""
+PIXEL_PLANES = ("min_cost", "deviation_5", "deviation_13", "gradient", "filled_share", "light_trust")
+"""Planes of the pixel, the same for all proposals: its smallest cost, standard deviations of windows and gradient of
+the left image (grey levels), share of the proposals that are filled, and how far its light is trusted (0 .. 1)."""
+# Names of inputs in networks that version 0.1.0 wrote, and their present names.
 _FORMER_NAMES = {
     "cost_far": "cost_wide", "cost_near": "cost_narrow", "dissent_near": "disagreement_narrow",
     "dissent_far": "disagreement_wide", "color": "color_difference", "color_near": "color_difference_5",
@@ -71,14 +71,14 @@ _NOISE = np.float32(4.0)  # added to variances under a correlation, grey levels 
 _MAX_MISFIT = 2.0  # between neighbors, pixels
 _WINDOW = 7  # side of the windows that are correlated, pixels
 _REACH = 9  # half side of the window that slopes are fitted in, pixels
-RELATIVE_PLANES = np.array([OWN.index(name) for name in RELATIVE])
+RELATIVE_INDICES = np.array([PROPOSAL_PLANES.index(name) for name in RELATIVE])
 
 
 def input_names(kinds: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of the inputs, in their order, for proposals of these kinds."""
     relative = (f"{name}_relative" for name in RELATIVE)
     distances = (f"distance_{k}_{kind}" for k, kind in enumerate(kinds))
-    return (*OWN, *relative, *distances, *SHARED)
+    return (*PROPOSAL_PLANES, *relative, *distances, *PIXEL_PLANES)
 
 
 def current_name(name: str) -> str:
@@ -95,9 +95,9 @@ class NetworkInputs:
 
     Attributes
     ----------
-    values : (N, P) float32, the proposals
-    own : (len(OWN), N, P) float32
-    shared : (len(SHARED), P) float32
+    values : (N, P) float32, the proposals' disparities at P pixels
+    own : (len(PROPOSAL_PLANES), N, P) float32, planes of every proposal
+    shared : (len(PIXEL_PLANES), P) float32, planes of the pixel
     """
 
     values: NDArray[np.float32]
@@ -111,8 +111,8 @@ class NetworkInputs:
         count, height, width = maps.shape
         image = pair.color8[0]
         wide, narrow = proposals.wide, proposals.narrow
-        own = memory.empty((len(OWN), count, height, width), np.float32)
-        plane = {name: own[k] for k, name in enumerate(OWN)}
+        own = memory.empty((len(PROPOSAL_PLANES), count, height, width), np.float32)
+        plane = {name: own[k] for k, name in enumerate(PROPOSAL_PLANES)}
         alike = np.ones(count, np.float32)
         plane["cost_wide"][:] = matching_costs(maps, volume, 0.7, wide)
         plane["cost_narrow"][:] = matching_costs(maps, volume, 1.5, narrow)
@@ -122,8 +122,8 @@ class NetworkInputs:
         plane["contradiction_wide"][:] = contradictions(maps, proposals.right, 0.0, wide)
         plane["hidden_narrow"][:] = contradictions(maps, proposals.right, 1.0, narrow) - plane["contradiction_narrow"]
         grey = [channel.astype(np.float32) for channel in pair.grey8]
-        shared = np.zeros((len(SHARED), height, width), np.float32)
-        common = {name: shared[k] for k, name in enumerate(SHARED)}
+        shared = np.zeros((len(PIXEL_PLANES), height, width), np.float32)
+        common = {name: shared[k] for k, name in enumerate(PIXEL_PLANES)}
         unit = np.float32(1 / volume.scale)
         common["min_cost"][:] = volume.costs.min(axis=2) * unit
         for side in (5, 13):
@@ -151,17 +151,17 @@ class NetworkInputs:
         pixels = height * width
         return cls(
             maps.reshape(count, pixels),
-            own.reshape(len(OWN), count, pixels),
-            shared.reshape(len(SHARED), pixels),
+            own.reshape(len(PROPOSAL_PLANES), count, pixels),
+            shared.reshape(len(PIXEL_PLANES), pixels),
         )
 
     def rows(self, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the inputs of some pixels, (len(pixels), N, inputs) float32."""
         own, values, shared = self.own[:, :, pixels], self.values[:, pixels], self.shared[:, None, pixels]
-        compared = own[RELATIVE_PLANES]
+        compared = own[RELATIVE_INDICES]
         relative = compared - compared.min(axis=1, keepdims=True)
         distances = np.minimum(np.abs(values - values[:, None]), _MAX_DISTANCE)
-        shared = np.broadcast_to(shared, (len(SHARED), *values.shape))
+        shared = np.broadcast_to(shared, (len(PIXEL_PLANES), *values.shape))
         return np.concatenate([own, relative, distances, shared]).transpose(2, 1, 0)
 
 

@@ -29,17 +29,24 @@ class LeastEnergyChoice(ChoiceMethod):
 
     cost_weight: float = Field(2.0, ge=0, le=1e3, description="weight of the fused costs, in units of one measure")
     cost_truncation: float = Field(
-        0.7, gt=0, le=16, description="largest cost of a pixel: what the right camera sees differently must not decide"
+        0.7,
+        gt=0,
+        le=16,
+        description="largest matching cost that counts: what the right camera sees differently must not decide",
     )
     agreement_weight: float = Field(3.0, ge=0, le=1e3, description="weight of the other maps' disagreement")
-    visibility_weight: float = Field(2.0, ge=0, le=1e3, description="weight of the right view's contradiction")
+    visibility_weight: float = Field(
+        2.0, ge=0, le=1e3, description="weight of how far the right view contradicts a map"
+    )
     hidden: float = Field(0.5, ge=0, le=1, description="contradiction counted where a map is hidden in the right view")
-    smoothness: float = Field(4.0, ge=0, le=1e3, description="cost of a pixel of misfit between neighbors")
-    truncation: float = Field(2.0, gt=0, le=1e3, description="largest misfit that counts, pixels")
+    smoothness: float = Field(
+        4.0, ge=0, le=1e3, description="cost of a misfit between neighbors, per pixel of disparity"
+    )
+    truncation: float = Field(2.0, gt=0, le=1e3, description="largest misfit between neighbors that counts, pixels")
     color_scale: float = Field(
         10.0, gt=0, le=1e4, description="color difference that makes misfits cheaper by 1/e, grey levels"
     )
-    floor: float = Field(0.1, ge=0, le=1, description="smallest factor by which misfits become cheaper")
+    floor: float = Field(0.1, ge=0, le=1, description="smallest factor by which color differences make misfits cheaper")
 
     def __call__(self, proposals: Proposals) -> ChosenMap:
         image = proposals.pair.color8[0]
@@ -58,7 +65,7 @@ class LeastEnergyChoice(ChoiceMethod):
             current = smoothness.move(current, proposal, _MIN_DIFFERENCE)
         return ChosenMap(current.values)
 
-    def bytes_a_pixel(self, count: int) -> int:
+    def bytes_per_pixel(self, count: int) -> int:
         return 12 * count + 1000
 
 
@@ -96,7 +103,7 @@ class Smoothness:
     Attributes
     ----------
     weights : of the pairs along the rows, (H, W - 1), and along the columns, (H - 1, W), float32
-    truncation : pixels
+    truncation : largest misfit that counts, pixels
     """
 
     weights: tuple[NDArray[np.float32], NDArray[np.float32]]

@@ -16,9 +16,9 @@ from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import LANES, load, minimum, splat, store
 from depthcli.methods.fusion.choice import ChoiceMethod, ChosenMap, Proposals
 from depthcli.methods.fusion.choice._inputs import (
-    OWN,
-    RELATIVE_PLANES,
-    SHARED,
+    PIXEL_PLANES,
+    PROPOSAL_PLANES,
+    RELATIVE_INDICES,
     NetworkInputs,
     current_name,
     gather,
@@ -77,8 +77,8 @@ class NetworkChoice(ChoiceMethod):
         _take(proposals.values, log_odds, shares, values, probability)
         return ChosenMap(values, probability)
 
-    def bytes_a_pixel(self, count: int) -> int:
-        return 4 * (count * (len(OWN) + 4) + len(SHARED) + 2 * _MAX_MAPS) + 100
+    def bytes_per_pixel(self, count: int) -> int:
+        return 4 * (count * (len(PROPOSAL_PLANES) + 4) + len(PIXEL_PLANES) + 2 * _MAX_MAPS) + 100
 
 
 def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.float32]:
@@ -86,7 +86,7 @@ def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.fl
     out = np.empty(inputs.values.shape, np.float32)
     (w1, b1), (w2, b2), (w3, b3) = trained.layers
     _log_odds(
-        inputs.values, inputs.own, inputs.shared, RELATIVE_PLANES, trained.mean, trained.scale,
+        inputs.values, inputs.own, inputs.shared, RELATIVE_INDICES, trained.mean, trained.scale,
         _tiled(w1), b1, _tiled(w2), b2, w3.ravel(), b3, out,
     )  # fmt: skip
     return out
