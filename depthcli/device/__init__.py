@@ -1,12 +1,13 @@
 """Devices beside the processor that run kernels: GPUs, through OpenCL or CUDA.
 
-Start at :func:`open_device`: the text of ``--device`` -> a :class:`Device`, to which arrays are copied (``upload``,
-``download``) and on which kernels run (``launch``).
+Start at :func:`open_device`: the text of ``--device`` -> a :class:`Device`, to and from which arrays are copied
+(``upload``, ``download``) and on which kernels run (``launch``; ``finish`` waits for them). Without opening any,
+:func:`devices` lists all and :func:`find_device` says which one a text names, as :class:`DeviceInfo`.
 
 | module | what it holds |
 |---|---|
 | ``dialect`` | ``Kernels``: C text that is written once, in OpenCL C, and macros by which CUDA understands it |
-| ``opencl``, ``cuda`` | a device through pyopencl or CuPy: optional packages, imported where a device is requested |
+| ``opencl``, ``cuda`` | one back end each, through pyopencl or CuPy: optional packages, imported at the first request |
 """
 
 from __future__ import annotations
@@ -23,7 +24,18 @@ from numpy.typing import DTypeLike, NDArray
 from depthcli.core.errors import ConfigError, DepthcliError
 from depthcli.device.dialect import COPY, Kernels
 
-__all__ = ["Device", "DeviceArray", "DeviceError", "DeviceInfo", "Kernels", "Launch"]
+__all__ = [
+    "Device",
+    "DeviceArray",
+    "DeviceError",
+    "DeviceInfo",
+    "Kernels",
+    "Launch",
+    "devices",
+    "find_device",
+    "open_device",
+    "why_no_device",
+]
 
 KINDS = ("opencl", "cuda")
 """Ways to reach a device, in the order in which ``auto`` tries them."""
@@ -40,10 +52,10 @@ class DeviceInfo:
     Attributes
     ----------
     address : how ``--device`` names it, such as ``opencl:0``
-    name : by its driver
-    memory : bytes
-    is_gpu : rather than a processor behind a driver
-    driver : platform and version
+    name : what its driver calls it
+    memory : size of its memory, bytes
+    is_gpu : False for a processor that a driver shows as a device (PoCL)
+    driver : its platform and version, for the user
     """
 
     address: str
@@ -73,18 +85,19 @@ class DeviceArray:
 
     @property
     def nbytes(self) -> int:
-        """Return the bytes of the elements."""
+        """Return the size of all elements together, bytes."""
         return self.size * self.dtype.itemsize
 
 
 @dataclass(frozen=True)
 class Launch:
-    """A kernel that ran.
+    """The timing of one run of a kernel.
 
     Attributes
     ----------
-    seconds : on the device
-    nbytes : of the arrays among its arguments, each counted once: what it moves at least
+    name : of the kernel
+    seconds : how long it ran on the device
+    nbytes : size of all arrays among its arguments, each counted once: a lower bound of the memory traffic
     """
 
     name: str
@@ -99,13 +112,13 @@ class Device(ABC):
     """
 
     driver_errors: tuple[type[Exception], ...] = (Exception,)
-    """What the package behind the device raises."""
+    """Exceptions of the package behind the device, which become DeviceError."""
 
     def __init__(self, info: DeviceInfo) -> None:
         self.info = info
         self.launches: list[Launch] | None = None
-        """Timings of the kernels that ran: none are taken while this is None; to take them, assign a list, which every
-        call of :meth:`finish` extends."""
+        """Timings of the kernels that ran. None: no timings are taken. To take them, assign a list: every call of
+        :meth:`finish` appends the kernels since the last one."""
         self._kernels: dict[tuple[Kernels, str], Any] = {}
         self._events: list[tuple[str, Any, int]] = []
 
@@ -118,7 +131,7 @@ class Device(ABC):
         return target
 
     def download(self, array: DeviceArray) -> NDArray[Any]:
-        """Return a copy of ``array`` on the host, when it is computed."""
+        """Return a copy of ``array`` on the host; waits for the kernels that compute it."""
         target: NDArray[Any] = np.empty(array.shape, array.dtype)
         if array.size:
             self._guarded(self._copy_to_host, target, array.handle)
@@ -130,13 +143,15 @@ class Device(ABC):
         return DeviceArray(sizes, kind, self._guarded(self._allocate, sizes, kind))
 
     def launch(self, kernels: Kernels, name: str, size: Sequence[int], group: Sequence[int], *arguments: Any) -> None:
-        """Run a kernel.
+        """Enqueue a kernel and return at once; its first launch compiles it.
 
         Parameters
         ----------
-        size : threads in up to three dimensions, the fastest first; rounded up to whole groups
-        group : threads of a group in the same dimensions
-        arguments : arrays of this device; int (32 bit), float (32 bit) or NumPy scalars
+        kernels : the text that contains it
+        name : of the kernel in this text
+        size : number of threads along up to three dimensions, the fastest first; rounded up to whole groups
+        group : number of threads of a group along the same dimensions
+        arguments : arrays of this device; int (passed as 32 bits), float (as 32 bits) or NumPy scalars
         """
         kernel = self._kernels.get((kernels, name))
         if kernel is None:
@@ -150,7 +165,7 @@ class Device(ABC):
             self._events.append((name, event, nbytes))
 
     def finish(self) -> None:
-        """Wait until all commands are done."""
+        """Wait until all commands are done, and take the timings that :attr:`launches` asks for."""
         events, self._events = self._events, []
         self._guarded(self._wait)
         if self.launches is not None:
@@ -159,7 +174,7 @@ class Device(ABC):
             ]
 
     def measure_bandwidth(self) -> float:
-        """Return the bandwidth of the device's memory, bytes a second read and written, by copying a large array."""
+        """Measure the bandwidth of the device's memory by copying a large array: bytes read and written per second."""
         count = min(32 << 20, self.info.memory // 64)
         source, target = self.empty((count,), np.uint32), self.empty((count,), np.uint32)
         launches_before, self.launches = self.launches, []
@@ -195,7 +210,7 @@ class Device(ABC):
 
     @abstractmethod
     def _enqueue(self, kernel: Any, n_groups: tuple[int, ...], group: tuple[int, ...], arguments: list[Any]) -> Any:
-        """Run the kernel and return what :meth:`_seconds` needs."""
+        """Enqueue the kernel and return what :meth:`_seconds` needs."""
 
     @abstractmethod
     def _wait(self) -> None: ...
@@ -224,30 +239,30 @@ def _argument(value: Any) -> Any:
 
 
 def devices() -> list[DeviceInfo]:
-    """Return all devices that the installed packages and drivers show, GPUs first."""
+    """Return all devices that the installed packages and drivers know, GPUs first."""
     found = [info for kind in KINDS for info in _backend(kind).list_devices()]
     return sorted(found, key=lambda info: not info.is_gpu)
 
 
 def why_no_device() -> str:
-    """Return the reasons why OpenCL or CUDA or both have no device here; empty where both have one."""
+    """Return, for each of OpenCL and CUDA that has no device here, the reason; "" where both have one."""
     return "; ".join(f"{kind}: {_backend(kind).why_no_device()}" for kind in KINDS if not _backend(kind).list_devices())
 
 
 def find_device(wanted: str) -> DeviceInfo | None:
-    """Return the device that ``wanted`` names, None for the processor.
+    """Return the device that ``wanted`` names; None for the processor.
 
     Parameters
     ----------
-    wanted : cpu; auto (the first GPU, else the processor); opencl or cuda (the first of the kind, GPUs first), or
-        with a number, such as ``opencl:1``
+    wanted : ``cpu``; ``auto``: the first GPU, else the processor; ``opencl`` or ``cuda``: the first device of this
+        kind, GPUs first; ``opencl:1``: the device with this address
 
     Raises
     ------
     ConfigError
-        No such kind.
+        ``wanted`` is none of these.
     DeviceError
-        There is no such device.
+        No such device is there.
     """
     if wanted == "cpu":
         return None
@@ -269,12 +284,14 @@ _open: dict[str, Device] = {}
 
 
 def open_device(wanted: str) -> Device | None:
-    """Open the device that ``wanted`` names, once in a process; return None for the processor.
+    """Open the device that ``wanted`` names; return None for the processor.
+
+    A device is opened once per process; later calls return the same object.
 
     Raises
     ------
     ConfigError, DeviceError
-        As :func:`find_device`; the driver fails.
+        As :func:`find_device`; DeviceError also where the driver fails.
     """
     info = find_device(wanted)
     if info is None:

@@ -12,7 +12,7 @@ from depthcli.device import Device, DeviceInfo, Kernels, first_line
 from depthcli.device.dialect import CUDA
 
 OPTIONS = ("--std=c++14", "--fmad=false")
-"""Options of the compiler: no fused sums and products; its default rounds division and square root correctly."""
+"""Options of the compiler: no fused sums and products. Division and square root are rounded correctly by default."""
 
 
 @cache
@@ -36,12 +36,12 @@ def _found() -> tuple[list[DeviceInfo], str]:
 
 
 def list_devices() -> list[DeviceInfo]:
-    """Return all devices in the driver's order."""
+    """Return the NVIDIA devices, in the driver's order."""
     return _found()[0]
 
 
 def why_no_device() -> str:
-    """Return why :func:`list_devices` returns none, for the user; empty where it returns some."""
+    """Return the reason, for the user, why :func:`list_devices` returns none; "" where it returns some."""
     return _found()[1]
 
 
@@ -51,7 +51,7 @@ def open_device(info: DeviceInfo) -> Device:
 
 
 class CudaDevice(Device):
-    """One NVIDIA device."""
+    """One NVIDIA device through CuPy."""
 
     def __init__(self, info: DeviceInfo) -> None:
         import cupy

@@ -1,8 +1,16 @@
 """The C that kernels are written in: OpenCL C, with macros for what CUDA spells otherwise.
 
-A kernel is ``KERNEL void name(GLOBAL const uchar *RESTRICT in, ...)``; ``GLOBAL_ID``, ``LOCAL_ID``, ``GROUP_ID``,
-``LOCAL_SIZE`` of dimension 0, 1, 2 are ints; ``OWN_PIXEL``, ``OWN_CELL`` and ``OWN_INDEX`` declare what a thread
-computes, and end the threads beyond; ``LOCAL`` memory is shared by a group, ``BARRIER()`` waits for it.
+A kernel is ``KERNEL void name(GLOBAL const uchar *RESTRICT in, ...)``. In its body:
+
+| macro | what it stands for |
+|---|---|
+| ``GLOBAL_ID(n)``, ``LOCAL_ID(n)``, ``GROUP_ID(n)``, ``LOCAL_SIZE(n)`` | ints, of dimension n = 0, 1 or 2 |
+| ``OWN_PIXEL`` | declares x and y of the thread; ends threads outside ``width`` x ``height`` |
+| ``OWN_CELL`` | the same with d, x and y; ends threads outside ``n_disparities`` as well |
+| ``OWN_INDEX(i, count)`` | declares i of the thread; ends threads from ``count`` on |
+| ``LOCAL`` | memory that the threads of a group share |
+| ``BARRIER()`` | waits until all threads of the group are here |
+
 Sums and products are never fused, so that results are those of the processor's kernels.
 """
 
@@ -84,8 +92,8 @@ class Kernels:
 
     Parameters
     ----------
-    package : of the files
-    files : names, in the order in which they are joined
+    package : the package that holds the files
+    files : their names, in the order in which they are joined
     macros : name -> value, defined before the text
     """
 
@@ -96,7 +104,7 @@ class Kernels:
         self._variants: dict[tuple[tuple[str, str | int], ...], Kernels] = {}
 
     def with_macros(self, **macros: str | int) -> Kernels:
-        """Return the same files with further macros, always the same object for the same macros."""
+        """Return the same files with further macros; equal macros give the same object, which is compiled once."""
         key = tuple(sorted(macros.items()))
         if key not in self._variants:
             self._variants[key] = Kernels(self._package, *self._files, **{**self._macros, **macros})

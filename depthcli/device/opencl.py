@@ -53,12 +53,12 @@ def _compiles_nothing(version: str) -> bool:
 
 
 def list_devices() -> list[DeviceInfo]:
-    """Return the devices of all OpenCL drivers, in their order."""
+    """Return the devices of all OpenCL drivers, in the drivers' order."""
     return [info for info, _ in _handles()[0]]
 
 
 def why_no_device() -> str:
-    """Return why :func:`list_devices` returns none, for the user; empty where it returns some."""
+    """Return the reason, for the user, why :func:`list_devices` returns none; "" where it returns some."""
     return _handles()[1]
 
 
@@ -134,7 +134,7 @@ class OpenClDevice(Device):
 
     @property
     def has_double(self) -> bool:
-        """Return whether kernels may use double precision: an extension of the driver."""
+        """Return whether kernels may use double precision, which is an optional extension of OpenCL 1.2."""
         return "cl_khr_fp64" in self._handle.extensions
 
 

@@ -1,4 +1,4 @@
-"""What configs of commands that match pairs hold, and the root of the ``stereo`` command's."""
+"""The config of the ``stereo`` command, and the fields that the configs of all commands that match pairs share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _End = Annotated[int, Field(ge=-_MAX_DISPARITY, le=_MAX_DISPARITY)] | Literal["a
 
 
 class Calibration(BaseModel):
-    """A calibration of two cameras, and how their images are rectified by it; a file's name alone is enough."""
+    """A calibration of two cameras and how images are rectified by it; a file name may stand for the whole section."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -26,12 +26,19 @@ class Calibration(BaseModel):
         max_length=2,
         description="OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr camchain or KITTI calib_cam_to_cam",
     )
-    unit: Literal["m", "cm", "mm"] = Field(default="m", description="unit of OpenCV's translation")
-    fisheye: bool = Field(default=False, description="the lenses of OpenCV's file are fisheye")
-    cameras: tuple[Annotated[int, Field(ge=0, le=9)], Annotated[int, Field(ge=0, le=9)]] = Field(
-        default=(2, 3), description="numbers of the left and right camera in KITTI's file"
+    unit: Literal["m", "cm", "mm"] = Field(
+        default="m", description="unit of the translation in an OpenCV calibration file"
     )
-    alpha: float = Field(default=0.0, ge=0, le=1, description="0: only what both images hold; 1: all either holds")
+    fisheye: bool = Field(default=False, description="whether an OpenCV calibration file describes fisheye lenses")
+    cameras: tuple[Annotated[int, Field(ge=0, le=9)], Annotated[int, Field(ge=0, le=9)]] = Field(
+        default=(2, 3), description="numbers of the left and right camera in a KITTI calibration file"
+    )
+    alpha: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="extent of rectified images, from 0: only what both hold, to 1: all that either holds",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -45,25 +52,25 @@ class PairConfig(BaseModel):
     """What the configs of all commands that match pairs have in common."""
 
     max_disparity: _End = Field(
-        None, description="largest disparity searched, pixels; auto: by matched key points; null: what the scene says"
+        None, description="largest disparity searched, pixels; auto: from matched key points; null: the scene's"
     )
     min_disparity: _End = Field(
         None,
-        description="smallest disparity searched, pixels; auto: by matched key points; null: the scene's, else 0",
+        description="smallest disparity searched, pixels; auto: from matched key points; null: the scene's, else 0",
     )
     calibration: Calibration | None = Field(
-        None, description="calibration file of cameras whose pairs are not rectified yet; null: they are"
+        None, description="calibration by which pairs are rectified first; null: they are rectified already"
     )
     tiles: TileMode = Field(
         "auto",
-        description="match in tiles, coarse to fine where the method is not local; auto: where the whole pair would "
-        "need more than tile_memory",
+        description="whether pairs are matched in tiles, coarse to fine where costs are not local; auto: where the "
+        "whole pair would need more than tile_memory",
     )
     tile_memory: int = Field(
         3072,
         ge=300,
         le=1 << 20,
-        description="memory that a pair matched in tiles may take; less where less is free, MiB",
+        description="memory that a pair matched in tiles may take, MiB; less where less is free",
     )
 
     @model_validator(mode="after")
@@ -79,9 +86,11 @@ class PairConfig(BaseModel):
 
 
 class StereoConfig(PairConfig, RootConfig):
-    """A pipeline and its parameters, side by side."""
+    """The config of ``stereo``: a pipeline, whose parameters stand beside its name, and where it runs."""
 
     flattened: ClassVar[str] = "pipeline"
 
     pipeline: Pipeline = Field(description="the data flow from image pair to map")
-    device: str = Field("cpu", description="where to match: cpu, auto, opencl, cuda, opencl:N or cuda:N")
+    device: str = Field(
+        "cpu", description="where pairs are matched: cpu, auto (GPU if any), opencl, cuda, opencl:N or cuda:N"
+    )

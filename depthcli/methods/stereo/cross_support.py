@@ -1,6 +1,6 @@
-"""Cross-shaped supports: four arms a pixel that end where the color changes.
+"""Cross-shaped supports: four arms per pixel that end where the color changes.
 
-Zhang, Lu & Lafruit 2009 (eq. 3.8-3.9 of the thesis) with the two-threshold rule of Mei et al. 2011.
+Zhang, Lu & Lafruit 2009 (thesis, eq. 3.8-3.9) with the two-threshold rule of Mei et al. 2011.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def match_rectified(
     max_scale_ratio: float = 1.1,
     min_disparity: float = 0.0,
 ) -> Matches:
-    """Match mutual nearest neighbors in descriptor space along epipolar lines (eq. 2.1) that pass the ratio test.
+    """Match mutual nearest neighbors in descriptor space along epipolar lines (thesis, eq. 2.1), by ratio test.
 
     Candidates lie less than ``max_row_difference`` rows apart, have a disparity in [``min_disparity``,
     ``max_disparity``] and the same sign of the Laplacian, and about the same scale: in a rectified pair a patch
@@ -56,8 +56,8 @@ def match_rectified(
     Parameters
     ----------
     left, right : key points of the two images, of one detector
-    max_disparity, min_disparity : pixels
-    max_row_difference : pixels
+    max_disparity, min_disparity : limits of ``x_left - x_right``, pixels
+    max_row_difference : limit of the difference of rows, pixels
     ratio : a match must be nearer than this times the second candidate, from both sides; 1 = no test
     max_distance : farther descriptors never match; two unit vectors are at most 2 apart
     max_scale_ratio : the larger scale of a match over the smaller, at most
@@ -156,7 +156,7 @@ def consistent(matches: Matches, neighbors: int = 8, agreeing: int = 2, toleranc
     ----------
     neighbors : number of the nearest matches that are compared
     agreeing : number of them that must have a disparity within ``tolerance``
-    tolerance : pixels
+    tolerance : largest difference of disparities that agree, pixels
     """
     kept = np.zeros(len(matches), bool)
     for k in range(len(matches)):

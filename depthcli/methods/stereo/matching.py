@@ -23,7 +23,7 @@ from depthcli.methods.stereo.tiling.plan import PROCESS_BYTES, Memory
 from depthcli.methods.stereo.volume import StereoResult
 
 TileMode = Literal["auto", "always", "never"]
-"""When a pair is matched in tiles; auto: where the whole pair would need more memory than tiles may take."""
+"""Whether a pair is matched in tiles; auto: where the whole pair would need more memory than tiles may take."""
 
 # Upper bound of the memory of this machine while a GPU does the work: the images, the maps and the library.
 _HOST_BYTES_PER_PIXEL, _HOST_BYTES = 200, 64 << 20
@@ -37,8 +37,8 @@ class Limits:
     ----------
     memory : bytes that the process may take
     tiles : when the pair is matched in tiles
-    tile_memory : bytes that the process may take where it is matched in tiles; by this rather than by what is free
-        the tiles are chosen, so that the map does not depend on the number of workers
+    tile_memory : bytes that the process may take where the pair is matched in tiles. Tiles are chosen by this, not by
+        the memory that is free, so that the map does not depend on the number of workers
     device : where to match, if the matcher can; None: on the processor
     """
 

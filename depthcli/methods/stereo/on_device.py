@@ -22,7 +22,7 @@ from depthcli.device import Device, DeviceArray, Kernels
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, RefinementContext, as_fixed_point
 
 PIXELS = (32, 8)
-"""Group of kernels that give every pixel a thread."""
+"""Threads of a group, along x and y, of kernels with one thread per pixel."""
 
 _CONVERSIONS = Kernels("depthcli.methods.stereo", "conversions.cl")
 
@@ -33,7 +33,7 @@ class DevicePair:
 
     Attributes
     ----------
-    host : the pair
+    host : the pair in the memory of the host
     """
 
     device: Device
@@ -130,7 +130,7 @@ class DeviceMap:
         return DisparityMap(self.device.download(self.values), self.device.download(self.status))
 
     def refined(self, kernels: Kernels, name: str, inputs: Sequence[DeviceArray] = (), *parameters: Any) -> DeviceMap:
-        """Return a new map by a kernel that gives every pixel a thread.
+        """Return the map that a kernel with one thread per pixel computes from this one.
 
         Its arguments are the values and status of the map, ``inputs``, the new values and status, H, W, ``parameters``.
         """
@@ -173,7 +173,7 @@ def c_type(dtype: Any) -> str:
 
 
 def cells(volume: DeviceArray) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
-    """Return threads for every cell of (H, W, D), d fastest, and a group that fits D."""
+    """Return size and group of a launch with one thread per cell of an (H, W, D) array, d fastest."""
     height, width, n_disparities = volume.shape
     lanes = 16
     while lanes < min(n_disparities, 64):

@@ -21,7 +21,7 @@ _MIN_MATCHES = 20  # for six unknowns
 _MAX_ROW_ERROR = 1.0  # median, pixels, that a pair rectified without calibration may keep: what matching tolerates
 _MAX_STEPS = 60  # of Levenberg-Marquardt; an upper bound, it ends when steps are small
 _FIRST_FOCALS = (1.0, 1.5, 0.7, 2.5)  # starts of the search, in lengths of the longer side: wide to long lenses
-_REGULARIZATION = 0.1  # pixels a radian, and a unit of log f: keeps at zero what the matches do not determine
+_REGULARIZATION = 0.1  # pixels per radian, and per unit of log f: keeps at zero what the matches do not determine
 _MIN_DISPARITY_SHARE = 0.02  # smallest disparity of the matches afterwards, share of the width
 
 

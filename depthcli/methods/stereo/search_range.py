@@ -92,7 +92,7 @@ class SearchRange:
         return np.pad(values, ((0, 0), (self.min_disparity, 0), *(((0, 0),) * (values.ndim - 2))), mode="edge")
 
     def share_at_ends(self, disparity: DisparityMap) -> tuple[float, float]:
-        """Return the shares of the measured pixels within a pixel of the range's lower and upper end."""
+        """Return the shares of measured pixels whose disparity is within 1 of the range's lower and upper end."""
         measured = disparity.values[disparity.measured]
         if measured.size == 0:
             return 0.0, 0.0
@@ -127,7 +127,7 @@ def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:
 
 
 def suggested_range(pair: StereoPair) -> SearchRange:
-    """Return the range of key points, widened to disparity 0 and 1; InputError where too few match."""
+    """Return the range of key points, widened to include disparities 0 and 1; InputError where too few match."""
     found, _ = range_of_key_points(pair)
     return SearchRange(min(found.min_disparity, 0), max(found.max_disparity, 1))
 
@@ -140,7 +140,7 @@ def complete_range(
     Returns
     -------
     search : the range
-    columns : what key points say, for the report, where an end is "auto"
+    columns : columns of the report where an end is "auto": number of matches and the range of the key points; else {}
 
     Raises
     ------

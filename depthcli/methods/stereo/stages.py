@@ -54,18 +54,19 @@ class Matcher(ABC):
 
 
 class CostStages(BaseModel):
-    """Any cost measure, any aggregation, any optimization, any list of refinements."""
+    """The stages of a method that computes costs: cost measure, aggregation, optimization, refinement, confidence."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     cost: Cost = Field(description="matching cost of two pixels")
-    aggregation: Aggregation | None = Field(None, description="averaging over a support window; null: none")
+    aggregation: Aggregation | None = Field(None, description="averaging of costs over a support window; null: none")
     optimization: Optimization = Field(
-        default_factory=WinnerTakesAll, description="smoothness over the image, or winner_takes_all"
+        default_factory=WinnerTakesAll,
+        description="how costs are made to include smoothness; winner_takes_all: not at all",
     )
-    refinement: tuple[RefinementStep, ...] = Field((), description="steps on the disparity map, in order")
+    refinement: tuple[RefinementStep, ...] = Field((), description="refinement steps on the disparity map, in order")
     confidence: tuple[MeasureName, ...] = Field(
-        (), description="confidence maps to write, measured on the final volume"
+        (), description="confidence measures whose maps are written, measured on the optimized costs"
     )
 
     def volume(self, pair: StereoPair, max_disparity: int, clock: Clock) -> CostVolume:
@@ -80,12 +81,12 @@ class CostStages(BaseModel):
     def volume_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Return the bytes of all volumes that exist at a time.
 
-        By stage: two raw volumes; raw, aggregated and sums of arms; optimized beside aggregated or raw.
+        The largest of: two raw volumes; raw, aggregated and sums of arms; optimized beside aggregated or raw.
         """
         aggregated = self.aggregation is not None
         optimized = not isinstance(self.optimization, WinnerTakesAll)
-        bytes_a_cell = max(2, 7 if aggregated else 0, (6 if aggregated else 5) if optimized else 0)
-        return shape[0] * shape[1] * (max_disparity + 1) * bytes_a_cell
+        bytes_per_cell = max(2, 7 if aggregated else 0, (6 if aggregated else 5) if optimized else 0)
+        return shape[0] * shape[1] * (max_disparity + 1) * bytes_per_cell
 
     def halo(self) -> int | None:
         """Return how many pixels around a pixel its optimized costs depend on; None: on the whole image."""
@@ -107,7 +108,7 @@ def finish(
 
     Parameters
     ----------
-    confidence : measures of the optimized costs
+    confidence : names of measures, applied to the optimized costs
     clock : books the stages
 
     Returns

@@ -48,7 +48,7 @@ class CostVolume:
 
 @dataclass(frozen=True)
 class CostMinima:
-    """What is left of a cost volume that was never whole: of pixels matched in parts.
+    """What is kept of the costs of a pair matched in tiles, whose volume was never whole.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class RefinementContext:
     Attributes
     ----------
     pair : the images
-    volume : the volume whose cheapest cells the map holds; steps that do without costs may also get what is left of it
+    volume : the volume whose cheapest cells the map holds; for steps without ``needs_costs``, maybe only its minima
     right : (H, W) disparities of the right view, read from the same volume along its diagonals
     """
 

@@ -31,8 +31,8 @@ Adjust = Annotated[
     tuple[Literal["rows", "light"], ...],
     Field(
         max_length=2,
-        description="what of the right image is adjusted to the left one first: rows (imperfect rectification), light "
-        "(exposure, lamps)",
+        description="what of the right image is adjusted to the left one before matching: rows (imperfect "
+        "rectification), light (exposure, lamps)",
     ),
 ]
 
@@ -61,7 +61,7 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
     Parameters
     ----------
     max_disparity : largest disparity that is searched, pixels
-    what : which of the two; with neither, ``pair`` itself is returned
+    what : ``rows``, ``light`` or both; with neither, ``pair`` itself is returned
     clock : receives the seconds as the stage "adjustment"
     """
     if not what:

@@ -14,12 +14,12 @@ from depthcli.methods.stereo.adjustment.resampling import CELL
 
 _LOCAL_SIGMA, _WIDE_SIGMA = 12.0, 30.0  # of the Gaussian means of cells, pixels of the reduced size
 _OFFSET = np.float32(8.0)  # grey levels added on both sides of a ratio: noise dominates the ratio of darker pixels
-_PRIOR_WEIGHT = 0.5  # of the mean that is one step wider, in matches a pixel
-_MIN_WIDE_DENSITY, _MIN_LOCAL_DENSITY = np.float32(1e-3), np.float32(0.05)  # matches a pixel: keep the priors > 0
+_PRIOR_WEIGHT = 0.5  # of the mean that is one step wider, in matches per pixel
+_MIN_WIDE_DENSITY, _MIN_LOCAL_DENSITY = np.float32(1e-3), np.float32(0.05)  # matches per pixel: keep the priors > 0
 _MAX_RATIOS = (1.6, 1.2)  # between grey levels of a match, once by the global and once by the local gain
 _GAIN_BOUNDS = (0.1, 10.0)
 _MAX_MEDIAN_SAMPLES = 4096  # more do not change the median
-_TRUST_PRIOR = np.float32(0.2)  # weight of the wider mean of differences, in matches a pixel
+_TRUST_PRIOR = np.float32(0.2)  # weight of the wider mean of differences, in matches per pixel
 _HALF_TRUST = np.float32(6.0)  # grey levels: difference of right matches at which the trust is one half
 
 
@@ -55,13 +55,14 @@ def estimate_gains(disparity: NDArray[np.float32], left: Image, right: Image) ->
 def light_trust(
     disparity: NDArray[np.float32], left: Image, right: Image, factor: int, shape: tuple[int, int]
 ) -> NDArray[np.uint8]:
-    """Return how far the grey levels of corrected matches agree, 255 for "entirely"; of the full size, ``shape``.
+    """Return how far the grey levels of corrected matches agree: (H, W) of the full ``shape``, 255 for "entirely".
 
     Parameters
     ----------
     disparity : (H, W) float32, NaN without a match
     left, right : (H, W, 3) uint8, the right one corrected
-    factor : of the full to this size
+    factor : ratio of the full size to that of ``disparity``
+    shape : (H, W) of the full size
     """
     sums = np.zeros((2, *(-(-side // CELL) for side in disparity.shape)), np.float32)
     sum_differences(disparity, left, right, sums)

@@ -1,4 +1,4 @@
-"""Aggregation: a cost volume in, its means over support windows out. One file a method."""
+"""Aggregation: a cost volume in, its means over support windows out. One file per method."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Adaptive support weights: means over a window, weighted by color similarity and distance.
 
-Yoon & Kweon, "Adaptive support-weight approach for correspondence search", PAMI 2006; thesis eq. 3.10-3.11.
+Yoon & Kweon, "Adaptive support-weight approach for correspondence search", PAMI 2006 (thesis, eq. 3.10-3.11).
 """
 
 from __future__ import annotations
@@ -37,12 +37,14 @@ class AdaptiveWeight(Aggregator):
     aliases = ("AW", "ASW")
 
     window: Odd = Field(33, ge=1, le=99, description="side of the square window, pixels, odd")
-    gamma_color: float = Field(10.0, gt=0, le=1e4, description="color difference that costs a factor e of weight")
-    gamma_space: float = Field(36.0, gt=0, le=1e4, description="distance that costs a factor e of weight, pixels")
+    gamma_color: float = Field(10.0, gt=0, le=1e4, description="color difference that divides a weight by e")
+    gamma_space: float = Field(36.0, gt=0, le=1e4, description="distance that divides a weight by e, pixels")
     # With AD costs CIELab has 4.8 % bad pixels on the four scenes of 2001-2003, RGB at its best gamma_color (30) 5.0 %;
     # with AD+census both have 3.0 %.
     color_space: Literal["lab", "rgb"] = Field("lab", description="where colors are compared: CIELab or RGB 0..255")
-    norm: Literal["l2", "squared"] = Field("l2", description="distances as they are, or squared as the thesis prints")
+    norm: Literal["l2", "squared"] = Field(
+        "l2", description="l2: weights use distances as they are; squared: their squares (thesis, eq. 3.10-3.11)"
+    )
 
     def halo(self) -> int | None:
         return self.window // 2

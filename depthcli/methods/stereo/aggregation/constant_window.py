@@ -20,7 +20,7 @@ class ConstantWindow(Aggregator):
 
     aliases = ("CW",)
 
-    window: Odd = Field(11, ge=1, le=1023, description="side of the window, odd, pixels")
+    window: Odd = Field(11, ge=1, le=1023, description="side of the averaging window, odd, pixels")
 
     def halo(self) -> int | None:
         return self.window // 2
@@ -68,7 +68,7 @@ def _row_means(columns: Any, window: Any, means: Any, radius: int, rows: int, fa
 
 @parallel_jit
 def _box_means(costs: Any, means: Any, radius: int, factor: Any, bands: int) -> None:
-    # One band of rows a task: a running sum of rows (columns), then along x a running sum of columns.
+    # One band of rows per task: a running sum of rows (columns), then along x a running sum of columns.
     # Every band begins with new column sums, so the result does not depend on the number of bands.
     height, width, n_disparities = costs.shape
     for band in prange(bands):

@@ -1,4 +1,4 @@
-"""Cross-based aggregation with orthogonal integral images (eq. 3.8-3.9; Zhang et al. 2009; Mei et al. 2011)."""
+"""Cross-based aggregation with orthogonal integral images (thesis, eq. 3.8-3.9; Zhang et al. 2009; Mei et al. 2011)."""
 
 from __future__ import annotations
 
@@ -29,13 +29,17 @@ class Cross(Aggregator):
 
     aliases = ("CBCA",)
 
-    length: int = Field(34, ge=1, le=255, description="longest arm L1, pixels")
-    threshold: int = Field(20, ge=0, le=255, description="color difference tau1 that ends an arm, grey levels")
-    inner_length: int = Field(17, ge=0, le=255, description="arm length L2 from which inner_threshold holds, pixels")
-    inner_threshold: int = Field(6, ge=0, le=255, description="stricter color difference tau2, grey levels")
-    iterations: int = Field(4, ge=1, le=16, description="number of aggregations, each of the means of the one before")
+    length: int = Field(34, ge=1, le=255, description="longest arm of a support (L1), pixels")
+    threshold: int = Field(20, ge=0, le=255, description="largest color difference within an arm (tau1), grey levels")
+    inner_length: int = Field(
+        17, ge=0, le=255, description="arm length beyond which inner_threshold holds (L2), pixels"
+    )
+    inner_threshold: int = Field(
+        6, ge=0, le=255, description="largest color difference beyond inner_length (tau2), grey levels"
+    )
+    iterations: int = Field(4, ge=1, le=16, description="number of aggregations, each of the previous one's means")
     support: Literal["reference", "intersection"] = Field(
-        "reference", description="arms of the left view alone, or cut to those of the matched pixel as well"
+        "reference", description="reference: arms of the left view; intersection: cut to those of the matched pixel"
     )
     smoothing: bool = Field(True, description="median-filter the image (3 x 3) before arms are grown")
 

@@ -1,4 +1,4 @@
-"""Cost measures: an image pair in, the dissimilarity of all pairs of pixels out. One file a measure."""
+"""Cost measures: an image pair in, the dissimilarity of all pairs of pixels out. One file per measure."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def light_weights(measures: Sequence[CostMeasure | None], pair: StereoPair) -> N
 Cost = Annotated[CostMeasure, *method_of("depthcli.methods.stereo.cost")]
 Sampling = Annotated[
     Literal["exact", "tolerant"],
-    Field(description="tolerant: insensitive to the sampling between pixels (Birchfield and Tomasi)"),
+    Field(description="comparison of values; tolerant: insensitive to sampling (Birchfield and Tomasi)"),
 ]
 """How the values of matching pixels are compared."""
 
@@ -70,4 +70,4 @@ def _check_outside(cost: CostMeasure) -> CostMeasure:
 
 
 PartCost = Annotated[Cost, AfterValidator(_check_outside)]
-"""A measure in a combination, which itself fills the cells outside the right image."""
+"""A measure in a combination: the combination, not the measure, fills the cells outside the right image."""

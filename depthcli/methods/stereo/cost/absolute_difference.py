@@ -1,4 +1,4 @@
-"""Truncated absolute difference of colors (eq. 3.1)."""
+"""Truncated absolute difference of colors (thesis, eq. 3.1)."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 class AbsoluteDifference(CostMeasure):
     """Mean over the channels of ``|I(y, x) - I'(y, x - d)|``, truncated.
 
-    The thesis sums over the channels; the mean has the unit of Mei et al.'s lambda, grey levels. Three channels are
-    stored as their exact sum (scale 3).
+    The sum over the channels (thesis, eq. 3.1) is divided by their number: the mean has the unit of Mei et al.'s
+    lambda, grey levels. Three channels are stored as their exact sum (scale 3).
     """
 
     aliases = ("AD", "SAD")
 
-    truncation: float = Field(60.0, gt=0, le=255, description="largest cost, grey levels")
+    truncation: float = Field(60.0, gt=0, le=255, description="largest absolute difference, grey levels")
     sampling: Sampling = "exact"
     outside: float = Field(20.0, ge=0, le=255, description="cost of a match outside the right image, grey levels")
 

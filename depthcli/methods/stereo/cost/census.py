@@ -1,4 +1,4 @@
-"""Census transform and Hamming distance (eq. 3.5)."""
+"""Census transform and Hamming distance (thesis, eq. 3.5)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 class Census(CostMeasure):
     """Hamming distance of census bit strings, whose bit k is set where neighbor k is brighter than the center."""
 
-    window: tuple[Side, Side] = Field((9, 7), description="window width and height, odd, at most 64 neighbors, pixels")
+    window: tuple[Side, Side] = Field(
+        (9, 7), description="window width and height, pixels; both odd, at most 64 neighbors"
+    )
     outside: float = Field(16.0, ge=0, le=64, description="cost of a match outside the right image, bits")
 
     @field_validator("window")

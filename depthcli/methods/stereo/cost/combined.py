@@ -1,4 +1,4 @@
-"""Combination of measures by a sum of exponentials (eq. 3.6; Mei et al. 2011)."""
+"""Combination of measures by a sum of exponentials (thesis, eq. 3.6; Mei et al. 2011)."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ class Part(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
 
-    cost: PartCost = Field(description="the measure")
-    lambda_: float = Field(alias="lambda", gt=0, le=1e6, description="cost at which the part is 1 - 1/e")
+    cost: PartCost = Field(description="cost measure of this part")
+    lambda_: float = Field(
+        alias="lambda", gt=0, le=1e6, description="cost at which the part's term in the sum is 1 - 1/e"
+    )
 
 
 class Combined(CostMeasure):
@@ -31,8 +33,12 @@ class Combined(CostMeasure):
     Where the pair's ``light_trust`` is low, parts that compare grey levels count less, the others more.
     """
 
-    parts: tuple[Part, ...] = Field(min_length=1, max_length=16, description="measures and their lambdas")
-    outside: float = Field(1.0, ge=0, le=16, description="cost of a match outside the right image, units of one part")
+    parts: tuple[Part, ...] = Field(
+        min_length=1, max_length=16, description="cost measures to combine, each with its lambda"
+    )
+    outside: float = Field(
+        1.0, ge=0, le=16, description="cost of a match outside the right image; a part costs less than 1"
+    )
 
     def halo(self) -> int | None:
         halos = [part.cost.halo() for part in self.parts]

@@ -1,4 +1,4 @@
-"""Difference of image gradients (eq. 3.2)."""
+"""Difference of image gradients (thesis, eq. 3.2)."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 class Gradient(CostMeasure):
     """``|dI/dx - dI'/dx| + |dI/dy - dI'/dy|`` of the grey images, truncated; invariant to added constants.
 
-    Derivatives are those of a Gaussian, 5 x 5, normalized so that a ramp of 1 grey level a pixel has the derivative 1.
+    Derivatives are those of a Gaussian, 5 x 5, normalized so that a ramp of 1 grey level per pixel has derivative 1.
     """
 
     aliases = ("GRAD",)
 
     sigma: float = Field(1.0, ge=0.3, le=2, description="standard deviation of the derivative filter, pixels")
-    truncation: float = Field(40.0, gt=0, le=63, description="largest cost, grey levels a pixel")
+    truncation: float = Field(40.0, gt=0, le=63, description="largest gradient cost, grey levels per pixel")
     sampling: Sampling = "exact"
-    outside: float = Field(4.0, ge=0, le=63, description="cost of a match outside the right image, grey levels a pixel")
+    outside: float = Field(
+        4.0, ge=0, le=63, description="cost of a match outside the right image, grey levels per pixel"
+    )
 
     SCALE: ClassVar[int] = 4
     compares_levels = True
@@ -58,7 +60,7 @@ def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
 
     Returns
     -------
-    (2, H, W) int16, in sixteenths of a grey level (of 255) a pixel
+    (2, H, W) int16, in sixteenths of a grey level (of 255) per pixel
     """
     smooth, slope = derivative_filters(sigma)
     grey = image.astype(np.float32) * np.float32(16 if image.dtype == np.uint8 else 16 / 257)
@@ -69,7 +71,7 @@ def image_gradient(image: Image, sigma: float) -> NDArray[np.int16]:
 
 
 def derivative_filters(sigma: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the five taps of a Gaussian and of its derivative, whose response to a ramp of 1 a pixel is 1."""
+    """Return the five taps of a Gaussian and of its derivative, whose response to a ramp of 1 per pixel is 1."""
     offsets = np.arange(-2, 3)
     smooth = np.exp(-(offsets**2) / (2 * sigma**2))
     smooth = smooth / smooth.sum()

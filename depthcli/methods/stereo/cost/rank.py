@@ -1,4 +1,4 @@
-"""Difference of rank transforms (eq. 3.3-3.4; Zabih & Woodfill, ECCV 1994)."""
+"""Difference of rank transforms (thesis, eq. 3.3-3.4; Zabih & Woodfill, ECCV 1994)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from depthcli.methods.stereo.volume import CostVolume, fill_outside
 class Rank(CostMeasure):
     """``|RT(y, x) - RT'(y, x - d)|``, where RT is the number of pixels of a window darker than its center."""
 
-    window: tuple[Side, Side] = Field((9, 9), description="window width and height, odd, at most 255 pixels, pixels")
+    window: tuple[Side, Side] = Field((9, 9), description="window width and height, pixels; both odd, area at most 255")
     outside: float = Field(16.0, ge=0, le=255, description="cost of a match outside the right image, ranks")
 
     @field_validator("window")

@@ -24,8 +24,10 @@ class Zncc(CostMeasure):
     Because of the noise n, windows without texture do not correlate by chance.
     """
 
-    window: tuple[Side, Side] = Field((9, 9), description="window width and height, odd, at most 1023 pixels, pixels")
-    noise: float = Field(2.0, gt=0, le=255, description="standard deviation of the noise, grey levels")
+    window: tuple[Side, Side] = Field(
+        (9, 9), description="window width and height, pixels; both odd, area at most 1023"
+    )
+    noise: float = Field(2.0, gt=0, le=255, description="standard deviation of the image noise, grey levels")
     outside: float = Field(0.8, ge=0, le=1, description="cost of a match outside the right image")
 
     SCALE: ClassVar[int] = 250

@@ -28,10 +28,10 @@ class Scanline(Optimizer):
     aliases = ("SGM", "SO")
 
     p1: float = Field(0.5, gt=0, le=1e6, description="penalty of a disparity change by 1, in units of the cost")
-    p2: float = Field(2.0, gt=0, le=1e6, description="penalty of a larger change, in units of the cost")
-    paths: Literal[4, 8] = Field(8, description="number of path directions")
+    p2: float = Field(2.0, gt=0, le=1e6, description="penalty of a disparity change above 1, in units of the cost")
+    paths: Literal[4, 8] = Field(8, description="number of directions of scanline paths")
     edge_threshold: int = Field(10, ge=0, le=255, description="color difference that counts as an edge, grey levels")
-    edge_divisor: float = Field(4.0, ge=1, le=1e4, description="penalties are divided by this across an edge")
+    edge_divisor: float = Field(4.0, ge=1, le=1e4, description="p1 and p2 are divided by this across a color edge")
 
     def __call__(self, volume: CostVolume, pair: StereoPair) -> CostVolume:
         if volume.costs.dtype == np.float32:

@@ -2,8 +2,8 @@
 
 | pipeline | from image pair to map |
 |---|---|
-| ``local`` | costs -> aggregation -> optimization -> cheapest disparities -> refinement (thesis chapter 3) |
-| ``segments`` | costs -> a plane for every segment of the left image, by graph cuts (thesis chapter 2) |
+| ``local`` | costs -> aggregation -> optimization -> cheapest disparities -> refinement (thesis, chapter 3) |
+| ``segments`` | costs -> a plane for every segment of the left image, by graph cuts (thesis, chapter 2) |
 | ``opencv_bm``, ``opencv_sgbm`` | OpenCV's block matching and semi-global matching, to compare with |
 """
 

@@ -23,8 +23,10 @@ class Wls(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    lambda_: float = Field(8000.0, alias="lambda", gt=0, le=1e9, description="strength of the smoothing")
-    sigma_color: float = Field(1.5, gt=0, le=1e4, description="color sensitivity; smaller keeps more edges")
+    lambda_: float = Field(
+        8000.0, alias="lambda", gt=0, le=1e9, description="strength of the weighted-least-squares smoothing"
+    )
+    sigma_color: float = Field(1.5, gt=0, le=1e4, description="color scale of the smoothing; smaller keeps more edges")
 
 
 def opencv_disparities(max_disparity: int) -> int:

@@ -1,4 +1,4 @@
-"""The local pipeline (thesis chapter 3): costs, aggregation, optimization, winner-takes-all, refinement."""
+"""The local pipeline (thesis, chapter 3): costs, aggregation, optimization, winner-takes-all, refinement."""
 
 from __future__ import annotations
 
@@ -31,5 +31,5 @@ class Local(CostStages, CostPipeline):
         return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + 100)
 
     def cost_stages(self) -> CostStages | None:
-        """Return the pipeline itself, but where a refinement step looks at costs: it needs the whole volume."""
+        """Return the pipeline itself; None where a refinement step looks at costs, which needs the whole volume."""
         return None if any(step.needs_costs for step in self.refinement) else self

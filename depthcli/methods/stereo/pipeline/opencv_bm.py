@@ -1,4 +1,4 @@
-"""OpenCV's block matching, as a peer to compare with."""
+"""OpenCV's block matching, to compare with."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class OpencvBm(StereoPipeline):
 
     block: Odd = Field(15, ge=5, le=255, description="side of the matched block, pixels, odd")
     pre_filter_cap: int = Field(31, ge=1, le=63, description="truncation of the pre-filtered gradients, grey levels")
-    texture: int = Field(10, ge=0, le=10**6, description="blocks with less summed gradient are rejected")
-    uniqueness: int = Field(10, ge=0, le=100, description="margin of the best cost over the second best, %")
+    texture: int = Field(10, ge=0, le=10**6, description="smallest sum of gradients of a block, else it is rejected")
+    uniqueness: int = Field(10, ge=0, le=100, description="margin that the best cost needs over the second best, %")
     left_right: int = Field(1, ge=-1, le=16384, description="largest left-right difference, pixels; -1: no check")
-    speckle_size: int = Field(100, ge=0, le=10**8, description="regions of fewer pixels are rejected; 0: none")
-    speckle_range: int = Field(2, ge=0, le=16384, description="largest step inside a region, pixels")
-    wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; none: off")
-    fill: bool = Field(True, description="fill what has no value with the background of its row")
+    speckle_size: int = Field(100, ge=0, le=10**8, description="speckles of fewer pixels are rejected; 0: none")
+    speckle_range: int = Field(2, ge=0, le=16384, description="largest disparity step inside a speckle, pixels")
+    wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; null: off")
+    fill: bool = Field(True, description="fill pixels without a value with the background of their row")
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         matcher = cv2.StereoBM.create(opencv_disparities(max_disparity), self.block)

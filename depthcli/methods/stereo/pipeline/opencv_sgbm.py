@@ -1,4 +1,4 @@
-"""OpenCV's semi-global matching, as a peer to compare with."""
+"""OpenCV's semi-global matching, to compare with."""
 
 from __future__ import annotations
 
@@ -30,19 +30,21 @@ class OpencvSgbm(StereoPipeline):
 
     aliases = ("SGBM",)
 
-    mode: Literal["sgbm", "hh", "hh4", "3way"] = Field("sgbm", description="paths: 5, 8, 4, or 3 per pixel")
+    mode: Literal["sgbm", "hh", "hh4", "3way"] = Field(
+        "sgbm", description="paths per pixel: sgbm 5, hh 8, hh4 4, 3way 3"
+    )
     block: Odd = Field(5, ge=1, le=11, description="side of the matched block, pixels, odd")
-    p1: int | None = Field(None, ge=0, le=32000, description="penalty of a step of 1; none: 8 x channels x block^2")
+    p1: int | None = Field(None, ge=0, le=32000, description="penalty of a step of 1; null: 8 x channels x block^2")
     p2: int | None = Field(
-        None, ge=1, le=32000, description="penalty of a larger step, above p1; none: 32 x channels x block^2"
+        None, ge=1, le=32000, description="penalty of a step above 1, above p1; null: 32 x channels x block^2"
     )
     pre_filter_cap: int = Field(0, ge=0, le=63, description="truncation of the pre-filtered gradients, grey levels")
-    uniqueness: int = Field(10, ge=0, le=100, description="margin of the best cost over the second best, %")
+    uniqueness: int = Field(10, ge=0, le=100, description="margin that the best cost needs over the second best, %")
     left_right: int = Field(1, ge=-1, le=16384, description="largest left-right difference, pixels; -1: no check")
-    speckle_size: int = Field(100, ge=0, le=10**8, description="regions of fewer pixels are rejected; 0: none")
-    speckle_range: int = Field(2, ge=0, le=16384, description="largest step inside a region, pixels")
-    wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; none: off")
-    fill: bool = Field(True, description="fill what has no value with the background of its row")
+    speckle_size: int = Field(100, ge=0, le=10**8, description="speckles of fewer pixels are rejected; 0: none")
+    speckle_range: int = Field(2, ge=0, le=16384, description="largest disparity step inside a speckle, pixels")
+    wls: Wls | None = Field(None, description="weighted-least-squares filter of cv2.ximgproc; null: off")
+    fill: bool = Field(True, description="fill pixels without a value with the background of their row")
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         """Match on 8 bits; color pairs are matched in color."""

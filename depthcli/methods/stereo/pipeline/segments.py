@@ -1,4 +1,4 @@
-"""Segment-based stereo with key points and graph cuts (thesis chapter 2)."""
+"""Segment-based stereo with key points and graph cuts (thesis, chapter 2)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from depthcli.methods.stereo.volume import StereoResult
 class Segments(SegmentSteps, CostPipeline):
     """Every segment of the left image is a plane; which plane is decided for all segments at once.
 
-    Beyond the thesis, and why: an optimizer between window and selection and disparities that are trusted more
-    often; segments that are not one plane are cut along a grid (curved things); planes are fitted again
-    to groups of segments that share one (``rounds``); what occluded pixels could not be hiding behind costs
-    (``visibility``). The defaults switch these off; the presets say what they use.
+    What it adds to the method (thesis, chapter 2), all off by default; the presets say what they use:
+
+    - ``optimization`` between window and selection, so that more disparities are trusted;
+    - ``split``: segments that are not planar (curved things) are cut along a grid;
+    - ``rounds``: planes are fitted again to groups of segments that share one;
+    - ``visibility``: a plane that puts occluded pixels in front of the right view's surface costs.
     """
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
@@ -29,7 +31,7 @@ class Segments(SegmentSteps, CostPipeline):
         return self.from_volume(pair, volume, max_disparity, clock)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Estimate: raw costs (1 byte a cell), the window's means and two sums of path costs (2 bytes each)."""
+        """Estimate: raw costs (1 byte per cell), the window's means and two sums of path costs (2 bytes each)."""
         pixels = shape[0] * shape[1]
         bytes_a_cell = 2 + (2 if self.window_radius else 0)
         bytes_a_cell += 0 if isinstance(self.optimization, WinnerTakesAll) else 4

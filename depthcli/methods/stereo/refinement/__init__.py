@@ -1,4 +1,4 @@
-"""Refinement: a disparity map in, a better one out. One file a step."""
+"""Refinement: a disparity map in, a better one out. One file per step."""
 
 from __future__ import annotations
 

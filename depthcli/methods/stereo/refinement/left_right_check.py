@@ -24,7 +24,9 @@ class LeftRightCheck(Refinement):
     needs_costs = False
     aliases = ("LRC",)
 
-    tolerance: float = Field(1.0, ge=0, le=16384, description="largest accepted difference of the views, pixels")
+    tolerance: float = Field(
+        1.0, ge=0, le=16384, description="largest accepted difference of the views' disparities, pixels"
+    )
 
     def halo(self) -> int | None:
         return 0

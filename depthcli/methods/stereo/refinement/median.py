@@ -18,7 +18,7 @@ class Median(Refinement):
 
     needs_costs = False
 
-    window: Literal[3, 5] = Field(3, description="side of the window, pixels")
+    window: Literal[3, 5] = Field(3, description="side of the median's window, pixels")
 
     def halo(self) -> int | None:
         return self.window // 2

@@ -21,12 +21,16 @@ class RegionVoting(Refinement):
     fills = True
 
     length: int = Field(34, ge=1, le=255, description="longest arm of the support, pixels")
-    threshold: int = Field(20, ge=0, le=255, description="color difference that ends an arm, grey levels")
-    inner_length: int = Field(17, ge=0, le=255, description="arm length from which inner_threshold holds, pixels")
-    inner_threshold: int = Field(6, ge=0, le=255, description="stricter color difference, grey levels")
-    votes: int = Field(20, ge=1, le=10**6, description="a support needs more pixels with values than this")
-    majority: float = Field(0.4, ge=0, le=1, description="the most frequent disparity needs a larger share than this")
-    iterations: int = Field(5, ge=1, le=32, description="number of rounds; each uses the values filled before")
+    threshold: int = Field(20, ge=0, le=255, description="largest color difference within an arm, grey levels")
+    inner_length: int = Field(17, ge=0, le=255, description="arm length beyond which inner_threshold holds, pixels")
+    inner_threshold: int = Field(
+        6, ge=0, le=255, description="largest color difference beyond inner_length, grey levels"
+    )
+    votes: int = Field(20, ge=1, le=10**6, description="a support votes if it has more pixels with values than this")
+    majority: float = Field(0.4, ge=0, le=1, description="share of votes that the chosen disparity has to exceed")
+    iterations: int = Field(
+        5, ge=1, le=32, description="number of rounds of voting; each uses the values filled before"
+    )
 
     def halo(self) -> int | None:
         return self.length * self.iterations

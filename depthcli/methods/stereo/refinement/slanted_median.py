@@ -29,11 +29,13 @@ class SlantedMedian(Refinement):
 
     needs_costs = False
 
-    radius: int = Field(6, ge=1, le=32, description="half side of the window, pixels")
-    color_scale: float = Field(8.0, gt=0, le=1e4, description="mean color difference of weight 1/e, grey levels")
-    distance_scale: float = Field(5.0, gt=0, le=1e4, description="distance of weight 1/e, pixels")
+    radius: int = Field(6, ge=1, le=32, description="half side of the median's window, pixels")
+    color_scale: float = Field(
+        8.0, gt=0, le=1e4, description="mean color difference at which a weight is 1/e, grey levels"
+    )
+    distance_scale: float = Field(5.0, gt=0, le=1e4, description="distance at which a weight is 1/e, pixels")
     slope_radius: int = Field(16, ge=4, le=96, description="half side of the window that slopes are fitted in, pixels")
-    passes: int = Field(1, ge=1, le=8, description="number of times the filter is applied")
+    passes: int = Field(1, ge=1, le=8, description="number of times the median is applied")
 
     def halo(self) -> int | None:
         return self.passes * self.radius + self.slope_radius

@@ -18,8 +18,8 @@ class SpeckleFilter(Refinement):
 
     needs_costs = False
 
-    size: int = Field(50, ge=1, le=10**8, description="regions of at most this many pixels are removed")
-    step: float = Field(1.0, ge=0, le=64, description="largest disparity step inside a region, pixels")
+    size: int = Field(50, ge=1, le=10**8, description="connected regions of at most this many pixels are removed")
+    step: float = Field(1.0, ge=0, le=64, description="largest disparity step within a connected region, pixels")
 
     def __call__(self, disparity: DisparityMap, context: RefinementContext) -> DisparityMap:
         valid = disparity.valid

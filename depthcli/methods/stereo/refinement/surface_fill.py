@@ -34,9 +34,13 @@ class SurfaceFill(Refinement):
     needs_costs = False
     fills = True
 
-    rows: int = Field(20, ge=0, le=64, description="rows above and below that the plane is fitted to")
-    reach: int = Field(20, ge=1, le=255, description="pixels of each row that the plane is fitted to")
-    support: int = Field(30, ge=3, le=32768, description="with fewer pixels than this the last value is held")
+    rows: int = Field(
+        20, ge=0, le=64, description="rows above and below a gap's row that the surface's plane is fitted to"
+    )
+    reach: int = Field(20, ge=1, le=255, description="pixels per row that the surface's plane is fitted to")
+    support: int = Field(
+        30, ge=3, le=32768, description="fewest pixels for a plane; with fewer the gap's end value is held"
+    )
 
     def halo(self) -> int | None:
         return self.rows

@@ -29,11 +29,13 @@ class WeightedMedian(Refinement):
     needs_costs = False
     aliases = ("WM",)
 
-    radius: int = Field(7, ge=1, le=32, description="half side of the window, pixels")
-    color_scale: float = Field(15.0, gt=0, le=1e4, description="mean color difference of weight 1/e, grey levels")
-    distance_scale: float = Field(20.0, gt=0, le=1e4, description="distance of weight 1/e, pixels")
-    filled_weight: float = Field(1.0, ge=0, le=1, description="factor of pixels whose value was filled")
-    passes: int = Field(1, ge=1, le=8, description="number of times the filter is applied")
+    radius: int = Field(7, ge=1, le=32, description="half side of the median's window, pixels")
+    color_scale: float = Field(
+        15.0, gt=0, le=1e4, description="mean color difference at which a weight is 1/e, grey levels"
+    )
+    distance_scale: float = Field(20.0, gt=0, le=1e4, description="distance at which a weight is 1/e, pixels")
+    filled_weight: float = Field(1.0, ge=0, le=1, description="factor of the weights of pixels whose value was filled")
+    passes: int = Field(1, ge=1, le=8, description="number of times the median is applied")
 
     def halo(self) -> int | None:
         return self.passes * self.radius

@@ -1,4 +1,4 @@
-"""Segment-based stereo (thesis chapter 2): matching costs in, a map with one plane a segment out.
+"""Segment-based stereo (thesis, chapter 2): matching costs in, a map with one plane per segment out.
 
 | module | step, with its part of the config |
 |---|---|

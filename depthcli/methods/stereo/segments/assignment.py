@@ -25,12 +25,18 @@ class Candidates(SegmentPlaneFit):
 
     renamed: ClassVar[dict[str, str]] = {"most": "max_planes"}
 
-    flat: bool = Field(False, description="also offer the flat plane of every segment")
-    min_size: int = Field(100, ge=3, le=10**6, description="smaller segments contribute no plane, pixels")
-    min_trusted: float = Field(0.5, ge=0, le=1, description="smallest part of trusted pixels of a contributing segment")
-    same_slope: float = Field(0.01, ge=0, le=16, description="planes this similar in slope may be duplicates")
-    same_offset: float = Field(0.25, ge=0, le=16384, description="planes this similar at their center too are, pixels")
-    max_planes: int = Field(400, ge=1, le=5000, description="number of planes kept, the best supported ones")
+    flat: bool = Field(False, description="also offer a plane of constant disparity for every segment")
+    min_size: int = Field(
+        100, ge=3, le=10**6, description="size of the smallest segment that contributes a plane, pixels"
+    )
+    min_trusted: float = Field(0.5, ge=0, le=1, description="share of trusted pixels that a segment with a plane needs")
+    same_slope: float = Field(0.01, ge=0, le=16, description="largest difference in slope of duplicate planes")
+    same_offset: float = Field(
+        0.25, ge=0, le=16384, description="largest difference at the center of duplicate planes, pixels"
+    )
+    max_planes: int = Field(
+        400, ge=1, le=5000, description="largest number of planes, the best supported ones are kept"
+    )
 
     def of_segments(self, segments: SegmentedImage) -> SegmentPlanes | None:
         """Return the planes of segments that are large and trusted enough; None where no pixel is trusted."""
@@ -57,7 +63,8 @@ class Assignment:
     Attributes
     ----------
     labels : (n,) int32 index in ``planes``
-    energy_before, energy : where every segment has its cheapest plane, and of ``labels``
+    energy_before : energy where every segment has its cheapest plane
+    energy : energy of ``labels``
     """
 
     planes: SegmentPlanes
@@ -70,7 +77,7 @@ def assign(
     segments: SegmentedImage, volume: CostVolume, candidates: Candidates, energy: Energy, rounds: int, sweeps: int,
     clock: Clock,
 ) -> Assignment | None:  # fmt: skip
-    """Return the planes of all segments that minimize the energy (eq. 2.8); None where no pixel is trusted.
+    """Return the planes of all segments that minimize the energy (thesis, eq. 2.8); None where no pixel is trusted.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Data and smoothness terms of the plane assignment (eq. 2.8 - 2.12)."""
+"""Data and smoothness terms of the plane assignment (thesis, eq. 2.8-2.12)."""
 
 from __future__ import annotations
 
@@ -22,13 +22,19 @@ class Energy(Step):
     data_term: Annotated[
         Literal["dedc", "matching_cost"],
         BeforeValidator(lambda name: name.lower() if isinstance(name, str) else name),
-    ] = Field("dedc", description="distance from the first disparities, or matching cost")
-    data_weight: float = Field(10.0, ge=0, le=1e6, description="lambda (eq. 2.9), weight of the dedc data term")
-    truncation: float | None = Field(None, gt=0, le=16384, description="largest counted difference, pixels; null: none")
+    ] = Field("dedc", description="cost of a plane: dedc (distance from the first disparities) or matching_cost")
+    data_weight: float = Field(10.0, ge=0, le=1e6, description="weight of the dedc data term (thesis, eq. 2.9: lambda)")
+    truncation: float | None = Field(
+        None, gt=0, le=16384, description="limit of a pixel's difference in dedc, pixels; null: none"
+    )
     cost_weight: float = Field(10.0, ge=0, le=1e6, description="weight of the matching_cost data term")
-    visibility: float = Field(0.0, ge=0, le=1e6, description="cost of an untrusted pixel in front of the right surface")
-    smoothness: float = Field(25.0, ge=0, le=1e6, description="w (eq. 2.12): cost of a boundary, per pixel")
-    color_scale: float = Field(150.0, gt=0, le=1e6, description="sigma (eq. 2.12): color difference scale, grey levels")
+    visibility: float = Field(
+        0.0, ge=0, le=1e6, description="cost per untrusted pixel in front of the right view's surface"
+    )
+    smoothness: float = Field(25.0, ge=0, le=1e6, description="cost of a boundary per pixel (thesis, eq. 2.12: w)")
+    color_scale: float = Field(
+        150.0, gt=0, le=1e6, description="color scale of smoothness (thesis, eq. 2.12: sigma), grey levels"
+    )
 
     def __call__(self, segments: SegmentedImage, volume: CostVolume, planes: SegmentPlanes) -> NDArray[np.float64]:
         """Return the cost of every plane in every segment, (n, L) float64."""
@@ -46,7 +52,7 @@ class Energy(Step):
 def discrepancy(
     values: NDArray[np.float32], trusted: RegionPixels, planes: SegmentPlanes, weight: float, truncation: float
 ) -> NDArray[np.float64]:
-    """Compute the disparity estimate discrepancy cost (eq. 2.9) of every plane in every segment.
+    """Compute the disparity estimate discrepancy cost (thesis, eq. 2.9) of every plane in every segment.
 
     ``sum of weight |d_plane - d| exp(-n / m)`` over the segment's m trusted pixels, n of which have the
     plane's disparity (to the nearest pixel). In a segment without trusted pixels every plane costs 0.
@@ -55,7 +61,7 @@ def discrepancy(
     ----------
     values : (H, W) float32 first estimate, pixels
     trusted : trusted pixels by segment
-    truncation : largest ``|d_plane - d|`` that counts, pixels; inf for the thesis's own sum
+    truncation : largest ``|d_plane - d|`` that counts, pixels; inf for the sum as defined (thesis, eq. 2.9)
 
     Returns
     -------
@@ -196,9 +202,10 @@ def _out_of_range(order, starts, width, coefficients, max_disparity, unary):  # 
 
 
 def smoothness(graph: RegionGraph, weight: float, color_scale: float) -> NDArray[np.float64]:
-    """Compute the cost of different planes in neighboring segments (eq. 2.12), (E,): ``w beta exp(-tau^2 / sigma^2)``.
+    """Compute the cost of different planes in neighboring segments (thesis, eq. 2.12), (E,) float64.
 
-    beta is the length of the common boundary in pixels, tau the distance of the mean colors.
+    ``w beta exp(-tau^2 / sigma^2)``, where beta is the length of the common boundary in pixels, tau the distance of
+    the mean colors.
     """
     first, second = graph.edges.T
     distance = np.square(graph.means[first] - graph.means[second]).sum(axis=1)

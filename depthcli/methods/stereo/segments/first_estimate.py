@@ -40,7 +40,9 @@ class Selection(Step):
     would pass the check.
     """
 
-    tolerance: float = Field(1.0, ge=0, le=16384, description="largest difference of views at trusted pixels, pixels")
+    tolerance: float = Field(
+        1.0, ge=0, le=16384, description="largest difference of the views at a trusted pixel, pixels"
+    )
     subpixel: bool = Field(False, description="move disparities to the minimum of a parabola through three costs")
 
     def __call__(self, volume: CostVolume) -> FirstEstimate:

@@ -42,13 +42,17 @@ class SearchRanges:
 class Ranges(Step):
     """Search every segment around the disparities of its key points, and penalize all others."""
 
-    margin: float = Field(0.25, ge=0, le=1, description="alpha (eq. 2.5): growth on each side, part of the whole range")
-    neighbors: int = Field(0, ge=0, le=1000, description="number of nearest key points that count as the segment's own")
-    reach: float = Field(
-        40.0, gt=0, le=16384, description="largest distance of these; else none of them counts, pixels"
+    margin: float = Field(
+        0.25, ge=0, le=1, description="growth of ranges on each side, share of the whole range (thesis, eq. 2.5: alpha)"
     )
-    cell: int = Field(0, ge=0, le=4096, description="width of parts of a segment with own ranges, pixels; 0: one range")
-    penalty: float = Field(100.0, ge=0, le=65535, description="cost added outside the range, in units of the cost")
+    neighbors: int = Field(0, ge=0, le=1000, description="number of nearest key points that count as a segment's own")
+    reach: float = Field(
+        40.0, gt=0, le=16384, description="distance within which all nearest key points must lie to count, pixels"
+    )
+    cell: int = Field(0, ge=0, le=4096, description="width of a segment's parts with own ranges, pixels; 0: one range")
+    penalty: float = Field(
+        100.0, ge=0, le=65535, description="cost added outside a segment's search range, in units of the cost"
+    )
 
     def __call__(self, labels: NDArray[np.int32], matches: Matches | None, max_disparity: int) -> SearchRanges:
         """Return the ranges of the segments ``labels`` (H, W), 0 .. n - 1."""
@@ -103,19 +107,19 @@ def search_ranges(
     labels: NDArray[np.int32], matches: Matches | None, max_disparity: int, margin: float, neighbors: int = 0,
     reach: float = np.inf,
 ) -> NDArray[np.int32]:  # fmt: skip
-    """Return the lowest and the highest disparity to search in every segment (eq. 2.2-2.5).
+    """Return the lowest and the highest disparity to search in every segment (thesis, eq. 2.2-2.5).
 
     The range of the disparities of the segment's key points, widened on both sides by ``margin`` times
-    ``max_disparity``; segments without key points keep the whole range. Eq. 2.4 prints a minus before theta 2,
-    which would exclude the key points themselves; a plus is used.
+    ``max_disparity``; segments without key points keep the whole range. The minus before theta 2
+    (thesis, eq. 2.4) would exclude the key points themselves; a plus is used.
 
     Parameters
     ----------
     labels : (H, W) segments 0 .. n - 1
     matches : matched key points, or None
     neighbors : number of key points nearest to the segment's center that count as its own, so that segments without
-        any are limited too; 0 for the thesis's rule
-    reach : largest distance of the farthest of them from the center, pixels
+        any are limited too; 0: those inside the segment (thesis, eq. 2.2-2.5)
+    reach : where the farthest of these ``neighbors`` is farther from the center than this, none counts, pixels
 
     Returns
     -------

@@ -30,10 +30,12 @@ class Split(Step):
     """
 
     cells: tuple[Annotated[int, Field(ge=4, le=512)], ...] = Field(
-        (), max_length=8, description="sides of the grids' cells, pass after pass, pixels; empty: no cuts"
+        (), max_length=8, description="cell sides of the grids that cut segments, one per pass, pixels; empty: no cuts"
     )
     tolerance: float = Field(1.0, gt=0, le=16384, description="largest distance of a pixel that fits the plane, pixels")
-    misfits: float = Field(0.1, ge=0, le=1, description="part of trusted pixels off the plane above which it is cut")
+    misfits: float = Field(
+        0.1, ge=0, le=1, description="share of trusted pixels off its plane above which a segment is cut"
+    )
 
     def __call__(self, labels: NDArray[np.int32], first: FirstEstimate, fit: SegmentPlaneFit) -> NDArray[np.int32]:
         """Return (H, W) int32 connected segments: ``labels``, or pieces of them.

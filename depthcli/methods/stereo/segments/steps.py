@@ -35,18 +35,22 @@ class SegmentSteps(Step):
 
     segmentation: Segmentation = Field(default_factory=MeanShift, description="segmentation of the left image")
     keypoints: Annotated[Detection | None, BeforeValidator(_none)] = Field(
-        None, description="surf, sift or none: matched key points limit the disparities of their segment"
+        None, description="key points (surf, sift or none) whose matches limit the disparities of their segment"
     )
     window_radius: int = Field(4, ge=0, le=20, description="half side of the averaging window, pixels; 0: no averaging")
-    ranges: Ranges = Field(default_factory=Ranges, description="search ranges from key points")
-    optimization: Optimization = Field(default_factory=WinnerTakesAll, description="smoothness before the selection")
-    selection: Selection = Field(default_factory=Selection, description="the first disparities")
+    ranges: Ranges = Field(default_factory=Ranges, description="search ranges of segments, from matched key points")
+    optimization: Optimization = Field(
+        default_factory=WinnerTakesAll, description="smoothness in the costs of the first disparities"
+    )
+    selection: Selection = Field(default_factory=Selection, description="how first disparities are taken and trusted")
     split: Split = Field(default_factory=Split, description="cuts of segments that are not planar")
     planes: Candidates = Field(default_factory=Candidates, description="the planes that segments may lie on")
     energy: Energy = Field(default_factory=Energy, description="energy that the assignment of planes minimizes")
-    rounds: int = Field(1, ge=1, le=10, description="number of assignments; planes are fitted again between them")
-    sweeps: int = Field(20, ge=1, le=1000, description="largest number of passes over all planes in the last one")
-    refinement: tuple[RefinementStep, ...] = Field((), description="steps on the finished map, in order")
+    rounds: int = Field(1, ge=1, le=10, description="number of assignments; planes are fitted again in between")
+    sweeps: int = Field(
+        20, ge=1, le=1000, description="largest number of passes over all planes in the last assignment"
+    )
+    refinement: tuple[RefinementStep, ...] = Field((), description="refinement steps on the finished map, in order")
     details: bool = Field(False, description="also write segments, key points, planes and labels")
 
     def from_volume(self, pair: StereoPair, volume: CostVolume, max_disparity: int, clock: Clock) -> StereoResult:

@@ -195,7 +195,7 @@ def thin_structures(pair: StereoPair, max_disparity: int) -> NDArray[np.float32]
         left, right = winners(costs[:n_rows])
         agreed = (left_right_difference(left, right) <= 1) & (features_left != 0)  # a flat window says nothing
         disparity[y // _ROW_STEP :][:n_rows] = np.where(agreed, left, np.float32(np.nan))
-    # Speckles are removed on int16: as many steps a pixel as fit.
+    # Speckles are removed on int16: as many steps per pixel as fit.
     steps = max(1, min(16, 32767 // (max_disparity + 1)))
     fixed = np.where(np.isnan(disparity), -steps * 4, np.nan_to_num(disparity) * steps).astype(np.int16)
     cv2.filterSpeckles(fixed, -steps * 4, _ROW_ISLAND_SIZE, steps)

@@ -24,8 +24,8 @@ BIN = 16
 _PIXEL_OVERHEAD, _TILE_OVERHEAD = 24, 300_000
 _MIN_TILE_BLOCKS = 8  # smaller tiles are only made where memory asks for them: margins would be most of the work
 PROCESS_BYTES = 256 << 20  # upper bound of the memory of the interpreter and the libraries
-# Bytes a pixel of the image while tiles are matched (winners of both views, keys, minima, prior), and while the map is
-# refined and written.
+# Bytes per pixel of the image while tiles are matched (winners of both views, keys, minima, prior), and while the map
+# is refined and written.
 _MATCHING_BYTES, _FINISHING_BYTES = 26, 48
 
 
@@ -72,7 +72,7 @@ class Tile:
 
     @property
     def place(self) -> tuple[slice, slice]:
-        """Return the same rows and columns within the image."""
+        """Return the rows and columns of the tile without its margins, within the image."""
         return slice(*self.rows), slice(*self.columns)
 
     def cut(self, pair: StereoPair, low: int = 0) -> StereoPair:
@@ -108,7 +108,7 @@ class Candidates:
 
     Attributes
     ----------
-    bins : (ceil(H / 16), ceil(W / 16), ceil(D / 16)) bool: the block may have disparities of 16 that follow each other
+    bins : (ceil(H / 16), ceil(W / 16), ceil(D / 16)) bool: whether a block may have any of 16 consecutive disparities
     shape : (H, W)
     max_disparity : largest disparity searched anywhere, D - 1
     """
@@ -200,7 +200,7 @@ class Candidates:
 
 
 class Memory(NamedTuple):
-    """The bytes that a process may take, and those of them that are taken by other things than tiles."""
+    """The bytes that a process may take (``allowed``), and those that other things than tiles take (``held``)."""
 
     allowed: int
     held: int

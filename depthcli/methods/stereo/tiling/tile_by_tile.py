@@ -38,7 +38,7 @@ class Prior:
 
     Attributes
     ----------
-    values : (ceil(H / 2), ceil(W / 2)) float32, its map
+    values : (ceil(H / 2), ceil(W / 2)) float32, the map of the pair at half its size
     candidates : disparities by block of the pair itself
     low, high : of the shape of ``values``, int16, the likely disparities at the full size
     thin : (2, ...) float32, smallest and largest disparity of the thin structures around at the full size; where

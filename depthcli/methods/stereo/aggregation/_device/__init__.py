@@ -1,7 +1,8 @@
 """Device implementations of the aggregations; see :mod:`depthcli.methods.stereo.on_device`.
 
-Each has a second version, ``naive_...``: a thread a cell that reads its window from global memory. The two are the
-columns of the thesis's figure 3.2. Both return the same means as the method, unless the docstring says otherwise.
+Each has a second version, ``naive_...``: one thread per cell, which reads its window from global memory. The two are
+the columns of a figure (thesis, figure 3.2). Both return the same means as the method, unless the docstring says
+otherwise.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 
 _SCANLINE = Kernels(__name__, "scanline.cl")
-_MEMORY_PARTS = 4  # path costs may take one of so many parts of a GPU's memory
+_MEMORY_PARTS = 4  # path costs may take one such part of a GPU's memory
 
 
 def scanline(method: Scanline, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
