@@ -310,7 +310,8 @@ def test_evaluating_twice_gives_the_same_bytes(tmp_path: Path, truth: Path):
     files = seen[0]
     assert files == seen[1]
     assert {str(p.relative_to("out")) for p in files} == {
-        "record.json", "report.md", "scores.csv", "scores.json", "errors/run/a.png", "errors/run/b.png",
+        "record.json", "report.md", "scores.csv", "scores.json", "contact_sheet.png", "errors/run/a.png",
+        "errors/run/b.png",
     }  # fmt: skip
 
 
@@ -323,7 +324,7 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
     other = run_of(tmp_path / "other", {"a": exact(truth), "b": exact(truth)})
     evaluate([other], truth, out)
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == [
-        "errors/other/a.png", "errors/other/b.png", "notes.txt", "record.json", "report.md", "scores.csv",
+        "contact_sheet.png", "errors/other/a.png", "errors/other/b.png", "notes.txt", "record.json", "report.md", "scores.csv",
         "scores.json",
     ]  # fmt: skip
     (out / "errors/run").mkdir()
