@@ -324,8 +324,8 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
     other = run_of(tmp_path / "other", {"a": exact(truth), "b": exact(truth)})
     evaluate([other], truth, out)
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()) == [
-        "contact_sheet.png", "errors/other/a.png", "errors/other/b.png", "notes.txt", "record.json", "report.md", "scores.csv",
-        "scores.json",
+        "contact_sheet.png", "errors/other/a.png", "errors/other/b.png", "notes.txt", "record.json", "report.md",
+        "scores.csv", "scores.json",
     ]  # fmt: skip
     (out / "errors/run").mkdir()
     (out / "errors/run/a.png").write_text("mine")  # beside a record: found when results are moved in
