@@ -42,7 +42,7 @@ from depthcli.data.walk import discover_scenes
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion import Fusion
 from depthcli.methods.transparent.config import TransparentConfig
-from depthcli.methods.transparent.modality import GREY, learned_weights, mixed
+from depthcli.methods.transparent.modality import GREY, learned_weights, mix_channels
 
 PRESETS = ("nearest", "joint-bilateral", "textbook", "crf", "sparse")
 CASES: dict[str, dict[str, Any]] = {
@@ -127,8 +127,8 @@ def cross_modal(folders: list[Path]) -> None:
             )
         }  # fmt: skip
         row = {}
-        learned = mixed(scene.color, learned_weights(scene.color, scene.infrared, scene.sensor))
-        grey = mixed(scene.color, GREY)
+        learned = mix_channels(scene.color, learned_weights(scene.color, scene.infrared, scene.sensor))
+        grey = mix_channels(scene.color, GREY)
         for name, mix, measure in (
             ("AD grey", grey, "absolute_difference"), ("census grey", grey, "census"),
             ("AD", learned, "absolute_difference"), ("census", learned, "census"), ("zncc", learned, "zncc"),

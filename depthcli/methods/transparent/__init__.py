@@ -1,4 +1,4 @@
-"""Depth of transparent objects, from a sensor that sees through them and sparse depth from elsewhere (section 5.1).
+"""Depth of transparent objects, which the sensor sees through, by sparse depth from elsewhere (thesis, section 5.1).
 
 In: a ``SparseFrame`` (color, the sensor's depth, sparse depth; (H, W), meters), or an ``RgbIrFrame`` (color, infrared,
 the sensor's depth), of which ``cross_modal`` makes one. Out: a ``RefinedDepth``: (H, W) meters, with a status and a
@@ -11,8 +11,15 @@ in which they are used:
 | ``cross_modal`` | which matches of stereo between these images become sparse depth |
 | ``fitted_frame`` | which sparse samples are outliers; planes through the others at every pixel |
 | ``unreliable`` | in which regions the sensor contradicts the planes |
-| ``pipeline`` | what replaces the sensor there: ``robust`` the planes, far from samples smoothed (``smoothing``); \
-``crf``, of the thesis, a dense CRF over depth labels; ``nearest`` and ``joint_bilateral`` are for comparison |
+| ``smoothing`` | where planes are smoothed, and by which neighbors |
+
+| pipeline | what replaces the sensor where it is unreliable or unknown |
+|---|---|
+| ``robust`` | 1. ``fitted_frame`` and ``unreliable``: planes, and where they replace the sensor. \
+2. ``smoothing`` of the planes far from samples |
+| ``crf``, of the thesis | 1. As ``robust``; may be left out. 2. A dense CRF, labels are steps of inverse depth |
+| ``nearest``, for comparison | the depth of the nearest sample |
+| ``joint_bilateral``, for comparison | means of reliable values around, weighted by distance and color |
 
 All but ``cross_modal``, which works in pixels of disparity, compute with inverse depth, in which planes are affine.
 """

@@ -21,5 +21,5 @@ class TransparentConfig(RootConfig):
         None, description="where the sparse depth comes from: stereo of color and infrared; null: from a file"
     )
     depth_scale: float | None = Field(
-        None, gt=0, le=1e6, description="codes a meter of the depth files; null: what the layout says"
+        None, gt=0, le=1e6, description="codes per meter in the depth files; null: what the layout says"
     )

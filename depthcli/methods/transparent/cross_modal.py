@@ -1,4 +1,4 @@
-"""Stereo between a color and an infrared camera: sparse depth of surfaces that the sensor misses (section 5.1.1)."""
+"""Stereo of a color and an infrared camera: depth of surfaces that the sensor misses (thesis, section 5.1.1)."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from depthcli.methods.stereo.volume import CostVolume, RefinementContext
 from depthcli.methods.transparent.modality import (
     GREY,
     cost_at,
-    deviation,
     faded_costs,
     learned_weights,
+    local_deviation,
     mean_cost,
-    mixed,
+    mix_channels,
 )
 
 _MAX_TILT = 0.3  # vertical over horizontal baseline, beyond which the rectified images would be turned too far
@@ -35,7 +35,7 @@ _SINGLE = {"r": (1.0, 0.0, 0.0), "g": (0.0, 1.0, 0.0), "b": (0.0, 0.0, 1.0), "gr
 
 
 def _structure_measures() -> Fusion:
-    # Measures that do not depend on the sensor's response, weighted by consensus (section 6.4.9).
+    # Measures that do not depend on the sensor's response, weighted by consensus (thesis, section 6.4.9).
     return Fusion.model_validate({
         "measures": ["gradient", "rank", "census", "zncc"],
         "exponent": 6,
@@ -61,24 +61,44 @@ def _planes() -> SegmentSteps:
 class MatchSelection(BaseModel):
     """Selection of the matches that are reliable.
 
-    A match that contradicts the sensor has to be cheaper by a margin than the sensor's disparity; where the sensor
-    has none, than the pixel's mean. One that confirms it needs structure, and the votes around. Disparities that
-    the sensor has nearby, but not at the pixel, are left out: windows widen the foreground by half their size.
+    A match is compared with the sensor's disparity at its pixel:
+
+    - it contradicts the sensor (they differ by more than ``tolerance``): it has to be cheaper by ``margin`` than the
+      sensor's disparity, and no disparity that the sensor has within ``widening`` pixels: windows widen the foreground
+      by half their size;
+    - the sensor has no value: it has to be cheaper by ``blind_margin`` than the mean of the pixel's costs, and no
+      disparity that the sensor has within ``widening`` pixels;
+    - it confirms the sensor: it needs a share ``consensus`` of the votes around, and a ``texture``.
+
+    Of the kept matches, regions smaller than ``speckle`` are removed.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     margin: float = Field(
-        0.15, ge=0, description="how much cheaper than the sensor's disparity, in units of one measure"
+        0.15,
+        ge=0,
+        description="how much cheaper than the sensor's disparity a match that contradicts it has to be, "
+        "in units of one measure",
     )
-    blind_margin: float = Field(0.1, ge=0, description="how much cheaper than the mean where the sensor has no depth")
+    blind_margin: float = Field(
+        0.1,
+        ge=0,
+        description="how much cheaper than the pixel's mean cost a match has to be where the sensor has no depth",
+    )
     consensus: float = Field(
         0.3, ge=0, le=1, description="share of the votes around that a match that confirms the sensor needs"
     )
-    texture: float = Field(4.0, ge=0, description="standard deviation of the color in 9 x 9 that it needs, grey levels")
-    speckle: int = Field(50, ge=0, description="smaller regions of similar disparity are removed, pixels")
-    widening: int = Field(5, ge=0, le=64, description="distance by which stereo may widen a surface, pixels")
-    tolerance: float = Field(1.5, ge=0, description="difference from the sensor that still confirms it, pixels")
+    texture: float = Field(
+        4.0,
+        ge=0,
+        description="standard deviation of the color in 9 x 9 that a match that confirms the sensor needs, grey levels",
+    )
+    speckle: int = Field(50, ge=0, description="regions of similar disparity with fewer pixels are removed")
+    widening: int = Field(5, ge=0, le=64, description="distance by which stereo may make a surface too wide, pixels")
+    tolerance: float = Field(
+        1.5, ge=0, description="largest difference from the sensor's disparity that confirms it, pixels"
+    )
 
     def __call__(
         self,
@@ -88,19 +108,19 @@ class MatchSelection(BaseModel):
         volume: CostVolume,
         image: NDArray[np.uint8],
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-        """Return the matches to keep, (H, W) bool, and by which share of the margin they are cheaper, 0 .. 1.
+        """Return the matches to keep, (H, W) bool, and the share of the margin by which they are cheaper, 0 .. 1.
 
         Parameters
         ----------
         dense, sensor : (H, W) disparities of the matches, and of the sensor, pixels, NaN = unknown
         votes : (H, W) share of the votes around
-        volume : the costs
+        volume : the costs that the matches were found with
         image : (H, W) uint8, left view
         """
         known, agrees = np.isfinite(sensor), np.abs(dense - sensor) <= self.tolerance
         gain = np.where(known, cost_at(volume, sensor), mean_cost(volume)) - cost_at(volume, dense)
         margin = np.where(known, self.margin, self.blind_margin)
-        confirmed = agrees & (votes >= self.consensus) & (deviation(image) >= self.texture)
+        confirmed = agrees & (votes >= self.consensus) & (local_deviation(image) >= self.texture)
         # Widened: the sensor does not have the disparity there, but has it within ``widening`` pixels.
         height, width = dense.shape
         padded = np.pad(sensor, self.widening, constant_values=np.nan)
@@ -136,7 +156,8 @@ class CrossModal(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     channels: Literal["early", "late", "r", "g", "b", "grey"] = Field(
-        "early", description="early: channels weighted by the sensor's depth; late: matched one by one; or one alone"
+        "early",
+        description="early: color channels weighted by the sensor's depth; late: matched one by one; or one alone",
     )
     median: Literal[0, 3, 5] = Field(
         0, description="side of the median that removes speckles from the infrared image, pixels"
@@ -145,10 +166,10 @@ class CrossModal(BaseModel):
         None, ge=1, le=16383, description="largest disparity, pixels; null: a quarter more than the sensor's largest"
     )
     fusion: Fusion = Field(
-        default_factory=_structure_measures, description="the costs: a config of fuse, up to its optimization"
+        default_factory=_structure_measures, description="the fused costs: a config of fuse without its optimization"
     )
     structure: float = Field(
-        4.0, gt=0, description="standard deviation in 9 x 9 below which costs fade, of either image, grey levels"
+        4.0, gt=0, description="standard deviation in 9 x 9 of either image below which costs fade, grey levels"
     )
     planes: SegmentSteps = Field(
         default_factory=_planes, description="the matcher: planes over color segments, a config of stereo's segments"
@@ -210,7 +231,7 @@ class CrossModal(BaseModel):
         else:
             learned = self.channels == "early"
             weights = learned_weights(color, infrared, sensor) if learned else _SINGLE[self.channels]
-            mixes = [mixed(color, weights)]
+            mixes = [mix_channels(color, weights)]
         top = self.max_disparity or self._range(sensor)
         pairs = [StereoPair(mix, infrared) for mix in mixes]
         fused = [self.fusion.fuse(pair, top, {}) for pair in pairs]
@@ -231,8 +252,8 @@ class CrossModal(BaseModel):
         """Estimate of the peak working memory for a frame of ``shape``, in bytes."""
         top = self.max_disparity or shape[1] // 4
         # The faded costs and two sums of paths; with late fusion also the volumes of three channels.
-        bytes_a_cell = 8 + (10 if self.channels == "late" else 0)
-        return self.fusion.peak_bytes(shape, top) + bytes_a_cell * shape[0] * shape[1] * (top + 1)
+        bytes_per_cell = 8 + (10 if self.channels == "late" else 0)
+        return self.fusion.peak_bytes(shape, top) + bytes_per_cell * shape[0] * shape[1] * (top + 1)
 
     def _range(self, sensor: NDArray[np.float32]) -> int:
         known = sensor[np.isfinite(sensor)]

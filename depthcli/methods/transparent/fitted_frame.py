@@ -48,14 +48,15 @@ class FittedFrame:
         return agrees
 
 
-def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, rule: UnreliableRegions, clock: Clock) -> FittedFrame:
+def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, regions: UnreliableRegions, clock: Clock) -> FittedFrame:
     """Return the frame with outliers removed from its samples, planes through the others, and unreliable regions.
 
     A sample is an outlier where it agrees neither with the sensor nor with a plane through the samples around it.
 
     Parameters
     ----------
-    fit, rule : how planes are fitted, and which regions are unreliable
+    fit : fits planes to samples
+    regions : selects the regions where the sensor is unreliable
     clock : stopped after ``samples``, ``fit`` and ``unreliable``
     """
     sensor = inverse_depth(frame.depth)
@@ -66,14 +67,14 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, rule: UnreliableRegions, 
     agrees = np.abs(samples.values - own.values) <= _FIT_TOLERANCE * noise
     agrees |= np.abs(samples.values - measured) <= _SENSOR_TOLERANCE * noise
     samples, measured = samples.chosen(agrees), measured[agrees]
-    # Through glass the sensor measures a farther surface. Where it knows none, a sample is half a contradiction.
-    nearer = rule.beyond_systematic((samples.values - measured) / noise) / _SENSOR_TOLERANCE
-    marks = np.clip(np.nan_to_num(nearer, nan=0.5), 0, 1)
+    # Through glass the sensor measures a farther surface: positive where it does. Where it knows none, 0.5.
+    nearer = regions.beyond_systematic((samples.values - measured) / noise) / _SENSOR_TOLERANCE
+    contradiction = np.clip(np.nan_to_num(nearer, nan=0.5), 0, 1)
     clock.stop("samples")
     rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: frame.shape[0], : frame.shape[1]])
-    planes = fit(samples, frame.color, noise, (rows, columns), to_average=marks.astype(np.float32))
+    planes = fit(samples, frame.color, noise, (rows, columns), to_average=contradiction.astype(np.float32))
     clock.stop("fit")
-    unreliable = rule(sensor, planes, samples, noise, frame.color)
+    unreliable = regions(sensor, planes, samples, noise, frame.color)
     clock.stop("unreliable")
     values, sigma = planes.values.reshape(frame.shape), planes.sigma.reshape(frame.shape)
     return FittedFrame(sensor, samples, noise, values, sigma, unreliable)

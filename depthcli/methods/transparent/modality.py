@@ -51,8 +51,8 @@ def learned_weights(
     return red, green, blue
 
 
-def mixed(color: NDArray[np.uint8], weights: tuple[float, ...]) -> NDArray[np.uint8]:
-    """Return the weighted sum of the channels, (H, W) uint8."""
+def mix_channels(color: NDArray[np.uint8], weights: tuple[float, ...]) -> NDArray[np.uint8]:
+    """Return the weighted sum of the channels of (H, W, 3) ``color``, (H, W) uint8."""
     mix = color.astype(np.float32) @ np.asarray(weights, np.float32)
     return np.clip(np.rint(mix), 0, 255).astype(np.uint8)
 
@@ -78,12 +78,14 @@ def _structure(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(wide - cv2.blur(wide, (_MEAN_WINDOW, _MEAN_WINDOW)), np.float32)
 
 
-def deviation(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def local_deviation(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Compute the standard deviation of grey levels in 9 x 9, (H, W) float32."""
     return np.asarray(np.sqrt(local_moments(image.astype(np.float32), 9)[1]), np.float32)
 
 
-def faded_costs(volume: CostVolume, left: NDArray[np.uint8], right: NDArray[np.uint8], structure: float) -> CostVolume:
+def faded_costs(
+    volume: CostVolume, left: NDArray[np.uint8], right: NDArray[np.uint8], structure_threshold: float
+) -> CostVolume:
     """Fade costs towards the pixel's mean cost as far as one of the two windows lacks structure.
 
     Order, rank and correlation of a flat window are those of its noise, and saturated windows are all alike: such
@@ -93,14 +95,16 @@ def faded_costs(volume: CostVolume, left: NDArray[np.uint8], right: NDArray[np.u
     ----------
     volume : (H, W, D) uint8 or uint16
     left, right : (H, W) uint8
-    structure : standard deviation in 9 x 9 from which on costs are kept, grey levels, > 0
+    structure_threshold : standard deviation in 9 x 9 from which on costs are kept, grey levels, > 0
 
     Returns
     -------
     CostVolume
         Of the same scale, uint16.
     """
-    shares = [np.minimum(deviation(image) / np.float32(structure), np.float32(1)) for image in (left, right)]
+    shares = [
+        np.minimum(local_deviation(image) / np.float32(structure_threshold), np.float32(1)) for image in (left, right)
+    ]
     out: NDArray[np.uint16] = memory.empty(volume.costs.shape, np.uint16)
     _fade(volume.costs, shares[0], shares[1], out)
     return CostVolume(out, volume.scale)

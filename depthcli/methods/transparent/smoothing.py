@@ -11,7 +11,7 @@ from depthcli.kernels.jit import parallel_jit, prange
 
 
 class Smoothing(BaseModel):
-    """The mean of a window, weighted by similarity of color, far from all samples.
+    """The mean of a window, weighted by similarity of color, at pixels that are far from all samples.
 
     There a plane is an extrapolation, and those of neighboring pixels rest on other samples: their mean is nearer to
     the surface. Near samples it would only flatten the fit.
@@ -20,7 +20,9 @@ class Smoothing(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     reach: float = Field(
-        0.011, ge=0, description="distance from the nearest sample from which on values are smoothed, over the width"
+        0.011,
+        ge=0,
+        description="values are smoothed beyond this distance from the nearest sample, as a share of the image width",
     )
     radius: int = Field(5, ge=0, le=50, description="half the side of the window, pixels")
     color_scale: float = Field(

@@ -46,9 +46,24 @@ def sample_noise(samples: Samples, sensor: NDArray[np.float32]) -> float:
 class UnreliableRegions(BaseModel):
     """Regions where samples contradict the sensor, found by one minimum cut.
 
-    Every pixel is scored by how far the sensor lies from the fit to the samples, in standard deviations of both;
-    outlines of regions cost less along color edges. Regions whose own samples do not contradict the sensor are
-    dropped: there the fit is an extrapolation.
+    All values are inverse depths: nearer is larger. Through glass the sensor measures a farther surface, so that only
+    a sensor that is farther than the samples contradicts them.
+
+    - The *deviation* of a pixel is (sensor - plane) / standard deviation of this difference, negative where the sensor
+      is farther; ``systematic`` is subtracted from its size.
+    - Its *evidence* is confidence * deviation^2 / 2, confidence being the share of samples on the plane.
+    - Its *score* is its evidence - ``score_threshold``, within [-2, 4], and fades with the distance to the next sample;
+      the cut maximizes the sum of scores inside regions less the cost of their outlines. Where the deviation is
+      above 0, the sensor is nearer, which is no contradiction: the score is at most -``score_threshold``.
+    - The *evidence of a sample* is (sample - sensor) / noise, positive where the sensor is farther; ``systematic`` is
+      subtracted from its size. In sums over a region it is limited to [-4, 4].
+    - The *contradiction* of a sample is its evidence / 2.5 within [0, 1], or 0.5 where the sensor has no value; its
+      weighted mean over the samples of a pixel's plane is ``planes.averaged``.
+    - The *gain*, by which positive scores are multiplied, rises from 0 at a mean contradiction of ``contradiction`` to
+      1 at twice it.
+
+    Outlines of regions cost less along color edges. Regions whose own samples do not contradict the sensor are dropped:
+    there the planes are extrapolations.
     """
 
     renamed: ClassVar[dict[str, str]] = {
@@ -58,35 +73,49 @@ class UnreliableRegions(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    score_threshold: float = Field(0.5, ge=0, description="of a pixel's evidence, half squared standard deviations")
+    score_threshold: float = Field(
+        0.5,
+        ge=0,
+        description="evidence that a pixel needs to count as unreliable, half squared standard deviations",
+    )
     model_error: float = Field(
-        0.5, ge=0, description="share of the fit's own standard deviation that is added to the noise"
+        0.5, ge=0, description="share of the planes' own standard deviation that is added to the noise"
     )
     systematic: float = Field(
         0.0,
         ge=0,
-        description="error that neighboring samples may share, standard deviations: smaller ones are no evidence",
+        description="error that neighboring samples may share, standard deviations; smaller deviations are no evidence",
     )
     contradiction: float = Field(
         0.2,
         gt=0,
         le=0.5,
-        description="mean contradiction of the fit's samples from which on scores count; in full from twice of it",
+        description="mean contradiction of the samples of a plane: positive scores are scaled from 0 at this mean to "
+        "1 at twice it",
     )
     reach: float = Field(
         0.011,
         gt=0,
-        description="distance from a sample at which its evidence falls by exp(-1/2), over the image's width",
+        description="distance to the nearest sample at which a pixel's score has fallen to exp(-1/2) of its value, "
+        "as a share of the image width",
     )
-    outline: float = Field(5.0, ge=0, description="cost of a pixel of outline in a region of one color")
-    min_outline_share: float = Field(0.1, ge=0, le=1, description="share of this cost along a strong color edge")
-    color_scale: float = Field(12.0, gt=0, description="color difference at which it falls by exp(-1/2), grey levels")
+    outline: float = Field(
+        5.0, ge=0, description="cost per pixel of a region's outline where the color does not change"
+    )
+    min_outline_share: float = Field(
+        0.1, ge=0, le=1, description="share of the outline's cost that remains along a strong color edge"
+    )
+    color_scale: float = Field(
+        12.0, gt=0, description="color difference at which the outline's cost falls by exp(-1/2), grey levels"
+    )
     min_region_evidence: float = Field(
-        2.0, ge=0, description="evidence that a region's samples need together, standard deviations of their mean"
+        2.0, ge=0, description="evidence that a region's samples need together, standard deviations of their sum"
     )
-    min_area: float = Field(0.0, ge=0, le=1, description="smaller regions are dropped, share of the image")
+    min_area: float = Field(
+        0.0, ge=0, le=1, description="smallest area of a region, as a share of the image; smaller ones are dropped"
+    )
     min_sample_evidence: float = Field(
-        0.5, ge=0, description="mean evidence that a region's samples need, standard deviations"
+        0.5, ge=0, description="mean evidence per sample that a region needs, standard deviations of a sample"
     )
 
     def __call__(
@@ -102,8 +131,7 @@ class UnreliableRegions(BaseModel):
         Parameters
         ----------
         sensor : (H, W) inverse depth, NaN = unknown
-        planes : through the samples at all pixels, row by row; marks in [0, 1] say how far samples contradict the
-            sensor at their own pixels
+        planes : through the samples at all pixels, row by row; ``averaged`` is the mean contradiction of the samples
         samples : those that were fitted
         noise : their standard deviation
         image : (H, W, 3) uint8
@@ -120,23 +148,23 @@ class UnreliableRegions(BaseModel):
         return _with_samples(region, samples)
 
     def beyond_systematic(self, deviations: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        """Subtract the error that samples may share from differences, in standard deviations."""
+        """Bring deviations nearer to 0 by the error that samples may share, in standard deviations."""
         rest: NDArray[np.floating[Any]] = np.sign(deviations) * np.maximum(np.abs(deviations) - self.systematic, 0)
         return rest
 
     def _score(self, sensor: Any, planes: SamplePlanes, samples: Samples, noise: float) -> NDArray[np.float64]:
-        away = samples.distance(sensor.shape).ravel()
-        fading = np.exp(-(away**2.0) / (2 * (self.reach * sensor.shape[1]) ** 2))
-        off = self.beyond_systematic(
+        distance = samples.distance(sensor.shape).ravel()
+        fading = np.exp(-(distance**2.0) / (2 * (self.reach * sensor.shape[1]) ** 2))
+        deviation = self.beyond_systematic(
             (sensor.ravel() - planes.values) / np.sqrt(noise**2 + (self.model_error * planes.sigma) ** 2.0)
         )
-        score = np.clip(planes.confidence * off * off / 2 - self.score_threshold, *_SCORE_RANGE) * fading
-        # Samples that agree with the sensor are no evidence beside their surface, however far the fit is continued.
+        score = np.clip(planes.confidence * deviation * deviation / 2 - self.score_threshold, *_SCORE_RANGE) * fading
+        # Samples that agree with the sensor are no evidence beside their surface, however far their plane is continued.
         gain = np.clip((planes.averaged - self.contradiction) / self.contradiction, 0, 1)
         score = np.where(score > 0, score * gain, score)
         # Through glass the sensor measures a farther surface, never a nearer one.
-        score = np.where(off > 0, np.minimum(score, -self.score_threshold), score)
-        known: NDArray[np.float64] = np.where(np.isfinite(off), score, 0.0)
+        score = np.where(deviation > 0, np.minimum(score, -self.score_threshold), score)
+        known: NDArray[np.float64] = np.where(np.isfinite(deviation), score, 0.0)
         return known.reshape(sensor.shape)
 
     def _weights(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.float64], ...]:
@@ -152,10 +180,10 @@ class UnreliableRegions(BaseModel):
 
     def _contradicted(self, region: Any, sensor: Any, samples: Samples, noise: float) -> NDArray[np.bool_]:
         labels, area = _pieces(region)
-        nearer = self.beyond_systematic((samples.values - sensor[samples.rows, samples.columns]) / noise)
-        known = np.isfinite(nearer)
+        evidence = self.beyond_systematic((samples.values - sensor[samples.rows, samples.columns]) / noise)
+        known = np.isfinite(evidence)
         at = labels[samples.rows, samples.columns][known]
-        total = np.bincount(at, np.clip(nearer[known], -_MAX_SAMPLE_EVIDENCE, _MAX_SAMPLE_EVIDENCE), area.size)
+        total = np.bincount(at, np.clip(evidence[known], -_MAX_SAMPLE_EVIDENCE, _MAX_SAMPLE_EVIDENCE), area.size)
         number = np.bincount(at, minlength=area.size)
         keep = (number > 0) & (total >= self.min_region_evidence * np.sqrt(number))
         keep &= (total >= self.min_sample_evidence * number) & (area >= self.min_area * region.size)

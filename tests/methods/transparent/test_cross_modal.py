@@ -18,7 +18,7 @@ from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
 from depthcli.methods.stereo.cost.absolute_difference import AbsoluteDifference
 from depthcli.methods.transparent.cross_modal import CrossModal, MatchSelection
-from depthcli.methods.transparent.modality import GREY, learned_weights, mixed, solve_nnls
+from depthcli.methods.transparent.modality import GREY, learned_weights, mix_channels, solve_nnls
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.scenes import DATA
 
@@ -108,7 +108,7 @@ def test_weights_of_the_channels_are_learned_from_the_sensor():
     rng = np.random.default_rng(1)
     color = cv2.GaussianBlur(rng.integers(0, 256, (80, 120, 3)).astype(np.uint8), (0, 0), 1.2)
     shift = 7
-    infrared = np.roll(mixed(color, (0.7, 0.3, 0.0)), -shift, axis=1)
+    infrared = np.roll(mix_channels(color, (0.7, 0.3, 0.0)), -shift, axis=1)
     disparity = np.full((80, 120), shift, np.float32)
     disparity[:, :20] = np.nan
     np.testing.assert_allclose(learned_weights(color, infrared, disparity), (0.7, 0.3, 0.0), atol=0.03)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from depthcli.methods.stereo.volume import CostVolume
-from depthcli.methods.transparent.modality import cost_at, deviation, faded_costs, mean_cost
+from depthcli.methods.transparent.modality import cost_at, faded_costs, local_deviation, mean_cost
 from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import transparent as naive
 
@@ -27,7 +27,7 @@ def half_flat(height, width, seed=0):
 def test_faded_costs_agree_with_the_reference(shape, dtype):
     costs = volume(shape, dtype)
     left, right = half_flat(*shape[:2]), half_flat(*shape[:2], 1)
-    shares = [np.minimum(deviation(image) / 30, 1) for image in (left, right)]
+    shares = [np.minimum(local_deviation(image) / 30, 1) for image in (left, right)]
     found = faded_costs(costs, left, right, 30.0).costs
     assert found.dtype == np.uint16
     assert np.abs(found.astype(int) - naive.faded_costs(costs.costs, *shares)).max() <= 1

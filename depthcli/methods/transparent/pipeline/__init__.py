@@ -1,4 +1,4 @@
-"""Depth from a sensor and from sparse stereo: the data flow from frame to dense map. One file a pipeline."""
+"""Depth from a sensor and from sparse stereo: the data flow from frame to dense map. One file per pipeline."""
 
 from __future__ import annotations
 

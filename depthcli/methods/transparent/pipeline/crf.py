@@ -1,4 +1,4 @@
-"""A fully connected CRF over depth labels: the thesis's method (section 5.1.2)."""
+"""A fully connected CRF over depth labels, the method of the thesis (thesis, section 5.1.2)."""
 
 from __future__ import annotations
 
@@ -40,23 +40,35 @@ class DenseCrf(TransparentPipeline):
     dense_weight: float = Field(
         1.0, ge=0, description="cost per label of distance from the dense map of stereo, where there is one"
     )
-    truncation: float = Field(6.0, gt=0, description="distance from a value beyond which costs no longer grow, labels")
+    truncation: float = Field(
+        6.0, gt=0, description="distance from a value beyond which its costs no longer grow, labels"
+    )
     smooth_truncation: int = Field(
-        8, ge=1, description="difference of two pixels beyond which costs no longer grow, labels"
+        8,
+        ge=1,
+        description="difference of two pixels' labels beyond which the cost of their pair no longer grows, labels",
     )
     bilateral_weight: float = Field(
         1.0, ge=0, description="weight of smoothness between pixels of similar place and color"
     )
-    bilateral_distance: float = Field(20.0, gt=0, description="distance at which it falls to exp(-1/2), pixels")
+    bilateral_distance: float = Field(
+        20.0, gt=0, description="distance at which the weight by place and color falls to exp(-1/2), pixels"
+    )
     bilateral_color: float = Field(
-        20.0, gt=0, description="color difference at which it falls to exp(-1/2), grey levels"
+        20.0,
+        gt=0,
+        description="color difference at which the weight by place and color falls to exp(-1/2), grey levels",
     )
     near_weight: float = Field(0.3, ge=0, description="weight of smoothness between pixels of similar place")
-    near_distance: float = Field(3.0, gt=0, description="distance at which it falls to exp(-1/2), pixels")
+    near_distance: float = Field(
+        3.0, gt=0, description="distance at which the weight by place falls to exp(-1/2), pixels"
+    )
     separation: float = Field(
         4.0, ge=0, description="distance of unreliable pixels from others in the kernels, standard deviations"
     )
-    band: int = Field(8, ge=0, description="pixels around unreliable ones and holes that are labelled with them")
+    band: int = Field(
+        8, ge=0, description="width of the band around unreliable pixels and gaps that is labelled with them, pixels"
+    )
     iterations: int = Field(2, ge=0, le=100, description="iterations of mean field inference")
 
     def __call__(self, frame: SparseFrame) -> RefinedDepth:

@@ -17,8 +17,12 @@ from depthcli.methods.transparent.pipeline import TransparentPipeline
 class NearestSample(TransparentPipeline):
     """The sensor's depth where it is near the nearest sample's, or far from any sample; the sample's elsewhere."""
 
-    tolerance: float = Field(0.015, ge=0, description="difference up to which the sensor is kept, meters")
-    relative_tolerance: float = Field(0.02, ge=0, description="or this share of the depth, where that is more")
+    tolerance: float = Field(
+        0.015, ge=0, description="largest difference from the nearest sample at which the sensor is kept, meters"
+    )
+    relative_tolerance: float = Field(
+        0.02, ge=0, description="largest difference as a share of the depth; the larger of both tolerances counts"
+    )
     reach: float = Field(
         40.0, ge=0, description="largest distance of a sample that the sensor is compared with, pixels"
     )
@@ -36,9 +40,9 @@ class NearestSample(TransparentPipeline):
     def unreliable(self, frame: SparseFrame, dense: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Select the pixels whose depth by the sensor is far from ``dense``, median of 5 x 5, (H, W) bool."""
         blank = np.where(np.isfinite(frame.sparse), np.uint8(0), np.uint8(1))
-        away = cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        distance = cv2.distanceTransform(blank, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         far = np.abs(dense - frame.depth) > np.maximum(self.tolerance, self.relative_tolerance * frame.depth)
-        smooth = cv2.medianBlur((far & (away <= self.reach)).astype(np.uint8), 5)
+        smooth = cv2.medianBlur((far & (distance <= self.reach)).astype(np.uint8), 5)
         unreliable: NDArray[np.bool_] = (smooth > 0) & np.isfinite(frame.depth)
         return unreliable
 

@@ -25,7 +25,9 @@ class RobustPlanes(TransparentPipeline):
     unreliable: UnreliableRegions = Field(
         default_factory=UnreliableRegions, description="where the sensor is unreliable"
     )
-    smoothing: Smoothing = Field(default_factory=Smoothing, description="of the planes, where they replace the sensor")
+    smoothing: Smoothing = Field(
+        default_factory=Smoothing, description="how the planes are smoothed where they replace the sensor"
+    )
 
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
