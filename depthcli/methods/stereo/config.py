@@ -52,7 +52,9 @@ class PairConfig(BaseModel):
     """What the configs of all commands that match pairs have in common."""
 
     max_disparity: _End = Field(
-        None, description="largest disparity searched, pixels; auto: from matched key points; null: the scene's"
+        None,
+        description="largest disparity searched, pixels; auto: from matched key points; null: the scene's; where it "
+        "has none, pairs rectified by a calibration take that of key points",
     )
     min_disparity: _End = Field(
         None,

@@ -186,6 +186,7 @@ def run_stage(stage: object, *arguments: Any) -> Any:
 
     Parameters
     ----------
+    stage : the object that the processor would call
     arguments : those of the stage's ``__call__``, as types of this module
     """
     implementation = device_implementation_of(stage)

@@ -1,4 +1,4 @@
-"""Rows of two views made to correspond: matches between any two views, and rectification without a calibration."""
+"""Rectification without a calibration: key points of any two views matched, then rows made to correspond."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def rectify_uncalibrated(left: Points, right: Points, size: tuple[int, int]) -> 
 
 
 def _fitted(left: Points, right: Points, size: tuple[int, int], focal: float) -> RectifyingHomographies:
-    """Levenberg-Marquardt over two and three angles and the focal length, with Huber's weights."""
+    """Return the best homographies: Levenberg-Marquardt over 2 + 3 angles and the focal length, Huber's weights."""
     parameters, damping = np.zeros(6), 1e-3
     weigh = np.sqrt(len(left)) * _REGULARIZATION
 

@@ -86,7 +86,7 @@ class SearchRange:
         )
 
     def _to_pair(self, values: NDArray[Any]) -> NDArray[Any]:
-        """(H, W', ...) of the shifted pair at the pair's width; new columns repeat the first one."""
+        """Return values of the shifted pair, (H, W', ...), at the pair's width; new columns repeat the first one."""
         if self.min_disparity < 0:
             return np.ascontiguousarray(values[:, -self.min_disparity :])
         return np.pad(values, ((0, 0), (self.min_disparity, 0), *(((0, 0),) * (values.ndim - 2))), mode="edge")

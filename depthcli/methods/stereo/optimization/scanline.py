@@ -102,8 +102,8 @@ def _sweep_both(costs: Any, down: Any, up: Any, edges: Any, table: Any, diagonal
 @jit
 def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upwards: bool) -> None:
     # Paths from the left, above, upper left and upper right; upwards: from the opposite directions. ``state`` holds the
-    # path costs, D + 2 cells a pixel: two pixels of the row path, then for each of the three directions from above two
-    # rows of W + 2 pixels that alternate. New paths begin at margin pixels.
+    # path costs, D + 2 cells per pixel: two pixels of the row path, then for each of the three directions from above
+    # two rows of W + 2 pixels that alternate. New paths begin at margin pixels.
     height, width, n_disparities = costs.shape
     cells = n_disparities + 2
     row_cells = (width + 2) * cells

@@ -76,7 +76,7 @@ class Tile:
         return slice(*self.rows), slice(*self.columns)
 
     def cut(self, pair: StereoPair, low: int = 0) -> StereoPair:
-        """Return the tile as a pair of its own, whose disparities are smaller by ``low``."""
+        """Return the tile, margins included, as a pair of its own whose disparities are smaller by ``low``."""
         top, bottom, left, right = self.around
         before = max(0, low - left)  # columns that the right image does not have
         other = pair.right[top:bottom, left - low + before : right - low]
@@ -206,7 +206,7 @@ class Memory(NamedTuple):
     held: int
 
     def beside(self, pair: StereoPair) -> Memory:
-        """Return what is left while ``pair`` is held, too."""
+        """Return the same memory with the images of ``pair`` counted as held, too."""
         return Memory(self.allowed, self.held + pair.left.nbytes + pair.right.nbytes)
 
     def tiles(
@@ -234,7 +234,13 @@ class Memory(NamedTuple):
 
 @dataclass(frozen=True)
 class TilePlan:
-    """Tiles in the order in which they are matched, each in at most ``free`` bytes."""
+    """Tiles in the order in which they are matched.
+
+    Attributes
+    ----------
+    need : bytes that matching a tile takes
+    free : bytes that one tile may take, at most
+    """
 
     tiles: list[Tile]
     need: Callable[[Tile], int]

@@ -130,7 +130,7 @@ def match_by_patches(
 
 
 def _recycled(tile: Tile) -> int:
-    """Bytes of the pool's blocks that only the next tile can use."""
+    """Return the size of the pool's blocks that only the next tile can use, bytes."""
     return 2 * tile.shape[0] * tile.shape[1] * tile.n_disparities
 
 
@@ -228,7 +228,7 @@ def _refined_in_bands(
     max_disparity: int,
     prior: Prior | None,
 ) -> DisparityMap:
-    """The map after one step, with the memory of a band of rows where the step looks no farther."""
+    """Return the map after one step, applied to one band of rows at a time where the step looks no farther."""
     height, width = pair.shape
     right = found.right()
     halo = step.halo()

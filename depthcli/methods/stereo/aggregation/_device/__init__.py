@@ -28,14 +28,14 @@ _BAND = 64  # rows or columns that one thread's running sum goes along; each sta
 
 
 def adaptive_weight(method: AdaptiveWeight, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the same means but for rounding; weights are shared by a tile of pixels and disparities."""
+    """Return the means of :class:`AdaptiveWeight` but for rounding; a tile of pixels and disparities shares weights."""
     height, width, n_disparities = volume.costs.shape
     size = (-(-width // _TILE) * _THREADS, -(-n_disparities // _LANES), height)
     return _weighted_means(method, volume, pair, "shared_weights", size, (_THREADS, 1, 1))
 
 
 def naive_adaptive_weight(method: AdaptiveWeight, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the same means but for rounding; every cell computes all weights of its window."""
+    """Return the means of :class:`AdaptiveWeight` but for rounding; every cell computes all weights of its window."""
     return _weighted_means(method, volume, pair, "naive_weights", *cells(volume.costs))
 
 
@@ -59,7 +59,7 @@ def _weighted_means(
 
 
 def constant_window(method: ConstantWindow, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the same means, by two running sums."""
+    """Return the means of :class:`ConstantWindow`, by two running sums."""
     if volume.costs.dtype != np.uint8:
         volume = volume.as_fixed_point()
     device = volume.device
@@ -83,7 +83,7 @@ def constant_window(method: ConstantWindow, volume: DeviceVolume, pair: DevicePa
 
 
 def naive_constant_window(method: ConstantWindow, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the same means, each summed anew."""
+    """Return the means of :class:`ConstantWindow`, each summed anew."""
     if volume.costs.dtype != np.uint8:
         volume = volume.as_fixed_point()
     device = volume.device
@@ -101,12 +101,12 @@ def _factor(volume: DeviceVolume) -> int:
 
 
 def cross(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the same means, by orthogonal integrals."""
+    """Return the means of :class:`Cross`, by orthogonal integrals."""
     return _aggregate(method, volume, pair, _cut_means if method.support == "intersection" else _means)
 
 
 def naive_cross(method: Cross, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the same means, every support summed anew."""
+    """Return the means of :class:`Cross`, every support summed anew."""
     return _aggregate(method, volume, pair, _naive_cut if method.support == "intersection" else _naive)
 
 

@@ -43,7 +43,7 @@ KERNEL void column_sums(GLOBAL const COST *RESTRICT costs, GLOBAL SUM *RESTRICT 
     }
 }
 
-// Running sums of those along the rows; a thread a row, a disparity and a band of columns.
+// Running sums of those along the rows; one thread per row, disparity and band of columns.
 KERNEL void row_means(GLOBAL const SUM *RESTRICT sums, GLOBAL ushort *RESTRICT means, int height, int width, int n_disparities,
                       int radius, float factor, int band)
 {

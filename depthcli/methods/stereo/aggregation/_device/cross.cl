@@ -78,7 +78,7 @@ DEVICE ushort mean_of(uint sum, float inverse)
     return (ushort)(int)((float)(int)sum * factor + 0.5f);
 }
 
-// The naive way: a thread a cell, which reads its whole support.
+// The naive way: one thread per cell, which reads its whole support.
 KERNEL void naive_cross(GLOBAL const ushort *RESTRICT costs, GLOBAL const uchar *RESTRICT arms,
                         GLOBAL const float *RESTRICT inverse, GLOBAL ushort *RESTRICT means,
                         int height, int width, int n_disparities, int across)

@@ -34,7 +34,7 @@ def _fill_volume(
 
 
 def absolute_difference(method: AbsoluteDifference, pair: DevicePair, n_disparities: int) -> DeviceVolume:
-    """Return the same costs."""
+    """Return the costs of :class:`AbsoluteDifference`."""
     channels = 3 if pair.host.left.ndim == 3 else 1
     left, right = pair.color if channels == 3 else pair.grey8
     limit = min(round(method.truncation * channels), method.MAX_STORED)
@@ -45,7 +45,7 @@ def absolute_difference(method: AbsoluteDifference, pair: DevicePair, n_disparit
 
 
 def census(method: Census, pair: DevicePair, n_disparities: int) -> DeviceVolume:
-    """Return the same costs."""
+    """Return the costs of :class:`Census`."""
     left, right = (_window_feature("census", pair, image, method.window, np.uint64) for image in pair.grey)
     costs = _fill_volume("hamming", pair, left, right, n_disparities, round(method.outside))
     return DeviceVolume(pair.device, costs, 1.0)
@@ -64,7 +64,7 @@ def _window_feature(
 
 
 def combined(method: Combined, pair: DevicePair, n_disparities: int) -> DeviceVolume:
-    """Return the same costs; a part without a device implementation is computed on the host."""
+    """Return the costs of :class:`Combined`; a part without a device implementation is computed on the host."""
     height, width = pair.shape
     device = pair.device
     unit = 255 // len(method.parts)
@@ -86,7 +86,7 @@ def combined(method: Combined, pair: DevicePair, n_disparities: int) -> DeviceVo
 
 
 def gradient(method: Gradient, pair: DevicePair, n_disparities: int) -> DeviceVolume:
-    """Return the same costs, up to the rounding of derivatives in single precision: a sixteenth of a grey level."""
+    """Return the costs of :class:`Gradient` up to a sixteenth of a grey level, by derivatives in single precision."""
     left, right = (_derivatives(method, pair, image) for image in pair.grey)
     limit = round(method.truncation * method.SCALE)
     outside = min(limit, round(method.outside * method.SCALE))
@@ -106,7 +106,7 @@ def _derivatives(method: Gradient, pair: DevicePair, image: DeviceArray) -> Devi
 
 
 def rank(method: Rank, pair: DevicePair, n_disparities: int) -> DeviceVolume:
-    """Return the same costs."""
+    """Return the costs of :class:`Rank`."""
     left, right = (_window_feature("rank", pair, image, method.window, np.uint8) for image in pair.grey)
     costs = _fill_volume("difference", pair, left, right, n_disparities, round(method.outside), 0, 255, CHANNELS=1)
     return DeviceVolume(pair.device, costs, 1.0)

@@ -1,4 +1,4 @@
-// Sum of parts, each by a table of its 256 costs' shares of a pixel's unit; a thread a cell.
+// Sum of parts, each by a table of its 256 costs' shares of a pixel's unit; one thread per cell.
 
 KERNEL void add_part(GLOBAL const uchar *RESTRICT costs, GLOBAL const float *RESTRICT table,
                      GLOBAL const float *RESTRICT units, GLOBAL uchar *RESTRICT total, int first, int n_disparities,

@@ -1,4 +1,4 @@
-// Feature images from grey ones; a thread a pixel. Borders are repeated outwards.
+// Feature images from grey ones; one thread per pixel. Borders are repeated outwards.
 #ifndef GREY
 #define GREY uchar
 #endif

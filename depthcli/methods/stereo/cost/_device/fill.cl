@@ -1,4 +1,4 @@
-// Cost volumes (H, W, D), d fastest, from feature images of both views; a thread a cell. Cells whose match lies
+// Cost volumes (H, W, D), d fastest, from feature images of both views; one thread per cell. Cells whose match lies
 // outside the right image (d > x) get ``outside``.
 #ifndef FEATURE
 #define FEATURE uchar

@@ -14,7 +14,7 @@ _MEMORY_PARTS = 4  # path costs may take one such part of a GPU's memory
 
 
 def scanline(method: Scanline, volume: DeviceVolume, pair: DevicePair) -> DeviceVolume:
-    """Return the same sums of path costs. Directions run side by side, as many as there is memory for."""
+    """Return the sums of path costs of :class:`Scanline`. As many directions run side by side as memory allows."""
     device = volume.device
     if volume.costs.dtype == np.float32:
         volume = volume.as_fixed_point()

@@ -26,7 +26,7 @@ _SELECTION = Kernels("depthcli.methods.stereo", "selection.cl")
 
 
 def background_fill(method: BackgroundFill, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the same map."""
+    """Return the map of :class:`BackgroundFill`."""
     height, width = disparity.values.shape
     rows = disparity.device.empty((height, width), np.float32)
     disparity.device.launch(_FILLS, "fill_rows", (width, height), PIXELS, disparity.values, rows, height, width)
@@ -34,18 +34,18 @@ def background_fill(method: BackgroundFill, disparity: DeviceMap, context: Devic
 
 
 def left_right_check(method: LeftRightCheck, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the same map."""
+    """Return the map of :class:`LeftRightCheck`."""
     parameters = context.volume.n_disparities, float(method.tolerance)
     return disparity.refined(_SELECTION, "left_right_check", [context.right], *parameters)
 
 
 def median(method: Median, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the same map."""
+    """Return the map of :class:`Median`."""
     return disparity.refined(_MEDIANS.with_macros(WINDOW=method.window), "plain_median")
 
 
 def slanted_median(method: SlantedMedian, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the same map."""
+    """Return the map of :class:`SlantedMedian`."""
     device = disparity.device
     height, width = disparity.values.shape
     count = height * width
@@ -73,7 +73,7 @@ def slanted_median(method: SlantedMedian, disparity: DeviceMap, context: DeviceC
 
 
 def speckle_filter(method: SpeckleFilter, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the same map: regions by union of trees (Playne and Hawick 2018)."""
+    """Return the map of :class:`SpeckleFilter`: regions by union of trees (Playne and Hawick 2018)."""
     device = disparity.device
     height, width = disparity.values.shape
     count, steps = height * width, steps_of(context.volume.n_disparities)
@@ -93,7 +93,7 @@ def speckle_filter(method: SpeckleFilter, disparity: DeviceMap, context: DeviceC
 
 
 def subpixel(method: Subpixel, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the same map; to a millionth of a pixel where the device has no double precision."""
+    """Return the map of :class:`Subpixel`; to a millionth of a pixel where the device has no double precision."""
     height, width, n_disparities = context.volume.costs.shape
     values = disparity.device.empty((height, width), np.float32)
     disparity.device.launch(
@@ -104,7 +104,7 @@ def subpixel(method: Subpixel, disparity: DeviceMap, context: DeviceContext) -> 
 
 
 def surface_fill(method: SurfaceFill, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the same map, up to rounding where the device has no double precision."""
+    """Return the map of :class:`SurfaceFill`, up to rounding where the device has no double precision."""
     height, width = disparity.values.shape
     real = np.float64 if disparity.device.has_double else np.float32
     planes = disparity.device.empty((height, width, 4), real)
@@ -116,7 +116,10 @@ def surface_fill(method: SurfaceFill, disparity: DeviceMap, context: DeviceConte
 
 
 def weighted_median(method: WeightedMedian, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
-    """Return the same map, up to a bin of 1/8 pixel where half of the weights is reached in one order of sums alone."""
+    """Return the map of :class:`WeightedMedian`.
+
+    A value may be off by a bin of 1/8 pixel where sums in another order reach half of the weights in another bin.
+    """
     device = disparity.device
     height, width = disparity.values.shape
     by_color, by_distance = (device.upload(table) for table in method.tables())

@@ -117,7 +117,7 @@ DEVICE void plane_along_row(GLOBAL const float *RESTRICT values, int height, int
     *value = (real)start + offset;
 }
 
-// Planes of the pixels beside gaps, (H, W, 4): slope and value from the pixels to the left, then to the right. A thread a pixel.
+// Planes of the pixels beside gaps, (H, W, 4): slope and value from the pixels to the left, then to the right. One thread per pixel.
 KERNEL void surfaces_at_gaps(GLOBAL const float *RESTRICT values, GLOBAL real *RESTRICT planes, int height, int width,
                              int rows, int reach, int support)
 {
