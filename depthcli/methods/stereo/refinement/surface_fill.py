@@ -66,10 +66,14 @@ def _continue_surfaces(values: Any, filled: Any, rows: int, reach: int, support:
             while end < width and np.isnan(values[y, end]):
                 end += 1
             left_slope = left_value = right_slope = right_value = 0.0
-            if x > 0:
-                left_slope, left_value = _plane_along_row(values, y, x - 1, -1, rows, reach, support, sample)
-            if end < width:
-                right_slope, right_value = _plane_along_row(values, y, end, 1, rows, reach, support, sample)
+            for step in (-1, 1):  # not literal arguments: the plane would be compiled once for each
+                at = end if step == 1 else x - 1
+                if 0 <= at < width:
+                    slope, value_there = _plane_along_row(values, y, at, step, rows, reach, support, sample)
+                    if step == 1:
+                        right_slope, right_value = slope, value_there
+                    else:
+                        left_slope, left_value = slope, value_there
             for u in range(x, end):
                 value: float = np.inf
                 if x > 0:
