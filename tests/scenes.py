@@ -47,4 +47,4 @@ def rates(values: NDArray[Any], truth: Any, protocol: str = "middlebury_v2") -> 
     """Mask -> headline figure of the protocol."""
     judge = protocols.load(protocol)()
     scores = judge.scores(values.astype(np.float32), truth)
-    return {score.region: score.value for score in scores if score.measure == judge.headline}
+    return {score.region: score.value for score in scores if score.metric == judge.headline}

@@ -1,4 +1,4 @@
-"""PairedTest of runs with ground truth: maps of the runs and scenes with truth in, scores, tables and plots out.
+"""Comparison of runs with ground truth: maps of the runs and scenes with truth in, scores, tables and plots out.
 
 The data flow, which ``depthcli/commands/_scoring.py`` runs for every scene and run; arrays hold NaN where they have
 no value:

@@ -118,7 +118,7 @@ def _times(section: Section, what: str) -> str:
 
 
 def _sparsifications(section: Section) -> Iterator[tuple[tuple[str, str], str]]:
-    """((region, kind of error), plot): a line a run and confidence, the mean of its scenes' curves."""
+    """((region, kind of error), plot): a line per run and confidence, the mean of its scenes' curves."""
     groups: dict[tuple[str, str], dict[str, list[Any]]] = {}
     for r in section.results:
         for c in r.curves:

@@ -15,7 +15,7 @@ Packed = dict[str, Any]
 
 _DEFLATE_LEVEL = 4  # of zlib; higher ones take several times as long for a few percent
 _MAX_CODE = 65535
-_MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps its pictures near 10 MB a run
+_MAX_PIXELS = 3_000_000  # of all slices of a volume that are shown, which keeps its pictures near 10 MB per run
 
 
 def pack(values: NDArray[np.floating[Any]], low: float, high: float, levels: int = _MAX_CODE) -> Packed:
