@@ -49,9 +49,9 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
 
         return (
             Column("size", lambda row: f"{row['width']}x{row['height']}x{row['slices']}" if "slices" in row else "-"),
-            Column("iso mm", lambda row: f"{row['iso']:.2f}" if "iso" in row else "-"),
-            Column("error mm", lambda row: f"{row['mean_error']:.2f}" if "mean_error" in row else "-"),
-            Column("border", percent("border")),
+            Column("voxel mm", lambda row: f"{row['iso']:.2f}" if "iso" in row else "-"),
+            Column("expected mm", lambda row: f"{row['mean_error']:.2f}" if "mean_error" in row else "-"),
+            Column("at border", percent("border")),
         )
 
     def compute(self, config: RegisterConfidenceConfig, scene: VolumePairScene, folder: Path, memory: int) -> Outcome:

@@ -1,4 +1,4 @@
-"""Refinement of Kinect depth maps: gaps filled, depth edges moved to color edges, noise smoothed (thesis chapter 4).
+"""Refinement of Kinect depth maps: gaps filled, depth edges moved to color edges, noise smoothed (thesis, chapter 4).
 
 In: an ``RgbdFrame``, color (H, W, 3) uint8 and depth (H, W) float32, m. Out: a ``RefinedDepth`` with depth, status and
 standard deviation. Start at ``pipeline``: one file a pipeline, its steps in order. All pipelines compute with the

@@ -17,12 +17,12 @@ class RefineKinectConfig(RootConfig):
 
     pipeline: Pipeline = Field(description="the data flow from frame to refined depth")
     depth_scale: float | None = Field(
-        None, gt=0, le=1e6, description="codes a meter of the depth files; null: what the layout says"
+        None, gt=0, le=1e6, description="codes per meter of the depth files; null: what the layout says"
     )
     intrinsics: tuple[float, float, float, float] | None = Field(
         None, description="fx, fy, cx, cy of the color camera, pixels; null: what the layout says"
     )
-    mask: str = Field("all", pattern="^(all|measured)$", description="pixels of point clouds: all or measured")
+    mask: str = Field("all", pattern="^(all|measured)$", description="pixels that point clouds hold: all or measured")
     near: float = Field(0.0, ge=0, description="points of clouds are no nearer, meters")
     far: float = Field(1000.0, gt=0, description="points of clouds are no farther, meters")
     ply: bool = Field(False, description="write a colored point cloud of every frame, too")

@@ -1,4 +1,4 @@
-"""Confidence of a medical registration, voxel by voxel (thesis chapter 7): from the registered pair alone.
+"""Confidence of a medical registration, voxel by voxel (thesis, chapter 7): from the registered pair alone.
 
 In: a ``RegisteredPair``, two volumes (Z, Y, X) float32 on one grid, spacing in mm, and a mask. Out: a
 ``RegistrationResult`` on the grid of measured voxels: expected error, mm; certainty, 0 to 1; shift to the match, mm.

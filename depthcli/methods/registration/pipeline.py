@@ -1,4 +1,4 @@
-"""From a registered pair to confidence, expected error and shift (thesis chapter 7)."""
+"""From a registered pair to confidence, expected error and shift (thesis, chapter 7)."""
 
 from __future__ import annotations
 
@@ -85,10 +85,14 @@ class RegistrationConfidence(BaseModel):
         None, gt=0, le=100, description="side of a working voxel, mm; null: as many voxels as the fixed volume has"
     )
     max_voxels: int = Field(
-        6_000_000, ge=1000, le=100_000_000, description="where null makes more voxels than this, they are larger"
+        6_000_000,
+        ge=1000,
+        le=100_000_000,
+        description="largest number of working voxels; where iso is null and there were more, they are larger",
     )
     intensity_range: tuple[float, float] | None = Field(
-        None, description="intensities are clamped to this first; null: CT numbers (below -500) to -1000 .. 400"
+        None,
+        description="lowest and highest intensity, others are clamped; null: -1000, 400 for CT (values below -500)",
     )
     search: SearchShape = Field("cube", description="displacements: the whole cube, three planes or three axes")
     radius: int = Field(5, ge=1, le=12, description="largest displacement searched, working voxels")
@@ -103,11 +107,22 @@ class RegistrationConfidence(BaseModel):
         description="deviation of the Gaussian that expected errors are averaged with, each weighted by how narrow its "
         "likelihood is, working voxels; the window's own is 2",
     )
-    sharpness: int = Field(10, ge=1, le=40, description="of the likelihoods: 0.5 / k, k in deviations of a curve")
-    levels: int = Field(
-        1, ge=1, le=3, description="resolutions: every further one is half as fine and finds errors twice as large"
+    sharpness: int = Field(
+        10,
+        ge=1,
+        le=40,
+        description="power that likelihoods are raised to: 0.5 / k, k in standard deviations of a curve",
     )
-    measure: str = Field("eshift", description="what orders the voxels; eshift gives one without unit its mm")
+    levels: int = Field(
+        1,
+        ge=1,
+        le=3,
+        description="number of resolutions; every further one is half as fine and finds errors twice as large",
+    )
+    measure: str = Field(
+        "eshift",
+        description="confidence measure that orders the voxels; one without a unit is fitted to the mm of eshift",
+    )
 
     @field_validator("measure")
     @classmethod

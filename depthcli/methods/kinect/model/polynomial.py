@@ -1,4 +1,4 @@
-"""Polynomials of inverse depth, in which a plane has degree 1 (thesis chapter 4)."""
+"""Polynomials of inverse depth, in which a plane has degree 1 (thesis, chapter 4)."""
 
 from __future__ import annotations
 

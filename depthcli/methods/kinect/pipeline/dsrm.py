@@ -35,14 +35,16 @@ class Dsrm(KinectPipeline):
         ),
         description="layers of segments, from fine to coarse",
     )
-    model: Model = Field(default_factory=Polynomial, description="of the inverse depth in a segment")
+    model: Model = Field(default_factory=Polynomial, description="what is fitted to the inverse depth of a segment")
     jump: float = Field(5.0, gt=0, le=1000, description="a larger step is a depth edge, multiples of the noise")
     row_band: int = Field(
         8, ge=0, le=64, description="unreliable pixels along the row on the near side of a depth edge, or beside a gap"
     )
-    column_band: int = Field(2, ge=0, le=64, description="the same along the column")
-    min_known: int = Field(30, ge=1, description="a segment's model needs so many known pixels")
-    min_share: float = Field(0.05, ge=0, le=1, description="and this share of the segment")
+    column_band: int = Field(
+        2, ge=0, le=64, description="unreliable pixels along the column on the near side of a depth edge"
+    )
+    min_known: int = Field(30, ge=1, description="number of known pixels of a segment that a model needs")
+    min_share: float = Field(0.05, ge=0, le=1, description="share of a segment that has to be known for a model")
     join: bool = Field(True, description="segments without a model join one that has one; false: bilateral filling")
     detail_reach: float = Field(
         3.0, ge=0, le=100, description="reach of residuals of known values that are added to the model, pixels; 0: none"
@@ -50,7 +52,7 @@ class Dsrm(KinectPipeline):
     tolerance: float = Field(3.0, gt=0, description="tau: values that are off by more scales contradict the model")
     smooth: bool = Field(True, description="replace values that agree with the model by it: less noise")
     combination: Literal["median", "in_turn"] = Field(
-        "median", description="of the layers; in_turn: each fills and corrects the result of the finer ones"
+        "median", description="how layers are joined: their median; in_turn: each corrects the result of the finer ones"
     )
     correction_band: int = Field(
         8, ge=0, le=64,

@@ -42,17 +42,22 @@ class PlaneVotes(KinectPipeline):
     )
     min_vote_probability: float = Field(0.4, ge=0, lt=1, description="measurements less probable than this do not vote")
     opening_probability: float | None = Field(
-        0.6, gt=0, lt=1, description="of a measurement whose color speaks for a surface behind it; null: 1"
+        0.6,
+        gt=0,
+        lt=1,
+        description="largest probability of measurements where colors show a hidden opening; null: no limit",
     )
-    shadows: bool = Field(True, description="use that shadows are as wide as the step they lie at")
-    candidates: int = Field(4, ge=1, le=8, description="largest number of candidates a pixel")
+    shadows: bool = Field(True, description="use that a shadow is as wide as the depth step beside it, in disparity")
+    candidates: int = Field(4, ge=1, le=8, description="largest number of candidate surfaces per pixel")
     sigma_color: float = Field(11.0, gt=0, le=500, description="L1 difference in 8-bit Lab over which votes fade")
     sigma_shadow: float = Field(20.0, gt=0, le=30, description="distance over which votes fade in shadows, pixels")
     sigma_space: float = Field(3.0, gt=0, le=30, description="distance over which votes fade, pixels")
-    sigma_growth: float = Field(0.3, ge=0, le=5, description="growth of sigma_space a pixel of distance from voters")
+    sigma_growth: float = Field(
+        0.3, ge=0, le=5, description="growth of sigma_space per pixel of distance from the voters"
+    )
     smoothness: float = Field(0.1, ge=0, description="cost of neighbors that differ by as much as the noise")
     truncation: float = Field(13.0, gt=0, description="largest difference that costs, multiples of the noise")
-    iterations: int = Field(5, ge=1, le=100, description="of the message passing")
+    iterations: int = Field(5, ge=1, le=100, description="number of iterations of the message passing")
     passes: int = Field(2, ge=1, le=5, description="repetitions, each on the map refined so far")
 
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:

@@ -1,4 +1,4 @@
-"""Frames of a camera that moves little: segments are carried from frame to frame (thesis chapter 4)."""
+"""Frames of a camera that moves little: segments are carried from frame to frame (thesis, chapter 4)."""
 
 from __future__ import annotations
 
