@@ -1,4 +1,4 @@
-"""Results as files, one writer a kind of result."""
+"""Results as files, one writer per kind of result."""
 
 from __future__ import annotations
 

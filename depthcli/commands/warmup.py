@@ -31,7 +31,7 @@ class WarmupCommand(Command):
             Option(
                 "list", bool, "List the kernels by the time that compiling them takes; compile none.", default=False
             ),
-            Option("jobs", int, "Processes side by side; default: one a core.", "N", short="-j", min_value=1),
+            Option("jobs", int, "Processes side by side. Default: one per core.", "N", short="-j", min_value=1),
         )
 
     def run(self, values: Values, reporter: Reporter) -> int:

@@ -188,8 +188,8 @@ def _background(disparity, value, slope_x, jump, low, high, background, extra_sh
 def max_disparity_in_gaps(disparity: NDArray[np.float32], jump: float, tolerance: float = 2.5) -> NDArray[np.float32]:
     """Compute the largest disparity (H, W) float32 that a gap allows if it is a shadow; inf where it is none.
 
-    One value a gap, from its rims only (:func:`shadow_limits` is finer, and weighs). A gap of n pixels beside a step is
-    the shadow of its near side on a surface that is farther by about n pixels of disparity: on the far side of the
+    One value per gap, from its rims only (:func:`shadow_limits` is finer, and weighs). A gap of n pixels beside a step
+    is the shadow of its near side on a surface that is farther by about n pixels of disparity: on the far side of the
     step, if that is as far, or else on a surface behind it.
 
     Parameters

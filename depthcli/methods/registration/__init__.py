@@ -7,7 +7,7 @@ Start at ``pipeline``: where a search finds a better match than the registration
 | module | step |
 |---|---|
 | ``pipeline`` | the data flow, and both volumes on a working grid of cubic voxels |
-| ``feature`` | channels, uint8, that are compared; one file a feature |
+| ``feature`` | channels, uint8, that are compared; one file per feature |
 | ``search`` (kernels in ``_search_kernels``) | costs of all displacements around a voxel, and measures of their curve |
 | ``millimeters`` | expected error, mm, from one of the measures |
 | ``smoothing`` | Gaussian of a volume, for features and errors |

@@ -88,7 +88,7 @@ class RegistrationConfidence(BaseModel):
         6_000_000,
         ge=1000,
         le=100_000_000,
-        description="largest number of working voxels; where iso is null and there were more, they are larger",
+        description="larger volumes are read as means of blocks; also the most working voxels where iso is null",
     )
     intensity_range: tuple[float, float] | None = Field(
         None,

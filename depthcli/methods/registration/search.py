@@ -19,13 +19,13 @@ MEASURES = {
     "vshift": "length of the expected displacement, mm",
     "shift": "length of the cheapest displacement, mm",
     "mlm0": "likelihood that the match lies at displacement zero, k = 0.5",
-    "aml0": "the same with squared cost differences",
+    "aml0": "likelihood that the match lies at displacement zero, from squared cost differences",
     "rank0": "share of displacements that are cheaper than zero",
     "cur0": "Laplacian of the costs at zero",
     "cost0": "cost at zero, which needs no search",
     "msm": "minus the smallest cost: like the next three a measure of stereo, the same for any displacement",
     "mlm": "likelihood of the cheapest displacement, k = 0.5",
-    "aml": "the same with squared cost differences",
+    "aml": "likelihood of the cheapest displacement, from squared cost differences",
     "pkr": "peak ratio: second smallest local minimum among the 26 neighbors / smallest cost",
 }
 SURER_IF_LARGER = frozenset({"mlm0", "aml0", "cur0", "msm", "mlm", "aml", "pkr"})

@@ -1,4 +1,4 @@
-"""Models of the depth within a segment. One file a model."""
+"""Models of the depth within a segment. One file per model."""
 
 from __future__ import annotations
 

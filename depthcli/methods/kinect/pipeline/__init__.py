@@ -1,4 +1,4 @@
-"""Refinements of a sensor's depth map: the data flow from frame to refined depth. One file a pipeline."""
+"""Refinements of a sensor's depth map: the data flow from frame to refined depth. One file per pipeline."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The thesis's refinement (chapter 4): surfaces fitted robustly to layers of depth-guided segments."""
+"""Surfaces fitted robustly to layers of depth-guided segments (thesis, chapter 4)."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class Dsrm(KinectPipeline):
     def _in_turn(
         self, measurement: Measurement, layers: list[NDArray[np.int32]], lab: NDArray[np.uint8]
     ) -> RefinedDisparity:
-        """Fill and correct by one layer after the other, each fitted to the result of the finer ones (chapter 4)."""
+        """Fill and correct layer after layer, each fitted to the result of the finer ones (thesis, chapter 4)."""
         shape = measurement.disparity.shape
         distance = edge_distance(measurement.disparity, self.jump * measurement.noise)
         edge = distance.inside(self.correction_band, self.correction_band)
@@ -113,7 +113,7 @@ class Dsrm(KinectPipeline):
         return RefinedDisparity(values, scale, status)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate the larger of the sums and pairs of the segmentation, and three maps a layer."""
+        """Estimate the larger of the sums and pairs of the segmentation, and three maps per layer."""
         return 160 * shape[0] * shape[1] + (64 << 20)
 
 

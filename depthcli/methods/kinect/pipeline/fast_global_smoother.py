@@ -27,7 +27,9 @@ class FastGlobalSmoother(FilterPipeline):
     smoothness: float = Field(900.0, gt=0, description="lambda of the smoother")
     sigma_color: float = Field(5.0, gt=0, description="contrast that stops the smoothing, grey levels")
     edge_band: int = Field(2, ge=0, le=64, description="pixels around a depth edge that are unreliable")
-    edge_confidence: float = Field(0.01, ge=0, le=1, description="confidence of the unreliable pixels")
+    edge_confidence: float = Field(
+        0.01, ge=0, le=1, description="confidence of the unreliable pixels beside depth edges"
+    )
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
 
     def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:

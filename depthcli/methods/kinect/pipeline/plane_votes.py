@@ -45,7 +45,7 @@ class PlaneVotes(KinectPipeline):
         0.6,
         gt=0,
         lt=1,
-        description="largest probability of measurements where colors show a hidden opening; null: no limit",
+        description="largest probability of measurements where colors show a hidden opening; null: not looked for",
     )
     shadows: bool = Field(True, description="use that a shadow is as wide as the depth step beside it, in disparity")
     candidates: int = Field(4, ge=1, le=8, description="largest number of candidate surfaces per pixel")

@@ -50,7 +50,9 @@ class Realsense(SequencePipeline):
     spatial_alpha: float = Field(0.5, ge=0.25, le=1, description="weight of the value against the filter's state")
     spatial_delta: int = Field(20, ge=1, le=50, description="larger steps are edges, 32nds of a pixel of disparity")
     temporal_alpha: float = Field(0.4, gt=0, le=1, description="weight of the frame against the previous ones")
-    temporal_delta: int = Field(20, ge=1, le=100, description="larger changes are motion, 32nds of a pixel")
+    temporal_delta: int = Field(
+        20, ge=1, le=100, description="larger changes are motion, 32nds of a pixel of disparity"
+    )
     persistency: int = Field(
         3, ge=0, le=8, description="carry a value over gaps if valid in (1) 8 of 8, 2 of 3, 2 of 4, 2 of 8, 1 of 2, "
         "1 of 5, 1 of 8 last frames, (8) always; 0: never"

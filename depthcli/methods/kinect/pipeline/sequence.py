@@ -58,7 +58,7 @@ class Sequence(SequencePipeline, Dsrm):
     max_changed: float = Field(0.3, ge=0, le=1, description="with a larger share of changed pixels segments are new")
     max_age: int = Field(30, ge=1, description="frames after which segments are computed again")
     drift: float = Field(
-        1.0, ge=0, description="standard deviation of a filled value's change a frame, multiples of the noise"
+        1.0, ge=0, description="standard deviation of a filled value's change per frame, multiples of the noise"
     )
 
     def step(self, frame: RgbdFrame, state: SequenceState | None) -> tuple[RefinedDepth, SequenceState]:

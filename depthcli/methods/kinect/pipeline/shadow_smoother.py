@@ -28,9 +28,15 @@ class ShadowSmoother(KinectPipeline):
 
     smoothness: float = Field(60.0, gt=0, description="lambda of the smoother")
     sigma_color: float = Field(4.0, gt=0, description="contrast that stops the smoothing, grey levels")
-    row_band: int = Field(8, ge=0, le=64, description="pixels of the near side that are unreliable, along rows")
-    column_band: int = Field(2, ge=0, le=64, description="the same along columns")
-    edge_confidence: float = Field(0.003, ge=0, le=1, description="confidence of the unreliable pixels")
+    row_band: int = Field(
+        8, ge=0, le=64, description="unreliable pixels along the row on the near side of a depth edge"
+    )
+    column_band: int = Field(
+        2, ge=0, le=64, description="unreliable pixels along the column on the near side of a depth edge"
+    )
+    edge_confidence: float = Field(
+        0.003, ge=0, le=1, description="confidence of the unreliable pixels beside depth edges"
+    )
     shadow_confidence: float = Field(0.5, ge=0, le=1, description="confidence of values that continue into a shadow")
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
     max_change: float = Field(2.0, ge=0, description="largest change of a reliable measurement, multiples of the noise")

@@ -1,4 +1,4 @@
-"""Features that are compared voxel by voxel. One file a feature."""
+"""Features that are compared voxel by voxel. One file per feature."""
 
 from __future__ import annotations
 

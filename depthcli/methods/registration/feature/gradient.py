@@ -19,7 +19,7 @@ class GradientFeature(VolumeFeature):
     channels: ClassVar[int] = 3
 
     sigma: float = Field(1.0, ge=0, le=4, description="smoothing before the differences, voxels")
-    outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
+    outliers: float = Field(0.5, ge=0, lt=25, description="share of values cut off at either end of the range, percent")
 
     def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
         one, other = (self._derivatives(volume) for volume in (fixed, warped))

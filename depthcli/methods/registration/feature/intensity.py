@@ -15,7 +15,7 @@ class Intensity(VolumeFeature):
 
     channels: ClassVar[int] = 1
 
-    outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
+    outliers: float = Field(0.5, ge=0, lt=25, description="share of values cut off at either end of the range, percent")
 
     def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
         one, other = levels(fixed, warped, self.outliers)

@@ -18,8 +18,8 @@ class LocalNcc(VolumeFeature):
     channels: ClassVar[int] = 1
 
     sigma: float = Field(2.0, gt=0.5, le=8, description="Gaussian window of mean and deviation, voxels")
-    floor: float = Field(0.05, gt=0, le=1, description="smallest deviation, share of the volume's own")
-    outliers: float = Field(0.5, ge=0, lt=25, description="cut off at either end of the range, percent")
+    floor: float = Field(0.05, gt=0, le=1, description="smallest local deviation, share of the whole volume's")
+    outliers: float = Field(0.5, ge=0, lt=25, description="share of values cut off at either end of the range, percent")
 
     def __call__(self, fixed: VolumeArray, warped: VolumeArray) -> tuple[Channels, Channels]:
         one, other = levels(self._normalized(fixed), self._normalized(warped), self.outliers)
