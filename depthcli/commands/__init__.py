@@ -32,6 +32,7 @@ The others:
 ``merge``     joins the reports of the processes that shared a run
 ``presets``   lists the configs that are shipped, or prints one with its fields
 ``devices``   lists what stereo can run on, and measures the bandwidth
+``warmup``    compiles the kernels that presets call, or lists them
 ============  ======================================================================================================
 """
 

@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from depthcli.batch.command import SOME_FAILED, Command, Values
+from depthcli.batch.console import Reporter, aligned
+from depthcli.batch.json_csv import to_json
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 
 if TYPE_CHECKING:
-    from depthcli.batch.console import Reporter
     from depthcli.kernels.calls import KernelCall
 
 
 class WarmupCommand(Command):
     """Compiles kernels, or lists them with the time that it takes."""
 
-    @property
-    def arguments(self) -> tuple[Option, ...]:
-        """Presets."""
-        return (Option("presets", str, "Presets, as COMMAND/NAME or COMMAND (all of it).", "PRESET", repeatable=True),)
+    arguments = (Option("presets", str, "Presets, as COMMAND/NAME or COMMAND (all of it).", "PRESET", repeatable=True),)
 
-    @property
-    def options(self) -> tuple[Option, ...]:
-        """What to compile, and with how many processes."""
-        return (
-            Option("all", bool, "Every preset.", default=False),
-            Option(
-                "list", bool, "List the kernels by the time that compiling them takes; compile none.", default=False
-            ),
-            Option("jobs", int, "Processes side by side. Default: one per core.", "N", short="-j", min_value=1),
-        )
+    options = (
+        Option("all", bool, "Every preset.", default=False),
+        Option("list", bool, "List the kernels by the time that compiling them takes; compile none.", default=False),
+        Option("jobs", int, "Processes side by side. Default: one per core.", "N", short="-j", min_value=1),
+    )
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Compile or list; return the exit code."""
-        from depthcli.batch.console import aligned
-        from depthcli.batch.json_csv import to_json
+        from depthcli.batch.resources import cores
         from depthcli.kernels.calls import recorded_calls
         from depthcli.kernels.jit import cache_folder
 
@@ -54,7 +45,7 @@ class WarmupCommand(Command):
             return 0
         if cache_folder() is None:
             raise ConfigError("no folder for compiled kernels can be written; name one in NUMBA_CACHE_DIR")
-        n_compiled, failed = _prepare(calls, values["jobs"] or os.cpu_count() or 1, reporter)
+        n_compiled, failed = _prepare(calls, values["jobs"] or cores(), reporter)
         for line in failed:
             reporter.error(line)
         if values["json"]:
@@ -66,12 +57,14 @@ class WarmupCommand(Command):
 
 def _chosen(words: list[str], every: bool) -> list[str]:
     """Return the presets, as ``command/name``, that the words name."""
-    from depthcli.batch.presets import list_presets
+    from depthcli.batch.presets import find_preset, list_presets, preset_folder
 
-    known = [f"{command}/{name}" for command, name, _ in list_presets()]
-    chosen = list(known) if every else []
+    chosen = [f"{command}/{name}" for command, name, _ in list_presets()] if every else []
     for word in words:
-        found = [name for name in known if word in (name, name.partition("/")[0], name.replace("/thesis/", "/"))]
+        command, _, name = word.partition("/")
+        file = find_preset(command, name)
+        found = [f"{word}/{each}" for _, each, _ in list_presets(word)]
+        found += [file.relative_to(preset_folder()).with_suffix("").as_posix()] if file is not None else []
         if not found:
             raise ConfigError(f"no preset {word!r}; give COMMAND/NAME (see depthcli presets), COMMAND, or --all")
         chosen += found
@@ -95,7 +88,7 @@ def _prepare(calls: list[KernelCall], n_processes: int, reporter: Reporter) -> t
     for call in calls:
         modules[call.module].append(call)
     longest_first = sorted(modules.values(), key=lambda group: -sum(call.seconds for call in group))
-    n_processes = min(n_processes, len(modules))
+    n_processes = max(1, min(n_processes, len(modules)))  # some presets have no kernels
     n_compiled, failed = 0, []
     with reporter, ProcessPoolExecutor(n_processes, multiprocessing.get_context("spawn")) as pool:
         reporter.start(len(calls), 0, "compiling", unit="kernel")

@@ -35,6 +35,11 @@ def test_wrong_presets_are_one_line(words, capsys):
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
+def test_a_preset_without_kernels_is_ready(capsys):
+    assert main(["warmup", "refine-kinect/nearest", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"kernels": 0, "compiled": 0, "failed": []}
+
+
 @pytest.mark.system
 def test_a_run_behind_it_compiles_nothing(tmp_path: Path, made_scenes: Path):
     cache = tmp_path / "cache"
