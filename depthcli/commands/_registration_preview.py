@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.resampling import resample
-from depthcli.core.volumes import ENDS, PLANES
+from depthcli.core.volumes import ENDS, PLANES, side_and_distance
+from depthcli.data.formats.pictures import draw_text, preview
 from depthcli.data.scenes.volume_pair import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
@@ -33,54 +34,56 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
     neurological : the patient's right is on the right, else on the left
     """
     grid, pair = loaded.grid, loaded.pair
-    back = [1 / step for step in result.step]
-    first = [-start / step for start, step in zip(result.start, result.step, strict=True)]
-    error = grid.turned(resample(result.expected_error, pair.shape, back, first))
     low, high = (float(v) for v in np.percentile(pair.fixed[:: max(1, pair.shape[0] // 16)], [1, 99]))
-    grey = [
-        ((np.clip(grid.turned(v), low, high) - low) * (255 / max(high - low, 1e-6))).astype(np.uint8)
-        for v in (pair.fixed, pair.warped)
-    ]
-    inside = None if pair.mask is None else grid.turned(pair.mask)
-    spacing = [s * n for s, n in zip(grid.turned_spacing(), _turned(loaded.blocks, loaded), strict=True)]
+    order, flipped = grid.anatomical_axes()
+    blocks = [loaded.blocks[axis] for axis in order]
+    shape = [pair.shape[axis] for axis in order]
+    lengths = [n * s * block for n, s, block in zip(shape, grid.turned_spacing(), blocks, strict=True)]  # mm
     rows = []
     for axis, plane in enumerate(PLANES):
         across = [k for k in range(3) if k != axis]
-        if min(error.shape[k] for k in across) == 1:
+        if min(shape[k] for k in across) == 1:
             continue  # of a single slice
-        middle = error.shape[axis] // 2
-        cut = tuple(middle if k == axis else slice(None) for k in range(3))
-        millimeters = [error.shape[k] * spacing[k] for k in across]
-        height, width = (max(1, round(_SIDE * side / max(millimeters))) for side in millimeters)
-        seen = _body(grey[0][cut]) if inside is None else inside[cut]
-        color = cv2.applyColorMap(_codes(error[cut]), cv2.COLORMAP_TURBO)[..., ::-1]
-        plain = [np.repeat(volume[cut][..., None], 3, axis=2) for volume in grey]
-        over = np.where(seen[..., None], 0.5 * plain[0] + 0.5 * color, plain[0]).astype(np.uint8)
+        middle = shape[axis] // 2
+        stored = shape[axis] - 1 - middle if axis in flipped else middle
+        cuts = [np.take(volume, [stored], order[axis]) for volume in (pair.fixed, pair.warped)]
+        fixed, warped = (_grey(grid.turned(cut).squeeze(axis), low, high) for cut in cuts)
+        error = grid.turned(_error_slice(result, pair.shape, order[axis], stored)).squeeze(axis)
+        if pair.mask is None:
+            seen = _body(fixed)
+        else:
+            seen = grid.turned(np.take(pair.mask, [stored], order[axis])).squeeze(axis)
+        plain = [np.repeat(cut[..., None], 3, axis=2) for cut in (fixed, warped)]
+        colored = (0.5 * plain[0] + 0.5 * preview(error, _MAX_SHOWN_ERROR)).astype(np.uint8)
+        longest = max(lengths[k] for k in across)
+        height, width = (max(1, round(_SIDE * lengths[k] / longest)) for k in across)
+        over = np.where(seen[..., None], colored, plain[0])
         pictures = [np.asarray(cv2.resize(p, (width, height)), np.uint8) for p in (*plain, over)]
         ends = "".join(ENDS[k] for k in across)  # top, bottom, left, right
         if neurological and axis < 2:
             pictures = [picture[:, ::-1] for picture in pictures]
             ends = ends[:2] + ends[:1:-1]
-        place = (middle + 0.5) * _turned(loaded.blocks, loaded)[axis] - 0.5
-        origin, step = grid.slice_positions(axis)
-        title = f"{plane}, {side_and_distance(axis, origin + step * place)}"
-        rows.append(np.concatenate([_framed(p, ends, title if not k else "") for k, p in enumerate(pictures)], axis=1))
+        first, step = grid.slice_positions(axis)
+        place = side_and_distance(ENDS[axis], first + step * ((middle + 0.5) * blocks[axis] - 0.5))
+        titles = (f"{plane}, {place}", "", "")
+        framed = [_framed(picture, ends, title) for picture, title in zip(pictures, titles, strict=True)]
+        rows.append(np.concatenate(framed, axis=1))
     sheet = np.concatenate([_heading(), *rows])
     return np.concatenate([sheet, _scale(len(sheet))], axis=1)
 
 
-def side_and_distance(axis: int, millimeters: float) -> str:
-    """Return a place along an axis of a turned volume as the side of the origin and the distance from it."""
-    return f"{ENDS[axis][millimeters < 0]} {abs(millimeters):.0f} mm"
+def _error_slice(result: RegistrationResult, shape: tuple[int, int, int], axis: int, place: int) -> NDArray[np.float32]:
+    """Return the expected error at slice ``place`` across ``axis`` of a volume of this shape, that axis kept."""
+    steps = [1 / step for step in result.step]
+    starts = [-start / step for start, step in zip(result.start, result.step, strict=True)]
+    starts[axis] += steps[axis] * place
+    z, y, x = (1 if k == axis else n for k, n in enumerate(shape))
+    return resample(result.expected_error, (z, y, x), steps, starts)
 
 
-def _turned(blocks: tuple[int, int, int], loaded: LoadedPair) -> list[int]:
-    return [blocks[axis] for axis in loaded.grid.anatomical_axes()[0]]
-
-
-def _codes(error: NDArray[np.float32]) -> NDArray[np.uint8]:
-    codes: NDArray[np.uint8] = np.clip(error / _MAX_SHOWN_ERROR * 255, 0, 255).astype(np.uint8)
-    return codes
+def _grey(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
+    levels: NDArray[np.uint8] = ((np.clip(values, low, high) - low) * (255 / max(high - low, 1e-6))).astype(np.uint8)
+    return levels
 
 
 def _body(grey: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -102,8 +105,8 @@ def _framed(picture: NDArray[np.uint8], ends: str, title: str) -> NDArray[np.uin
     beside = _MARGIN + height // 2
     places = ((middle, half), (middle, _MARGIN + height + half), (left - half, beside), (left + width + half, beside))
     for letter, place in zip(ends, places, strict=True):
-        _write(frame, letter, place, centered=True)
-    _write(frame, title, (_MARGIN, len(frame) - _LINE // 2))
+        draw_text(frame, letter, place, _INK, centered=True)
+    draw_text(frame, title, (_MARGIN, len(frame) - _LINE // 2), _INK)
     return frame
 
 
@@ -111,7 +114,7 @@ def _heading() -> NDArray[np.uint8]:
     side = _SIDE + 2 * _MARGIN
     heading = np.full((_LINE + 6, 3 * side, 3), _PAPER, np.uint8)
     for k, title in enumerate(_TITLES):
-        _write(heading, title, (k * side + side // 2, _LINE // 2 + 4), centered=True)
+        draw_text(heading, title, (k * side + side // 2, _LINE // 2 + 4), _INK, centered=True)
     return heading
 
 
@@ -123,12 +126,5 @@ def _scale(height: int) -> NDArray[np.uint8]:
     scale[top : top + length, 8:24] = cv2.applyColorMap(ramp, cv2.COLORMAP_TURBO)[..., ::-1]
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         number = f"{share * _MAX_SHOWN_ERROR:g}" + ("+ mm" if share == 1 else "")
-        _write(scale, number, (30, top + round((1 - share) * length)))
+        draw_text(scale, number, (30, top + round((1 - share) * length)), _INK)
     return scale
-
-
-def _write(picture: NDArray[np.uint8], text: str, place: tuple[int, int], centered: bool = False) -> None:
-    """Draw a text whose middle line is at ``place`` = x, y."""
-    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
-    x = place[0] - width // 2 if centered else place[0]
-    cv2.putText(picture, text, (x, place[1] + height // 2), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)

@@ -71,7 +71,7 @@ class Scoring:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
         if self.page is not None:
             self.page.begin_scene(protocol, scene, truth)
-        if self.output is not None and protocol.presentation.error_pictures:
+        if self.output is not None and protocol.presentation.error_pictures and not self.sheet.is_full:
             self.sheet.begin_scene(scene.name, protocol.presentation.image(scene))
         start = replace(start, warning="; ".join(lines))
         return [self._result(replace(start, run=run), protocol, scene, truth, names) for run in self.runs]

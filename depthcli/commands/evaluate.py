@@ -33,7 +33,10 @@ HTML = (
     Option("html_budget", str, "Size of its pictures beyond which they are scaled down, full ones beside the file.",
            "SIZE", default="50MB"),
 )  # fmt: skip
-_RESULTS = ("scores.*", "report.md", "report.html", "errors/**/*", "curves/**/*", "points/**/*", "assets/*")
+_RESULTS = (
+    "scores.*", "report.md", "report.html", "contact_sheet.png", "errors/**/*", "curves/**/*", "points/**/*",
+    "assets/*",
+)  # fmt: skip
 _DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's folder, without --protocol
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError
 from depthcli.core.frames import color8
 from depthcli.data.formats.images import read_image, write_png
+from depthcli.data.formats.pictures import draw_text
 
 Picture: TypeAlias = NDArray[np.uint8]
 
@@ -35,9 +36,14 @@ class ContactSheet:
         self._runs = list(runs)[:_MAX_RUNS]
         self._rows: dict[str, dict[str, list[Picture]]] = {}
 
+    @property
+    def is_full(self) -> bool:
+        """True once no further scene has a row: its image need not be read."""
+        return len(self._rows) >= _MAX_SCENES
+
     def begin_scene(self, scene: str, image: NDArray[np.uint8] | None) -> None:
         """Begin the row of a scene with its (H, W, 3) image; a scene without one, or a volume, has no row."""
-        if image is not None and image.ndim == 3 and image.shape[2] == 3 and len(self._rows) < _MAX_SCENES:
+        if image is not None and image.ndim == 3 and image.shape[2] == 3 and not self.is_full:
             self._rows[scene] = {"": [_small(image)]}
 
     def add_map(self, scene: str, run: str, map_file: Path, errors: NDArray[np.uint8]) -> None:
@@ -59,10 +65,10 @@ class ContactSheet:
         width = _GAP + len(columns) * (_WIDTH + _GAP)
         sheet = np.full((_LINE + sum(_LINE + height for height in heights), width, 3), 255, np.uint8)
         for k, run in enumerate(columns):
-            _write_text(sheet, run, _GAP + k * (_WIDTH + _GAP), 0)
+            draw_text(sheet, run, (_GAP + k * (_WIDTH + _GAP), _LINE // 2), _INK, max_width=_WIDTH)
         top = _LINE
         for (scene, row), height in zip(rows.items(), heights, strict=True):
-            _write_text(sheet, scene, _GAP, top)
+            draw_text(sheet, scene, (_GAP, top + _LINE // 2), _INK, max_width=_WIDTH)
             for k, run in enumerate(columns):
                 y, x = top + _LINE, _GAP + k * (_WIDTH + _GAP)
                 for picture in row.get(run, ()):
@@ -81,10 +87,3 @@ def _small(picture: Picture) -> Picture:
 
 def _height(pictures: Sequence[Picture]) -> int:
     return sum(len(picture) + _GAP for picture in pictures)
-
-
-def _write_text(sheet: Picture, text: str, x: int, top: int) -> None:
-    shown = text.encode("ascii", "replace").decode()
-    while len(shown) > 4 and cv2.getTextSize(shown, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0] > _WIDTH:
-        shown = shown[:-4] + "..."
-    cv2.putText(sheet, shown, (x, top + 14), cv2.FONT_HERSHEY_SIMPLEX, 0.45, _INK, 1, cv2.LINE_AA)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
+from depthcli.core.volumes import side_and_distance
 from depthcli.data.formats.pictures import read_status, status_color, status_words
 from depthcli.data.scenes import Scene
 from depthcli.evaluation.presentation import UNKNOWN, Axis, pixel_kinds
@@ -216,8 +217,7 @@ def _name(cut: Slice, axes: tuple[Axis, ...]) -> str:
     if cut.axis < 0 or not axes:
         return "" if cut.axis < 0 else number
     axis = axes[cut.axis]
-    place = axis.first + axis.step * cut.place
-    return f"{axis.plane}, {axis.ends[place < 0]} {abs(place):.0f} mm, {number}"
+    return f"{axis.plane}, {side_and_distance(axis.ends, axis.first + axis.step * cut.place)}, {number}"
 
 
 def _range(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:

@@ -335,7 +335,7 @@ def test_an_evaluation_replaces_its_own_files_and_no_others(tmp_path: Path, trut
     assert not list(out.glob(".partial*"))
 
     monkeypatch.setattr("depthcli.commands._scoring.Scoring.results", None)  # nothing is computed from here on
-    for name in ("scores.csv", "report.md", "errors/run/deeper/a.png"):
+    for name in ("scores.csv", "report.md", "contact_sheet.png", "errors/run/deeper/a.png"):
         place = tmp_path / "mine" / name
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_text("mine")

@@ -48,6 +48,7 @@ DEPTH_STATUS_PALETTE: Palette = {
 _SMOOTHED = int(Status.SMOOTHED)  # the same bit in both
 _TINT = 0.4  # share of every further bit's color
 _ROW, _SWATCH, _MARGIN = 26, 34, 8  # of the legend, pixels
+_TEXT_SCALE = 0.5  # of lines of text in pictures: capitals are 11 pixels high
 
 
 def write_status(path: Path | str, status: NDArray[np.uint8], palette: Palette) -> None:
@@ -173,6 +174,35 @@ def preview_depth(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
         inverse = np.where(depth > 0, 1 / depth, np.float32(np.nan)).astype(np.float32)
     low, high = _range(inverse[~np.isnan(inverse)])
     return preview(inverse - np.float32(low), high - low)
+
+
+def draw_text(
+    picture: NDArray[np.uint8],
+    text: str,
+    place: tuple[int, int],
+    ink: tuple[int, int, int],
+    centered: bool = False,
+    max_width: int | None = None,
+) -> None:
+    """Draw a line of text into an (H, W, 3) picture; characters beyond ASCII become question marks.
+
+    Parameters
+    ----------
+    place : x of its left end, or of its middle where it is ``centered``, and y of its middle line
+    ink : RGB
+    max_width : pixels; a wider text is cut and ends in three dots; None: any
+    """
+    shown, font = text.encode("ascii", "replace").decode(), (cv2.FONT_HERSHEY_SIMPLEX, _TEXT_SCALE)
+
+    def size() -> tuple[int, int]:
+        width, height = cv2.getTextSize(shown, *font, 1)[0]
+        return int(width), int(height)
+
+    while max_width is not None and len(shown) > 4 and size()[0] > max_width:
+        shown = shown[:-4] + "..."
+    width, height = size()
+    x = place[0] - width // 2 if centered else place[0]
+    cv2.putText(picture, shown, (x, place[1] + height // 2), *font, ink, 1, cv2.LINE_AA)
 
 
 def _range(values: NDArray[np.floating[Any]]) -> tuple[float, float]:
