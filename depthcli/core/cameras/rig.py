@@ -120,7 +120,7 @@ class RectifiedRig:
 
     @property
     def mirrored(self) -> bool:
-        """Whether the right camera stands to the left of the left one, so that matches lie to the right.
+        """True where the right camera stands to the left of the left one, so that matches lie to the right.
 
         This is about the images as :meth:`images` returns them; a caller may mirror both to have matches on the left.
         """
