@@ -72,6 +72,8 @@ def _chosen(scenes: Sequence[SceneT], patterns: Sequence[str], place: Path | str
 def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
     """Return the disparity maps of a run, each with its left image and calibration, or a single map.
 
+    A scene that the run's report lists as done, but whose map is gone, is among them with a ``problem``.
+
     Raises
     ------
     InputError
@@ -85,7 +87,9 @@ def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
             )
         ]
     rows = read_report(run)
-    names = _names_of_maps(run, list(rows), values["scenes"] or ["*"])
+    names = _names_of_maps(run, [name for name in rows if is_inside(name)], values["scenes"] or ["*"])
+    done = {name for name, row in rows.items() if row.get("status") == "done" and is_inside(name)}
+    missing = sorted(name for name in done - set(names) if matches_any(name, values["scenes"] or ["*"]))
     sources = {name: Path(source) for name in names if (source := rows.get(name, {}).get("source"))}
     inputs: dict[str, Scene]
     if values["input"] is not None:
@@ -93,13 +97,19 @@ def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
     else:
         known = scenes_with_files(sources.values())
         inputs = {name: known[source] for name, source in sources.items() if source in known}
-    return [_map_of(run / name, name, inputs.get(name), sources.get(name), values) for name in names]
+    found = [_map_of(run / name, name, inputs.get(name), sources.get(name), values) for name in names]
+    return sorted([*found, *(_missing_map(run / name, name) for name in missing)], key=lambda scene: scene.name)
+
+
+def _missing_map(folder: Path, name: str) -> DisparityScene:
+    problem = f"{folder}: no {_MAP}, though the run's report lists the scene as done; run it again"
+    return DisparityScene(name=name, folder=folder, disparity=folder / _MAP, problem=problem)
 
 
 def _names_of_maps(run: Path, reported: Sequence[str], patterns: Sequence[str]) -> list[str]:
     if not os.path.isdir(run):
         raise InputError(f"{run}: no such run folder or map")
-    names = {name for name in reported if is_inside(name) and os.path.isfile(run / name / _MAP)}
+    names = {name for name in reported if os.path.isfile(run / name / _MAP)}
     names |= {path.parent.relative_to(run).as_posix() for depth in ("*", "*/*") for path in run.glob(f"{depth}/{_MAP}")}
     chosen = sorted(name for name in names if not name.startswith(".") and matches_any(name, patterns))
     if not chosen:

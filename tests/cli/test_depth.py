@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -167,6 +168,23 @@ def test_the_run_has_moved(matched: tuple[Path, Path], tmp_path: Path, capsys):
     assert run("depth", copy, "-o", tmp_path / "b", "-i", scenes, "--ply", "-q") == 0
     assert run("depth", tmp_path / "absent", "-o", tmp_path / "c") == 2
     assert run("depth", scenes, "-o", tmp_path / "c") == 2
+
+
+def test_a_scene_whose_map_is_gone_fails_and_loses_its_earlier_result(
+    matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    made = shutil.copytree(matched[1], tmp_path / "run")
+    assert run("depth", made, "-o", tmp_path / "d", "-q") == 0
+    (first, second) = sorted(folder.parent.name for folder in made.glob("*/disp_left.pfm"))
+    (made / first / "disp_left.pfm").unlink()
+    capsys.readouterr()
+    assert run("depth", made, "-o", tmp_path / "d", "-q", "--overwrite") == 3
+    assert f"{made / first}: no disp_left.pfm" in capsys.readouterr().err
+    assert not (tmp_path / "d" / first / "depth.pfm").exists() and (tmp_path / "d" / second / "depth.pfm").exists()
+    assert run("depth", made, "-o", tmp_path / "e", "-q", "--scenes", second) == 0
+    (made / second / "disp_left.pfm").unlink()
+    assert run("depth", made, "-o", tmp_path / "f", "-q") == 2
+    assert "no disparity maps there" in capsys.readouterr().err
 
 
 def test_kitti_by_camera(tmp_path: Path):
