@@ -141,20 +141,21 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         facts: Row = {}
         warnings: list[str] = []
         if config.calibration is None:
+            clock.start("load")
             pair = scene.load()
-            clock.stop("load")
         else:
+            clock.start("rectify")
             pair, facts, warnings = rectified_pair(config.calibration, scene, folder)
-            clock.stop("rectify")
+        if max_disparity is None or "auto" in (min_disparity, max_disparity):
+            clock.start("range")
         search, key_points = complete_range(min_disparity, max_disparity, pair)
-        if key_points:
-            clock.stop("range")
+        clock.start("other")
         shifted = search.shift(pair)
         matched = match(matcher, shifted, search.shifted_max_disparity, limits)
         result = search.restore(matched, pair.shape[1])
         del matched
-        clock.stop("other")
-        clock.seconds["other"] = max(clock.seconds["other"] - sum(result.seconds.values()), 0.0)
+        clock.include(result.seconds)
+        clock.start("save")
         measured = float(np.mean(result.disparity.measured))
         warnings += _warnings(pair, result, measured, search, key_points)
         if result.figures.get("exact") == 0 and memory < limits.tile_memory:
@@ -163,7 +164,6 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
                 f"{show_bytes(memory)} of memory may be used: with more the map is another one"
             )
         save_stereo(result, folder, search.min_disparity, search.max_disparity)
-        clock.stop("save")
         columns = {
             "width": pair.shape[1],
             "height": pair.shape[0],
@@ -177,9 +177,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
             **{name: float(value) for name, value in result.figures.items()},
             **device_columns,
         }
-        first = next(iter(clock.seconds))
-        seconds = {first: clock.seconds[first], **result.seconds} | clock.seconds
-        return Outcome(columns, seconds, warnings)
+        return Outcome(columns, clock.seconds, warnings)
 
 
 def given_range(config: PairConfig, scene: StereoScene) -> tuple[int | str, int | str | None]:

@@ -127,6 +127,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         from depthcli.data.formats.pictures import read_status
 
         clock = Clock()
+        clock.start("load")
         disparity = scene.load()
         height, width = disparity.shape
         geometry = _geometry(config, scene).for_size(width, height)
@@ -138,15 +139,14 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
                 raise InputError(f"{scene.folder}: the left image is missing, which colors a point cloud; give --input")
             cloud = color8(read_image(scene.left))
             _same_size(scene.left, cloud, disparity)
-        clock.stop("load")
+        clock.start("depth")
         kept = _mask(config["mask"] or "all", scene, disparity, status)
         depth = geometry.depth(np.where(kept, disparity, np.float32(np.nan)))
-        clock.stop("depth")
+        clock.start("save")
         in_cloud = _mask(config["mask"] or "measured", scene, disparity, status)
         in_cloud &= (depth >= config["near"]) & (depth <= (math.inf if config["far"] is None else config["far"]))
         points = None if cloud is None else (geometry.left, cloud, in_cloud)
         save_metric_depth(depth, status, folder, config["depth_scale"], points)
-        clock.stop("save")
         known = np.isfinite(depth)
         beyond = float(np.mean(depth[known] * config["depth_scale"] >= 65535.5)) if known.any() else 0.0
         facts: Row = {

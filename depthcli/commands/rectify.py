@@ -123,14 +123,15 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         from depthcli.methods.stereo.search_range import suggested_range
 
         clock = Clock()
+        clock.start("load")
         left, right = scene.load_views()
-        clock.stop("load")
+        clock.start("key points")
         points = _rectified.match_rows(left, right)
-        clock.stop("key points")
+        clock.start("warp")
         found = self._rectifier(config, points, left, right)
         views = found.images(left, right)
         rows, warnings = _rectified.row_errors(points, found)
-        clock.stop("warp")
+        clock.start("save")
         meta: Row = {"source": f"rectified by depthcli from {scene.name}"}
         facts: Row = {"width": found.size[0], "height": found.size[1], **rows}
         facts["overlap"] = round(float(np.mean(views[2])), 6)
@@ -147,7 +148,6 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
             facts |= {"focal": found.geometry.left.fx, "baseline": found.geometry.baseline}
         _rectified.save_views(folder, views[0], views[1], found, meta.get("max_disparity"))
         write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
-        clock.stop("save")
         return Outcome(facts, clock.seconds, warnings)
 
     def _rectifier(

@@ -172,6 +172,7 @@ def _refine_frame(
     from depthcli.core.result import Clock
 
     clock = Clock()
+    clock.start("load")
     if config.depth_scale is not None and not scene.raw:
         scene = replace(scene, depth_scale=config.depth_scale)
     if config.intrinsics is not None and not scene.raw:
@@ -179,9 +180,10 @@ def _refine_frame(
     frame = scene.load()
     height, width = frame.shape
     check_memory(config.pipeline.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
-    clock.stop("load")
+    clock.start("other")
     result = refine(frame)
-    clock.stop_stages(result.seconds)
+    clock.include(result.seconds)
+    clock.start("save")
     status = result.depth.status
     filled = DepthStatus.GAP_FILLED | DepthStatus.FALLBACK | DepthStatus.CARRIED
     facts = {
@@ -206,7 +208,6 @@ def _refine_frame(
             in_cloud &= (status & filled) == 0
         cloud = (frame.intrinsics or typical_intrinsics(width, height), frame.color, in_cloud)
     save_depth(result, folder, scene.depth_scale, 3 if scene.rotated else 0, cloud)
-    clock.stop("save")
     return Outcome(facts, clock.seconds, [] if scene.raw else _scale_warnings(scene, frame))
 
 

@@ -68,16 +68,17 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         from depthcli.data.formats.volumes import written_suffix
 
         clock = Clock()
+        clock.start("load")
         loaded = scene.load(config.field, config.max_voxels)
         points = scene.landmarks(loaded.grid)
         need = _peak_bytes(config, loaded.grid, loaded.pair.shape, loaded.pair.spacing)
         size = f"{' x '.join(map(str, loaded.grid.size))} voxels"
         check_memory(need, memory, size, "--max-memory, --jobs, max_voxels, iso")
-        clock.stop("load")
+        clock.start("other")
         result = config(loaded.pair)
-        clock.stop_stages(result.seconds)
+        clock.include(result.seconds)
+        clock.start("save")
         save_registration(result, loaded, points, folder, written_suffix(scene.fixed), config.neurological)
-        clock.stop("save")
         width, height, slices = loaded.grid.size
         facts = {"width": width, "height": height, "slices": slices, **result.figures}
         warnings = []

@@ -52,8 +52,8 @@ class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
         from depthcli.core.result import Clock
 
         clock = Clock()
+        clock.start("make")
         facts = samples()[str(config["sample"])].make(config, scene, folder)
-        clock.stop("make")
         return Outcome(facts, clock.seconds)
 
     def columns(self) -> tuple[Column, ...]:

@@ -79,14 +79,15 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         from depthcli.core.result import Clock
 
         clock = Clock()
+        clock.start("load")
         if config.depth_scale is not None:
             scene = replace(scene, depth_scale=config.depth_scale)
         frame, stereo = _load_frame(config, scene, memory)
-        clock.stop("load")
-        clock.seconds["load"] = max(clock.seconds["load"] - sum(stereo.seconds.values()), 0.0)
-        clock.seconds |= stereo.seconds
+        clock.include(stereo.seconds)
+        clock.start("other")
         result = config.pipeline(frame)
-        clock.stop_stages(result.seconds)
+        clock.include(result.seconds)
+        clock.start("save")
         result.figures |= stereo.figures
         result.pictures |= stereo.pictures
         result.confidence |= stereo.confidence
@@ -104,7 +105,6 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
             **{name: float(value) for name, value in result.figures.items()},
         }
         save_depth(result, folder, scene.depth_scale, 3 if scene.rotated else 0)
-        clock.stop("save")
         return Outcome(facts, clock.seconds)
 
 

@@ -10,6 +10,7 @@ Read ``method`` first: an algorithm is one file with one pydantic model, and a f
 | ``config_errors`` | pydantic's errors as lines with file, key and what may be meant |
 | ``frames``, ``volumes`` | inputs: a rectified pair; color and depth (and infrared); two volumes on one grid |
 | ``maps``, ``result`` | outputs: a map with the status of every pixel; what else a method returns, and its times |
+| ``progress`` | stages and tiles, announced to whoever shows them |
 | ``cameras`` | one camera, two of them, their rectification; disparity and depth; the Kinect's raw codes |
 | ``networks`` | a trained network as arrays |
 | ``option`` | a command-line option as data |

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core import progress
 from depthcli.core.maps import DepthMap
 
 
@@ -54,7 +55,7 @@ class RefinedDepth(Result):
 
 
 class Clock:
-    """Adds up seconds by stage.
+    """Adds up seconds by stage, and announces every stage that begins (:mod:`depthcli.core.progress`).
 
     ``untimed`` returns seconds that are left out. A runner sets it to the time spent on compiling kernels, which
     happens once per machine and is not the method's time.
@@ -63,20 +64,31 @@ class Clock:
     untimed: ClassVar[Callable[[], float]] = staticmethod(lambda: 0.0)
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = self._now()
+        self._seconds: dict[str, float] = {}
+        self._stage: str | None = None
+        self._last = 0.0
 
-    def stop(self, stage: str) -> None:
-        """Add the time since the last call (or since the clock was made) to ``stage``."""
-        now = self._now()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + max(now - self._last, 0.0)
+    def start(self, stage: str) -> None:
+        """End the current stage and begin another one; a stage that was begun before goes on."""
+        self._book()
+        self._stage = stage
+        progress.announce_stage(stage)
+
+    def include(self, stages: Mapping[str, float]) -> None:
+        """Book ``stages``, which another clock timed during the current one, instead of that part of it."""
+        self._book()
+        if self._stage is not None:
+            rest = max(self._seconds.pop(self._stage) - sum(stages.values()), 0.0)
+            self._seconds |= {**stages, self._stage: rest}
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Stage -> seconds until now, in the order in which the stages ended; the same dict every time."""
+        self._book()
+        return self._seconds
+
+    def _book(self) -> None:
+        now = time.perf_counter() - Clock.untimed()
+        if self._stage is not None:
+            self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + max(now - self._last, 0.0)
         self._last = now
-
-    def stop_stages(self, stages: Mapping[str, float]) -> None:
-        """Divide the time since the last call among ``stages``, which were timed within it, and ``other``, the rest."""
-        self.stop("other")
-        self.seconds |= {**stages, "other": max(self.seconds.pop("other") - sum(stages.values()), 0.0)}
-
-    @staticmethod
-    def _now() -> float:
-        return time.perf_counter() - Clock.untimed()

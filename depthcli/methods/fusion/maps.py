@@ -108,16 +108,16 @@ class MapFusion(BaseModel):
         confidences : (H, W) float32 in [0, 1]: ``agreement``, the weighted share of the proposals that agree with the
             map, and, where the choice knows it, ``probability`` of the chosen one to be right
         """
+        clock.start("proposals")
         proposals = self._proposals(pair, volume, right, maps)
-        clock.stop("proposals")
+        clock.start("choice")
         chosen = self.choice(proposals)
-        clock.stop("choice")
+        clock.start("refinement")
         disparity = DisparityMap(chosen.values, _status(chosen.values, right))
         disparity = refined(disparity, self.refinement, RefinementContext(pair, volume, right))
         confidences = {"agreement": agreement(disparity.values, proposals.values, proposals.weights)}
         if chosen.probability is not None:
             confidences["probability"] = chosen.probability
-        clock.stop("refinement")
         return disparity, confidences
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:

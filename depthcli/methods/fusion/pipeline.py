@@ -154,8 +154,8 @@ class Fusion(AdjustingMatcher):
         pair = adjusted(pair, max_disparity, self.adjust, clock)
         other_maps = []
         if self.maps is not None:  # before the fused costs: then their matchers need no memory beside them
+            clock.start("other_maps")
             other_maps = [source.matcher(pair, max_disparity).disparity for source in self.maps.matchers]
-            clock.stop("other_maps")
         fused = self.fuse(pair, max_disparity, volumes or {}, clock)
         volume = fused.volume
         if self.segments is not None:
@@ -164,8 +164,8 @@ class Fusion(AdjustingMatcher):
             measured = [name for name in self.confidence if name not in _OWN_CONFIDENCES]
             result, left, right = finish(pair, volume, self.optimization, self.refinement, measured, clock)
             if "consensus" in self.confidence:
+                clock.start("confidence")
                 result.confidence["consensus"] = fused.ballot.shares(left.astype(np.int32)[None])[0]
-                clock.stop("confidence")
             if self.maps is not None:
                 reoptimized = [
                     finish(pair, volume, source.optimization, self.refinement, (), clock)[0].disparity
@@ -175,6 +175,7 @@ class Fusion(AdjustingMatcher):
                     pair, volume, right, [result.disparity, *other_maps, *reoptimized], clock
                 )
                 result.confidence |= {name: values for name, values in confidences.items() if name in self.confidence}
+        result.seconds = clock.seconds
         result.figures |= {f"weight_{k}": float(mean) for k, mean in enumerate(fused.weights.mean(axis=(1, 2)))}
         return result
 
@@ -202,15 +203,16 @@ class Fusion(AdjustingMatcher):
         volumes : file name -> (H, W, D) costs, as in :meth:`__call__`
         """
         clock = clock or Clock()
+        clock.start("cost")
         n_disparities, tolerance = max_disparity + 1, self.consensus.tolerance
         parts = [
             normalize_costs(measure.costs(pair, n_disparities, volumes), measure.scale, self.outside)
             for measure in self.measures
         ]
-        clock.stop("cost")
+        clock.start("voters")
         aggregate = self.vote_aggregation or (lambda part, pair: part)
         disparities, vote_weights = self._voters(self.vote_optimization(aggregate(part, pair), pair) for part in parts)
-        clock.stop("voters")
+        clock.start("weights")
         light = light_weights([measure.cost for measure in self.measures], pair)
         if light is not None:
             vote_weights *= light
@@ -219,9 +221,9 @@ class Fusion(AdjustingMatcher):
         if light is not None:
             weights = weights * light
             weights /= weights.sum(axis=0, keepdims=True)
-        clock.stop("weights")
+        clock.start("aggregation")
         blended = None if self.weights == "vote" else self._aggregated_mean(parts, weights, pair)
-        clock.stop("aggregation")
+        clock.start("votes")
         if blended is None:
             volume = ballot.costs(None, 1.0, _MAX_VOTED_COST)
         elif self.consensus.vote_cost:
@@ -232,7 +234,6 @@ class Fusion(AdjustingMatcher):
             disparities, vote_weights = self._voters([self.optimization(volume, pair)])
             ballot = Ballot(disparities, vote_weights, n_disparities, tolerance, ballot.support)
             volume = ballot.costs(blended, self.consensus.map_vote_cost, _MAX_VOTED_COST)
-        clock.stop("votes")
         return FusedCosts(volume, weights, ballot)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:

@@ -86,6 +86,7 @@ def refined_depth(
     clock : seconds so far
     fallback : (H, W) bool, gaps filled from around instead of by the model
     """
+    clock.start("result")
     measured = frame.disparity
     known = ~np.isnan(measured)
     values = np.where(disparity > np.nanmin(measured) * _MIN_RELATIVE_DISPARITY, disparity, np.float32(np.nan))
@@ -99,7 +100,6 @@ def refined_depth(
     if fallback is not None:
         status[~known & fallback] = DepthStatus.FALLBACK
     status[np.isnan(depth)] = DepthStatus.EMPTY
-    clock.stop("result")
     return RefinedDepth(
         seconds=clock.seconds, depth=DepthMap(depth, status), sigma=deviation_of_depth(sigma, depth, frame.fb)
     )

@@ -147,14 +147,15 @@ class RegistrationConfidence(BaseModel):
         displacement lies on the border of the coarsest search; ``iso``, mm; ``mean_error``, mm.
         """
         clock = Clock()
+        clock.start("resample")
         grid = self.grid(pair.shape, pair.spacing)
         iso = grid.step[2] * pair.spacing[2]
         fixed, warped = (resample(volume, *grid) for volume in self._intensities(pair))
         inside = np.ones(fixed.shape, np.bool_)
         if pair.mask is not None:
             inside = resample(pair.mask.astype(np.float32), *grid) >= 0.5
-        clock.stop("resample")
         fine, coarse = self._searches(fixed, warped, iso, clock)
+        clock.start("calibration")
         measured = _every_nth(inside, self.stride)
         measured = measured if measured.any() else np.ones_like(measured)
         error, displacement = self._error(fine, coarse, iso)
@@ -163,7 +164,6 @@ class RegistrationConfidence(BaseModel):
             score = np.mean([sign * curves.maps[self.measure] for curves in fine], axis=0)
             structured = structured_voxels(_every_nth(fixed, self.stride), measured)
             error = monotone(gaussian(score, self.smoothing / self.stride), error, structured)
-        clock.stop("calibration")
         figures = {
             "iso": round(float(iso), 6),
             "border": round(float((coarse or fine)[-1].border[measured].mean()), 6),
@@ -194,15 +194,15 @@ class RegistrationConfidence(BaseModel):
         shape = _every_nth(fixed, self.stride).shape
         for level in range(self.levels):
             for feature in self.features if level == 0 else self.features[:1]:
+                clock.start("features")
                 channels = feature(*(_halved(volume, level) for volume in (fixed, warped)))
-                clock.stop("features")
+                clock.start("search")
                 half = self.half_window if level == 0 else min(self.half_window, 2)
                 curves = search(
                     *channels, iso * 2**level, self.radius, half, self.sharpness, self.search,
                     costly=self.measure in COSTLY, stride=min(self.stride, 2 * half + 1),
                 )  # fmt: skip
                 (fine if level == 0 else coarse).append(_enlarged(curves, shape, level))
-                clock.stop("search")
         return fine, coarse
 
     def grid(self, shape: tuple[int, int, int], spacing: tuple[float, float, float]) -> WorkingGrid:

@@ -71,11 +71,11 @@ class CostStages(BaseModel):
 
     def volume(self, pair: StereoPair, max_disparity: int, clock: Clock) -> CostVolume:
         """Compute the costs of disparities 0 .. ``max_disparity`` before optimization; ``clock`` books the stages."""
+        clock.start("cost")
         volume = self.cost(pair, max_disparity + 1)
-        clock.stop("cost")
+        clock.start("aggregation")
         if self.aggregation is not None:
             volume = self.aggregation(volume, pair)
-        clock.stop("aggregation")
         return volume
 
     def volume_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
@@ -116,14 +116,14 @@ def finish(
     result
     left, right : (H, W) uint16, the winners of both views that the map was refined from
     """
+    clock.start("optimization")
     volume = optimization(volume, pair)
     left, right = winners(volume.costs)
-    clock.stop("optimization")
+    clock.start("refinement")
     disparity = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
     disparity = refined(disparity, refinement, RefinementContext(pair, volume, right))
-    clock.stop("refinement")
+    clock.start("confidence")
     maps = confidence_maps(volume.costs, confidence)
-    clock.stop("confidence")
     return StereoResult(disparity, seconds=clock.seconds, confidence=maps), left, right
 
 

@@ -184,6 +184,7 @@ class CrossModal(BaseModel):
         InputError
             The rig's cameras lie one above the other, or have no common field of view.
         """
+        clock.start("rectify")
         color, infrared, depth = frame.color, frame.infrared, frame.depth
         fb, mirrored, rectified = frame.fb, False, None
         if frame.rig is not None:
@@ -193,7 +194,7 @@ class CrossModal(BaseModel):
             )
             color, infrared, _ = rectified.images(color, infrared, cv2.INTER_LINEAR, cv2.BORDER_REPLICATE)
             depth, fb, mirrored = rectified.rectify_depth(depth), rectified.fb, rectified.mirrored
-        clock.stop("rectify")
+        clock.start("stereo")
         if mirrored:
             color, infrared, depth = color[:, ::-1], infrared[:, ::-1], depth[:, ::-1]
         matches = self.match(np.ascontiguousarray(color), np.ascontiguousarray(infrared), disparity_of_depth(depth, fb))
@@ -206,7 +207,6 @@ class CrossModal(BaseModel):
             dense, _ = rectified.unrectify_depth(dense, dense)
         figures = {f"weight_{name}": weight for name, weight in zip("rgb", matches.weights, strict=True)}
         figures["matched"] = float(np.mean(np.isfinite(sparse)))
-        clock.stop("stereo")
         result = SparseFrame(frame.color, frame.depth, fb, sparse=np.ascontiguousarray(sparse, np.float32),
                              sparse_confidence=np.ascontiguousarray(confidence, np.float32),
                              dense=np.ascontiguousarray(dense, np.float32))  # fmt: skip

@@ -57,8 +57,9 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, regions: UnreliableRegion
     ----------
     fit : fits planes to samples
     regions : selects the regions where the sensor is unreliable
-    clock : stopped after ``samples``, ``fit`` and ``unreliable``
+    clock : books the stages ``samples``, ``fit`` and ``unreliable``
     """
+    clock.start("samples")
     sensor = inverse_depth(frame.depth)
     samples = Samples.of(inverse_depth(frame.sparse))
     noise = sample_noise(samples, sensor)
@@ -70,12 +71,11 @@ def fit_frame(frame: SparseFrame, fit: SamplePlaneFit, regions: UnreliableRegion
     # Through glass the sensor measures a farther surface: positive where it does. Where it knows none, 0.5.
     nearer = regions.beyond_systematic((samples.values - measured) / noise) / _SENSOR_TOLERANCE
     contradiction = np.clip(np.nan_to_num(nearer, nan=0.5), 0, 1)
-    clock.stop("samples")
+    clock.start("fit")
     rows, columns = (axis.ravel().astype(np.int32) for axis in np.mgrid[: frame.shape[0], : frame.shape[1]])
     planes = fit(samples, frame.color, noise, (rows, columns), to_average=contradiction.astype(np.float32))
-    clock.stop("fit")
+    clock.start("unreliable")
     unreliable = regions(sensor, planes, samples, noise, frame.color)
-    clock.stop("unreliable")
     values, sigma = planes.values.reshape(frame.shape), planes.sigma.reshape(frame.shape)
     return FittedFrame(sensor, samples, noise, values, sigma, unreliable)
 

@@ -66,24 +66,25 @@ class Dsrm(KinectPipeline):
     def refine(self, frame: RgbdFrame) -> tuple[RefinedDepth, Measurement, list[Layer], NDArray[np.float32]]:
         """Return the result and the state of a sequence: measurement, layers (none ``in_turn``), disparity."""
         clock = Clock()
+        clock.start("unreliable")
         measurement = Measurement.of(frame, self.jump, self.row_band, self.column_band)
-        clock.stop("unreliable")
+        clock.start("segmentation")
         labels = self.segmentation.layers(frame.color, measurement.reliable)
-        clock.stop("segmentation")
         lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
         layers: list[Layer] = []
         if self.combination == "median":
+            clock.start("model")
             layers = [self._fit(measurement, layer, lab) for layer in labels]
-            clock.stop("model")
+            clock.start("refinement")
             refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
         else:
+            clock.start("refinement")
             refined = self._in_turn(measurement, labels, lab)
         refined = refined.filled(frame, measurement.noise)
-        clock.stop("refinement")
+        clock.start("result")
         result = refined.to_depth(frame)
         if self.details:
             result.pictures |= {f"segments_{k}": segment_picture(layer) for k, layer in enumerate(labels)}
-        clock.stop("result")
         result.seconds = clock.seconds
         return result, measurement, layers, refined.disparity
 

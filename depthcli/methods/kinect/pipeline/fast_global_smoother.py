@@ -33,14 +33,13 @@ class FastGlobalSmoother(FilterPipeline):
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
 
     def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
+        clock.start("confidence")
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
         if self.edge_band:
             confidence[known & _edge_band(measured, self.jump * noise, self.edge_band)] = self.edge_confidence
-        clock.stop("confidence")
-        values = weighted_smoothing(frame.color, measured, confidence, self.smoothness, self.sigma_color)
-        clock.stop("smoothing")
-        return values
+        clock.start("smoothing")
+        return weighted_smoothing(frame.color, measured, confidence, self.smoothness, self.sigma_color)
 
 
 def weighted_smoothing(

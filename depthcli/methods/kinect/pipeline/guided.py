@@ -23,8 +23,7 @@ class Guided(FilterPipeline):
     epsilon: float = Field(40.0, gt=0, description="variance of the color that counts as none, square grey levels")
 
     def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
+        clock.start("fill")
         filled = nearest_fill(measured)
-        clock.stop("fill")
-        values = np.asarray(cv2.ximgproc.guidedFilter(frame.color, filled, self.radius, self.epsilon), np.float32)
-        clock.stop("smoothing")
-        return values
+        clock.start("smoothing")
+        return np.asarray(cv2.ximgproc.guidedFilter(frame.color, filled, self.radius, self.epsilon), np.float32)

@@ -27,10 +27,10 @@ class Inpaint(FilterPipeline):
     radius: float = Field(3.0, gt=0, le=50, description="neighborhood that a pixel is filled from, pixels")
 
     def filtered(self, frame: RgbdFrame, measured: DisparityArray, noise: float, clock: Clock) -> DisparityArray:
+        clock.start("inpainting")
         gaps = np.isnan(measured)
         values = np.where(gaps, np.float32(0), measured)
         if gaps.any():
             values = cv2.inpaint(values, gaps.astype(np.uint8), self.radius, _ALGORITHMS[self.algorithm])
             values = np.where(gaps, np.clip(values, np.nanmin(measured), np.nanmax(measured)), measured)
-        clock.stop("inpainting")
         return values.astype(np.float32)

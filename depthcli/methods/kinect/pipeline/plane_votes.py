@@ -62,6 +62,7 @@ class PlaneVotes(KinectPipeline):
 
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
         clock = Clock()
+        clock.start("unreliable")
         measured = measured_disparity(frame)
         known = ~np.isnan(measured)
         lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB), np.uint8)
@@ -71,23 +72,24 @@ class PlaneVotes(KinectPipeline):
         in_shadows = shadow_confidence(measured, jump) if self.shadows else 0.0
         unreliable = ~known | (p_correct < self.min_probability)
         trust = np.where(known & (p_correct > self.min_vote_probability), p_correct, np.float32(0))
-        clock.stop("unreliable")
 
         refined = measured
+        clock.start("planes")
         planes = window_planes(measured, trust, noise)
         limit, limit_factor = shadow_limits(lab, measured, planes, jump, 3 * noise, in_shadows)
-        clock.stop("planes")
         distance = cv2.distanceTransform((trust == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
         local = self.sigma_space + self.sigma_growth * distance
         shadowed = np.where(known, in_shadows, np.clip(np.log(limit_factor) / np.log(GAP_FACTOR), 0, 1))
         sigma_space = (local ** (1 - shadowed) * self.sigma_shadow**shadowed).astype(np.float32)
         for step in range(self.passes):
+            clock.start("votes")
             voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
             if step == 0 and self.opening_probability is not None:
+                clock.start("openings")
                 opened = hidden_openings(lab, planes, voters[1], known & ~unreliable, jump, self.sigma_color)
                 p_correct = np.where(opened, np.minimum(p_correct, np.float32(self.opening_probability)), p_correct)
                 unreliable |= opened
-                clock.stop("openings")
+                clock.start("votes")
             # All but the last pass work on every second pixel of every second row.
             grid = 1 if step == self.passes - 1 else 2
             every = np.s_[::grid, ::grid]
@@ -96,7 +98,7 @@ class PlaneVotes(KinectPipeline):
             extra_share = np.where(known, extra_share * (1 - p_correct), extra_share).astype(np.float32)
             prior = ShadowPrior(limit, limit_factor, background, extra_share)
             votes = cast_votes(grid * pixels, lab, voters, prior, noise, self.candidates, self.sigma_color, sigma_space)
-            clock.stop("votes")
+            clock.start("choice")
             chosen = np.full_like(measured, np.nan)
             chosen[every] = choose_candidates(
                 pixels, *votes, lab[every], measured[every], p_correct[every], unreliable[every], planes.every(grid),
@@ -108,9 +110,8 @@ class PlaneVotes(KinectPipeline):
             refined = np.where(agreed & (~unreliable | ~np.isnan(chosen)), measured, chosen)
             trust = (~np.isnan(refined)).astype(np.float32)
             changed = (trust != old_trust) | ((refined != old) & (trust > 0))
-            clock.stop("choice")
+            clock.start("planes")
             planes = window_planes(refined, trust, noise, planes, changed)
-            clock.stop("planes")
         fallback = np.isnan(planes.value)
         values = nearest_fill(planes.value)
         sigma = np.maximum(planes.scale, np.float32(noise / (2 * RADIUS + 1)))

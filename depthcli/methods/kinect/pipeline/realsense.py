@@ -70,6 +70,7 @@ class Realsense(SequencePipeline):
             Where no pixel of the frame has a depth, or its size is not that of the previous frames.
         """
         clock = Clock()
+        clock.start("spatial")
         measured = measured_disparity(frame)
         if state is None:
             state = RealsenseState(np.full(frame.shape, np.nan, np.float32), np.zeros(frame.shape, np.uint8))
@@ -79,16 +80,15 @@ class Realsense(SequencePipeline):
         for _ in range(self.magnitude):
             for lines in (values, values.T):
                 _smooth_lines(lines, np.float32(self.spatial_alpha), np.float32(self.spatial_delta / _FRACTION))
-        clock.stop("spatial")
+        clock.start("temporal")
         last, history = state.last.copy(), state.history.copy()
         min_valid, n_frames = (9, 8) if self.persistency == 0 else _PERSISTENCE.get(self.persistency, (0, 8))
         alpha, delta = np.float32(self.temporal_alpha), np.float32(self.temporal_delta / _FRACTION)
         carried = np.zeros(frame.shape, np.bool_)
         _temporal(values, last, history, alpha, delta, min_valid, n_frames, carried)
-        clock.stop("temporal")
+        clock.start("holes")
         if self.hole_filling != "off":
             _fill(values, _HOLES[self.hole_filling])
-        clock.stop("holes")
         noise = noise_level(measured)
         sigma = np.where(np.isnan(measured), np.nan, noise).astype(np.float32)
         result = refined_depth(frame, values, sigma, noise, clock)

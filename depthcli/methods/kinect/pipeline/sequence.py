@@ -76,12 +76,13 @@ class Sequence(SequencePipeline, Dsrm):
                 f"the frame's size {frame.shape} is not that of the previous frames {state.color.shape[:2]}"
             )
         clock = Clock()
+        clock.start("unreliable")
         measurement = Measurement.of(frame, self.jump, self.row_band, self.column_band, state.noise)
         still = still_pixels(
             frame.color, state.color, measurement.reliable, state.disparity, self.color_change,
             self.tolerance * state.noise,
         )  # fmt: skip
-        clock.stop("unreliable")
+        clock.start("model")
         if state.age + 1 >= self.max_age or 1 - still.mean() > self.max_changed:
             return self.start(frame)
         layers = []
@@ -89,16 +90,15 @@ class Sequence(SequencePipeline, Dsrm):
             labels, own = carried_labels(layer, still, frame.color, measurement, self.jump * state.noise)
             surfaces = self.model(measurement.reliable, labels, state.noise, layer.surfaces)
             layers.append(Layer(labels, surfaces, own))
-        clock.stop("model")
+        clock.start("refinement")
         refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
         _blend(
             refined.disparity, refined.scale, refined.status, state.disparity, still,
             np.float32(self.drift * state.noise),
         )  # fmt: skip
         refined = refined.filled(frame, state.noise)
-        clock.stop("refinement")
+        clock.start("result")
         result = refined.to_depth(frame)
-        clock.stop("result")
         result.seconds = clock.seconds
         return result, SequenceState(tuple(layers), frame.color, refined.disparity, state.noise, state.age + 1)
 

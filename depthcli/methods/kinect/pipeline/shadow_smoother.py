@@ -43,6 +43,7 @@ class ShadowSmoother(KinectPipeline):
 
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
         clock = Clock()
+        clock.start("confidence")
         measured = measured_disparity(frame)
         noise = noise_level(measured)
         jump = self.jump * noise
@@ -54,13 +55,12 @@ class ShadowSmoother(KinectPipeline):
         rims, _ = shadow_background(measured, WindowPlanes(measured, level, level, level), jump, 0.0)
         shadow = ~known & ~np.isnan(rims)
         confidence[shadow] = self.shadow_confidence * shadow_confidence(measured, jump)
-        clock.stop("confidence")
+        clock.start("smoothing")
         values = weighted_smoothing(
             frame.color, np.where(known, measured, rims), confidence, self.smoothness, self.sigma_color
         )
         # Without a color edge the smoother crosses depth edges: reliable measurements stay.
         crossed = known & ~band & (np.abs(values - measured) > self.max_change * noise)
         values[crossed] = measured[crossed]
-        clock.stop("smoothing")
         sigma = np.where(known & ~band, noise, np.nan).astype(np.float32)
         return refined_depth(frame, values, sigma, noise, clock)

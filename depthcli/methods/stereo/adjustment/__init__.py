@@ -66,6 +66,8 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
     """
     if not what:
         return pair
+    if clock is not None:
+        clock.start("adjustment")
     factor = reduction_factor(pair.shape, max_disparity)
     reduced = _reduced(pair, factor)
     correction = previous = IDENTITY
@@ -92,8 +94,6 @@ def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | 
         right = correction.apply(reduced, 1).right
         trust = light_trust(disparity, reduced.left, right, factor, pair.shape)
         pair = replace(pair, light_trust=trust)
-    if clock is not None:
-        clock.stop("adjustment")
     return pair
 
 

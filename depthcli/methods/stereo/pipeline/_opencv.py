@@ -59,13 +59,14 @@ def match(
     height, width = left.shape[:2]
     lead = opencv_disparities(max_disparity) + margin
     clock = Clock()
+    clock.start("matching")
     padded_left, padded_right = (
         cv2.copyMakeBorder(image, margin, margin, lead, margin, cv2.BORDER_REPLICATE) for image in (left, right)
     )
     raw = matcher.compute(padded_left, padded_right)
     values, status = _to_map(raw[margin : margin + height, lead : lead + width], max_disparity)
-    clock.stop("matching")
     if wls is not None:
+        clock.start("wls")
         mirrored = cv2.ximgproc.createRightMatcher(matcher).compute(padded_right, padded_left)
         smoother = cv2.ximgproc.createDisparityWLSFilter(matcher)
         smoother.setLambda(wls.lambda_)
@@ -76,11 +77,10 @@ def match(
         answered = ~np.isnan(values)
         status = np.where(answered, status | Status.SMOOTHED, status | beyond).astype(np.uint8)
         status[answered & (status != Status.SMOOTHED)] |= np.uint8(Status.FILLED)
-        clock.stop("wls")
     disparity = DisparityMap(values, status)
     if fill:
+        clock.start("fill")
         disparity = fill_background(disparity)
-        clock.stop("fill")
     return StereoResult(disparity, seconds=clock.seconds)
 
 

@@ -26,8 +26,8 @@ class Segments(SegmentSteps, CostPipeline):
         """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
         clock = Clock()
         pair = adjusted(pair, max_disparity, self.adjust, clock)
+        clock.start("cost")
         volume = self.cost(pair, max_disparity + 1)
-        clock.stop("cost")
         return self.from_volume(pair, volume, max_disparity, clock)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:

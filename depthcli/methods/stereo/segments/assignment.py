@@ -86,29 +86,29 @@ def assign(
     sweeps : largest number of passes over all planes in the last assignment; half as many, at most two, in the others
     clock : receives the seconds of the stages
     """
+    clock.start("planes")
     own_planes = candidates.of_segments(segments)
     if own_planes is None:
         return None
-    clock.stop("planes")
     weights = smoothness(segments.graph, energy.smoothness, energy.color_scale)
     planes, _ = candidates.distinct(own_planes)
     initial: NDArray[np.int32] | None = None
     for k in range(rounds):
         if initial is not None:
+            clock.start("planes")
             group_planes, group = regrouped(segments, initial, candidates)
             planes, representative = candidates.distinct(SegmentPlanes.joined(group_planes, own_planes))
             initial = np.where(group >= 0, representative[group], -1).astype(np.int32)
-            clock.stop("planes")
+        clock.start("data_term")
         unary = energy(segments, volume, planes)
         cheapest = np.argmin(unary, axis=1).astype(np.int32)
         initial = cheapest if initial is None else np.where(initial < 0, cheapest, initial)
-        clock.stop("data_term")
+        clock.start("expansion")
         last = k + 1 == rounds
         labels, lowest = alpha_expansion(
             unary, segments.graph.edges, weights, initial, max_sweeps=sweeps if last else min(max(sweeps // 2, 1), 2)
         )
         initial = labels
-        clock.stop("expansion")
     energy_before = potts_energy(cheapest, unary, segments.graph.edges, weights)
     return Assignment(planes, labels, energy_before, lowest)
 

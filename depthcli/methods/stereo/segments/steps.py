@@ -61,39 +61,39 @@ class SegmentSteps(Step):
         volume : (H, W, ``max_disparity`` + 1), not modified
         clock : receives the seconds of the stages
         """
+        clock.start("segmentation")
         image = pair.color8[0]
         labels = self.segmentation(image)
-        clock.stop("segmentation")
+        clock.start("keypoints")
         matches = self._matches(pair, max_disparity)
-        clock.stop("keypoints")
+        clock.start("window")
         informative = has_information(volume)
         if self.window_radius:
             volume = segment_window(volume, labels, self.window_radius)
-        clock.stop("window")
+        clock.start("first_estimate")
         ranges = self.ranges(labels, matches, max_disparity)
         if matches is not None:
             volume = self.ranges.penalize(volume, ranges)
         optimized = self.optimization(volume, pair)
         first = self.selection(optimized)
-        clock.stop("first_estimate")
+        clock.start("splitting")
         labels = self.split(labels, first, self.planes)
-        clock.stop("splitting")
         segments = SegmentedImage.of(labels, first, region_graph(labels, image), max_disparity)
         assignment = None
         if informative:  # in a uniform image an optimizer would still carry the costs of the borders everywhere
             assignment = assign(segments, volume, self.planes, self.energy, self.rounds, self.sweeps, clock)
+        clock.start("refinement")
         if assignment is None:
             disparity = outputs.empty_map(labels.shape)
         else:
             values = assignment.planes.at(assignment.labels[labels], max_disparity)
             disparity = outputs.map_with_status(values, first)
         disparity = refined(disparity, self.refinement, RefinementContext(pair, optimized, first.right))
-        clock.stop("refinement")
         result = StereoResult(disparity, figures=outputs.figures(segments, assignment, matches))
         if self.details:
+            clock.start("details")
             result.tables = outputs.tables(segments, assignment, matches, ranges.by_segment(labels))
             result.pictures = outputs.pictures(pair, labels, matches)
-            clock.stop("details")
         result.seconds = clock.seconds
         return result
 

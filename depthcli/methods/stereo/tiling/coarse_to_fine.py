@@ -99,6 +99,8 @@ def coarse_prior(
     while sizes[-1][1] + 1 >= _MIN_DISPARITIES and min(sizes[-1][0].shape) >= _MIN_SIDE:
         sizes.append((halved(sizes[-1][0]), -(-sizes[-1][1] // 2)))
     prior = None
+    if len(sizes) > 1:
+        clock.start("coarse")
     while len(sizes) > 1:
         half, half_range = sizes.pop()
         left = available
@@ -111,8 +113,6 @@ def coarse_prior(
         thin = thin_structures(fine, fine_range)
         levels = 2 if prior is None else 1 + prior.levels
         prior = _prior_of(result.disparity, islands.values, thin, fine.shape, fine_range, levels)
-    if prior is not None:
-        clock.stop("coarse")
     return prior
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
+from depthcli.core.progress import counted
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.confidence import confidence_maps
@@ -71,6 +72,7 @@ def match_by_costs(
     prior : None where the whole range is searched
     halo : pixels around a pixel that its optimized costs depend on; None: on the whole image
     """
+    clock.start("plan")
     path_halo = _PATH_HALO if prior is None else _PATH_HALO // 2  # likely disparities hold paths that begin anew
     margins = Margins(path_halo, path_halo // 2, False) if halo is None else Margins(halo, halo, False)
 
@@ -83,21 +85,20 @@ def match_by_costs(
         )
 
     plan = available.tiles(pair, candidates, margins, need)
-    clock.stop("plan")
     found = TiledWinners(pair.shape, any(isinstance(step, Subpixel) for step in stages.refinement))
     confidence: dict[str, NDArray[np.float32]] = {}
-    for tile in plan:
+    for tile in counted(plan, "tile"):
         volume, spans = _tile_volume(stages, pair, tile, prior, clock)
+        clock.start("optimization")
         volume = stages.optimization(volume, tile.cut(pair))
         found.add(volume.costs, spans, (tile.around[0], tile.around[2]), tile.inside)
-        clock.stop("optimization")
+        clock.start("confidence")
         for name, values in confidence_maps(volume.costs, stages.confidence).items():
             confidence.setdefault(name, np.zeros(pair.shape, np.float32))[tile.place] = values[tile.inside]
-        clock.stop("confidence")
         del volume
+    clock.start("refinement")
     memory.release()
     disparity = refined_map(stages.refinement, found, pair, candidates.max_disparity, prior)
-    clock.stop("refinement")
     figures = {"tiles": float(len(plan))}
     return StereoResult(disparity, seconds=clock.seconds, confidence=confidence, figures=figures), found
 
@@ -106,23 +107,23 @@ def match_by_patches(
     matcher: Matcher, pair: StereoPair, candidates: Candidates, available: Memory, clock: Clock
 ) -> StereoResult:
     """Match every tile as a pair of its own, over one range from the smallest to the largest of its ``candidates``."""
+    clock.start("plan")
     plan = available.tiles(
         pair,
         candidates,
         Margins(_PATCH_HALO, _PATH_HALO // 2, True),
         lambda tile: matcher.peak_bytes(tile.shape, tile.n_disparities - 1) + _recycled(tile),
     )
-    clock.stop("plan")
     values, status = np.zeros(pair.shape, np.float32), np.zeros(pair.shape, np.uint8)
     confidence: dict[str, NDArray[np.float32]] = {}
-    for tile in plan:
+    for tile in counted(plan, "tile"):
+        clock.start("tiles")
         (span,) = tile.spans
         part = matcher(tile.cut(pair, span.low), span.count - 1)
         values[tile.place] = part.disparity.values[tile.inside] + np.float32(span.low)
         status[tile.place] = part.disparity.status[tile.inside]
         for name, own in part.confidence.items():
             confidence.setdefault(name, np.zeros(pair.shape, np.float32))[tile.place] = own[tile.inside]
-        clock.stop("tiles")
         del part
     memory.release()
     figures = {"tiles": float(len(plan))}
@@ -144,6 +145,7 @@ def _tile_volume(
     for k, span in enumerate(tile.spans):
         spans[k] = start, span.count, span.low
         volume = stages.volume(tile.cut(pair, span.low), span.count - 1, clock)
+        clock.start("cost")
         n_outside = max(0, span.low - tile.around[2])  # columns whose matches all lie outside the right image
         if joined is None and len(tile.spans) == 1 and n_outside == 0:
             joined = volume
@@ -154,13 +156,12 @@ def _tile_volume(
         _copy_span(volume.costs, joined.costs, start, n_outside, barrier)
         start += span.count + 1
         del volume
-        clock.stop("cost")
     assert joined is not None
     if prior is not None and isinstance(stages.optimization, Scanline):
+        clock.start("cost")
         penalty = max(1, round(_UNLIKELY_COST * stages.optimization.p1 * joined.scale))
         corner = (tile.around[0], tile.around[2])
         _add_penalty(joined.costs, spans, prior.low, prior.high, corner, penalty, _largest_cost(joined))
-        clock.stop("cost")
     return joined, spans
 
 

@@ -88,16 +88,16 @@ class DenseCrf(TransparentPipeline):
             means, deviation = self._label(frame, fitted, region, clock)
             chosen = set_by_labels[region]
             values[set_by_labels], sigma[set_by_labels] = means[chosen], deviation[chosen]
+        clock.start("decode")
         figures = {"labelled": float(region.mean()), "samples": float(fitted.samples.values.size)}
         sampled = None if self.unreliable is None else fitted.sampled(values)
-        result = refined_depth(frame, values, replaced, clock, sigma, sampled, figures)
-        clock.stop("decode")
-        return result
+        return refined_depth(frame, values, replaced, clock, sigma, sampled, figures)
 
     def _label(
         self, frame: SparseFrame, fitted: FittedFrame, region: NDArray[np.bool_], clock: Clock
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         # Posterior mean and standard deviation of the inverse depth at the region's pixels.
+        clock.start("crf")
         samples = np.full(frame.shape, np.nan, np.float32)
         samples[fitted.samples.rows, fitted.samples.columns] = fitted.samples.values
         reliable = np.where(fitted.unreliable, np.float32(np.nan), fitted.sensor)
@@ -126,7 +126,6 @@ class DenseCrf(TransparentPipeline):
         q = mean_field(unary, self._kernels(frame, fitted, region), self.smooth_truncation, self.iterations)
         mean = (q @ label).astype(np.float64)
         spread = np.sqrt(np.maximum((q @ label**2).astype(np.float64) - mean**2, 0.0))
-        clock.stop("crf")
         deviation: NDArray[np.float64] = step * np.sqrt(spread**2 + 1 / 12)
         return first + step * mean, deviation
 

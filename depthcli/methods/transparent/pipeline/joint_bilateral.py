@@ -23,13 +23,12 @@ class JointBilateralFilling(TransparentPipeline):
 
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
+        clock.start("fill")
         unreliable = NearestSample().unreliable(frame, nearest_depth(frame))
         reliable = np.where(unreliable, np.float32(np.nan), frame.depth)
         known = inverse_depth(np.where(np.isfinite(reliable), reliable, frame.sparse))
         filled = joint_bilateral_fill(frame.color, known, self.window, self.sigma_space, self.sigma_color)
-        result = refined_depth(frame, filled, unreliable, clock)
-        clock.stop("fill")
-        return result
+        return refined_depth(frame, filled, unreliable, clock)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         return 160 * shape[0] * shape[1] + (16 << 20)

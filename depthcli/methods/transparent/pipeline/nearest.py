@@ -29,13 +29,12 @@ class NearestSample(TransparentPipeline):
 
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
+        clock.start("fill")
         dense = nearest_depth(frame)
         unreliable = self.unreliable(frame, dense)
         sensor = inverse_depth(frame.depth)
         values = np.where(np.isfinite(sensor) & ~unreliable, sensor, inverse_depth(dense))
-        result = refined_depth(frame, values, unreliable, clock)
-        clock.stop("fill")
-        return result
+        return refined_depth(frame, values, unreliable, clock)
 
     def unreliable(self, frame: SparseFrame, dense: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Select the pixels whose depth by the sensor is far from ``dense``, median of 5 x 5, (H, W) bool."""

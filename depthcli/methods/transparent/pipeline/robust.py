@@ -32,14 +32,13 @@ class RobustPlanes(TransparentPipeline):
     def __call__(self, frame: SparseFrame) -> RefinedDepth:
         clock = Clock()
         fitted = fit_frame(frame, self.fit, self.unreliable, clock)
+        clock.start("decode")
         kept = np.isfinite(fitted.sensor) & ~fitted.unreliable
         smooth = self.smoothing(fitted.fit, fitted.samples, frame.color, ~kept)
         values = np.where(kept, fitted.sensor, smooth)
         sigma = np.where(kept, np.float32(fitted.noise), fitted.sigma)
         figures = {"samples": float(fitted.samples.values.size), "noise": fitted.noise}
-        result = refined_depth(frame, values, fitted.unreliable, clock, sigma, fitted.sampled(values), figures)
-        clock.stop("decode")
-        return result
+        return refined_depth(frame, values, fitted.unreliable, clock, sigma, fitted.sampled(values), figures)
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         # Neighbors of every pixel, and the graph of the cut.

@@ -25,27 +25,27 @@ def local(method: Local, pair: DevicePair, max_disparity: int, clock: Clock) -> 
     """
     device = pair.device
 
-    def stop(stage: str) -> None:
+    def start(stage: str) -> None:
         device.finish()
-        clock.stop(stage)
+        clock.start(stage)
 
+    start("cost")
     volume: DeviceVolume = run_stage(method.cost, pair, max_disparity + 1)
-    stop("cost")
+    start("aggregation")
     if method.aggregation is not None:
         volume = run_stage(method.aggregation, volume, pair)
-    stop("aggregation")
+    start("optimization")
     volume = run_stage(method.optimization, volume, pair)
     left, right = _winners(volume)
     disparity = DeviceMap.empty(device, left.shape)
     device.launch(_KERNELS, "start_map", (left.size,), (256,), left, disparity.values, disparity.status, left.size)
-    stop("optimization")
+    start("refinement")
     context = DeviceContext(pair, volume, right)
     for step in method.refinement:
         disparity = run_stage(step, disparity, context)
     found = disparity.download()
-    clock.stop("refinement")
+    clock.start("confidence")
     maps = confidence_maps(device.download(volume.costs), method.confidence) if method.confidence else {}
-    clock.stop("confidence")
     stages = [method.cost, method.aggregation, method.optimization, *method.refinement]
     on_cpu = sum(stage is not None and device_implementation_of(stage) is None for stage in stages)
     return StereoResult(found, seconds=clock.seconds, confidence=maps, figures={"stages_on_cpu": float(on_cpu)})
