@@ -6,11 +6,14 @@ the one that ``scripts/demo`` and ``scripts/test`` use; where there is none it i
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 NEEDED = ("cv2", "depthcli", "numba", "pydantic", "typer", "yaml")
@@ -28,6 +31,42 @@ def main() -> None:
     if subprocess.run(["sh", str(ROOT / "scripts" / "_env.sh")], env=environment, check=False).returncode:
         sys.exit(1)
     os.execv(python, [str(python), *sys.argv])
+
+
+def add_list(
+    parser: argparse.ArgumentParser,
+    flag: str,
+    default: Sequence[Any] | None,
+    *,
+    kind: Callable[[str], Any] = str,
+    choices: Sequence[str] = (),
+    help: str = "",
+) -> None:
+    """Add an option whose value is a list with commas, ``--only speed,accuracy``.
+
+    It takes one word, so that a positional argument after it is not taken for another value, as by ``nargs="+"``.
+
+    Parameters
+    ----------
+    kind : turns the text of one value into the value; ValueError where it cannot
+    choices : the values that are allowed; none: all
+    """
+
+    def values(text: str) -> list[Any]:
+        found = []
+        for word in text.split(","):
+            try:
+                value = kind(word.strip())
+            except ValueError:
+                raise argparse.ArgumentTypeError(f"{word.strip()!r} is not of type {kind.__name__}") from None
+            if choices and value not in choices:
+                raise argparse.ArgumentTypeError(f"{value!r} is none of {', '.join(choices)}")
+            found.append(value)
+        return found
+
+    name = "N" if kind is int else "NAME"
+    text = "; ".join(filter(None, [help, f"of {', '.join(choices)}" if choices else ""]))
+    parser.add_argument(flag, type=values, default=default, metavar=f"{name},{name}", help=text or None)
 
 
 main()

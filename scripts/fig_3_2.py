@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Figure 3.2 of the thesis: aggregation on a device, naive against made for it, over window sizes.
 
-    python scripts/fig_3_2.py OUT [--device opencl] [--windows 3 11 33] [--repeat 50]
+    python scripts/fig_3_2.py OUT [--device opencl] [--windows 3,11,33] [--repeat 50]
 
 OUT receives ``fig_3_2.md``, ``fig_3_2.csv`` and ``fig_3_2.png``. The scene is generated (450 x 375 pixels, 60
 disparities, as in the thesis), the costs are AD + census. Times are the device's own, the median of ``--repeat`` runs
@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # (first: continues in the checkout's environment)
 
 from depthcli.batch.presets import find_config, find_preset
 from depthcli.core.config_file import load_config
@@ -151,7 +151,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("out", type=Path, help="folder for the table, the numbers and the plot")
     parser.add_argument("--device", default="auto", help="as of depthcli stereo (default: the first GPU)")
-    parser.add_argument("--windows", type=int, nargs="+", default=[3, 5, 7, 9, 11, 15, 21, 27, 33])
+    _env.add_list(parser, "--windows", [3, 5, 7, 9, 11, 15, 21, 27, 33], kind=int, help="sides, pixels")
     parser.add_argument("--repeat", type=int, default=50)
     arguments = parser.parse_args()
     device = open_device(arguments.device)

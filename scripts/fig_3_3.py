@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Figure 3.3 of the thesis: four similarity choices x three aggregations x windows 3..33.
 
-    python scripts/fig_3_3.py DATA OUT [--windows 3 11 33]
+    python scripts/fig_3_3.py DATA OUT [--windows 3,11,33]
 
 DATA is a folder of scenes with ground truth (the four of Middlebury v2); OUT receives ``fig_3_3.md``,
 ``fig_3_3.csv`` and ``fig_3_3.png``. Every error rate is that of plain winner-takes-all: no left-right
@@ -19,7 +19,7 @@ import csv
 import time
 from pathlib import Path
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # (first: continues in the checkout's environment)
 import numpy as np
 
 from depthcli.data.walk import discover_scenes
@@ -146,7 +146,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("data", type=Path, help="folder of scenes with ground truth")
     parser.add_argument("out", type=Path, help="folder for the table, the numbers and the plot")
-    parser.add_argument("--windows", type=int, nargs="+", default=list(range(3, 34, 2)))
+    _env.add_list(parser, "--windows", list(range(3, 34, 2)), kind=int, help="sides, pixels")
     arguments = parser.parse_args()
     rows = measure(arguments.data, arguments.windows)
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The experiments of chapter 6: confidences, consensus windows, fusion of measures, what it changes later on.
 
-    python scripts/fusion_experiments.py DATA OUT [--only windows fusion ...] [--quick]
+    python scripts/fusion_experiments.py DATA OUT [--only windows,fusion] [--quick]
 
 DATA holds the folders ``middlebury_v2``, ``_2001``, ``_2005``, ``_2006`` and ``kitti``. OUT receives one Markdown
 table an experiment, ``fusion.md`` with all of them, ``fusion.csv`` with every figure by scene, and plots (SVG).
@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # (first: continues in the checkout's environment)
 import numpy as np
 
 from depthcli.batch.presets import find_config, find_preset
@@ -269,7 +269,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--only", nargs="+", choices=list(EXPERIMENTS), default=list(EXPERIMENTS))
+    _env.add_list(parser, "--only", list(EXPERIMENTS), choices=list(EXPERIMENTS))
     parser.add_argument("--quick", action="store_true")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

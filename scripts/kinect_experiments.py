@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Chapter 4: what refinements of a Kinect's depth maps are worth, in tables.
 
-    scripts/kinect_experiments.py DATA [--only simulated ablations ...] [--fattening 4] [--presets ...] [--frames 300]
+    scripts/kinect_experiments.py DATA [--only simulated,ablations] [--fattening 4] [--presets dsrm,fast] [--frames 300]
 
 DATA holds the Middlebury sets and the folders ``rgbd_*``. ``simulated``: Kinect-like measurements of every
 scene with a true disparity (``depthcli sample --kinect``), mean absolute error in pixels of disparity in gaps, at
@@ -23,7 +23,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # (first: continues in the checkout's environment)
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -255,11 +255,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parts = ("simulated", "ablations", "real", "view", "speed", "sequence", "soak")
-    parser.add_argument("--only", nargs="+", choices=parts, default=parts)
+    _env.add_list(parser, "--only", parts, choices=parts)
     parser.add_argument("--fattening", type=int, default=4)
     parser.add_argument("--frames", type=int, default=300, help="of the soak")
     presets = [name for _, name, _ in list_presets("refine-kinect") if name != "sequence"]
-    parser.add_argument("--presets", nargs="+", default=presets)
+    _env.add_list(parser, "--presets", presets)
     options = parser.parse_args()
     methods: dict[str, Refine | None] = {"raw": None, **{name: preset(name) for name in options.presets}}
     if "simulated" in options.only:

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Register the shared lung and liver pairs with SimpleITK and write them in the layout `registration`.
 
-    python scripts/register_pairs.py OUTPUT [DATA] [--only lung dataset19 ...]
+    python scripts/register_pairs.py OUTPUT [DATA] [--only lung,dataset19]
 
 DATA is the folder of data sets (default: ../shared/data). Every pair is registered twice by B-splines on mutual
 information: `a` stopped early on one coarse grid, `b` carried on to finer ones. Everything is seeded, and the number of
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # (first: continues in the checkout's environment)
 import numpy as np
 
 from depthcli.data.formats.volumes import simple_itk
@@ -142,13 +142,12 @@ def write(pair: Pair, transform: Any, folder: Path) -> None:
 
 
 def main() -> None:
-    sitk = simple_itk()
-
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("output", type=Path)
     parser.add_argument("data", type=Path, nargs="?", default=ROOT.parent / "shared" / "data")
-    parser.add_argument("--only", nargs="+", default=[""], help="beginnings of names")
+    _env.add_list(parser, "--only", [""], help="beginnings of names")
     arguments = parser.parse_args()
+    sitk = simple_itk()
     sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(THREADS)
     for pair in pairs(arguments.data):
         if not pair.name.startswith(tuple(arguments.only)):

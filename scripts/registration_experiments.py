@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Chapter 7: how well confidence and expected error of registrations say where they are wrong, in tables.
 
-    scripts/registration_experiments.py PAIRS [--only real synthetic search parameters baselines shifts speed]
-                                        [--presets NAME ...] [--pairs GLOB ...] [--data DATA]
+    scripts/registration_experiments.py PAIRS [--only real,synthetic,search,parameters,baselines,shifts,speed]
+                                        [--presets NAME,NAME] [--pairs GLOB,GLOB] [--data DATA]
 
 PAIRS is what ``scripts/register_pairs.py`` wrote. ``real``: every measure at the landmarks of registered pairs,
 Spearman, AUC above 3 mm, mean absolute error of expected against true; ``synthetic``: the fixed volumes moved by
@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import _env  # noqa: F401  (first: continues in the checkout's environment)
+import _env  # (first: continues in the checkout's environment)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -277,9 +277,9 @@ def speed() -> list[Table]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", metavar="PAIRS", type=Path)
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
-    parser.add_argument("--presets", nargs="+", default=["mind", "cost0", "intensity", "coarse"], help="of `real`")
-    parser.add_argument("--pairs", nargs="+", default=["*"])
+    _env.add_list(parser, "--only", PARTS, choices=PARTS)
+    _env.add_list(parser, "--presets", ["mind", "cost0", "intensity", "coarse"], help="of `real`")
+    _env.add_list(parser, "--pairs", ["*"], help="patterns of names")
     parser.add_argument("--data", type=Path, help="with it, baselines register again")
     options = parser.parse_args()
     found = discover_scenes(options.folder, (VolumePairScene,), None, tuple(options.pairs))
