@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, TypeVar
 
 from depthcli.batch.console import Reporter
 from depthcli.core.option import Option
@@ -30,9 +30,12 @@ SOME_FAILED = 3
 class Command(ABC):
     """One sub-command: a module of ``commands/`` holds one, in ``COMMAND``.
 
-    Its name is the module's, its help the first paragraph of the module's docstring. Every command has ``--json``,
-    ``--verbose`` and ``--quiet`` beside its own options.
+    Its name is the module's, its help the first paragraph of the module's docstring, one line. Every command has
+    ``--json``, ``--verbose`` and ``--quiet`` beside its own options.
     """
+
+    examples: ClassVar[tuple[str, ...]] = ()
+    """One to three command lines, at most 77 characters each, that the help shows."""
 
     @property
     def name(self) -> str:

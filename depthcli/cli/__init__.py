@@ -16,19 +16,20 @@ from collections.abc import Callable
 from typing import Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from depthcli.batch.command import SOME_FAILED, Command
 from depthcli.batch.console import Reporter, silence_warnings
+from depthcli.cli.help_text import write_command_help, write_main_help
 from depthcli.commands import command_names, help_of, load_command
 from depthcli.core.errors import DepthcliError, IncompleteError
 from depthcli.core.option import Option
 
 _COMMON = (
-    Option("json", bool, "Print one JSON document instead of a table.", default=False),
-    Option("verbose", bool, "Print details on stderr.", default=False, short="-v"),
-    Option("quiet", bool, "Print only errors, and no table.", default=False, short="-q"),
+    Option("json", bool, "Print one JSON document instead of a table.", default=False, group="Run"),
+    Option("verbose", bool, "Print details on stderr.", default=False, short="-v", group="Run"),
+    Option("quiet", bool, "Print only errors, and no table.", default=False, short="-q", group="Run"),
 )
 _QUIET = -1
 """Level of a :class:`Reporter` that prints errors only."""
@@ -49,6 +50,13 @@ class _Terminated(BaseException):
     """SIGTERM arrived: end as by Ctrl-C, with another exit code."""
 
 
+class _Command(TyperCommand):
+    """One command, with the help of ``help_text``."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        write_command_help(formatter, load_command(self.name or ""), _COMMON)
+
+
 class _Commands(TyperGroup):
     """The commands of ``commands/``; each is built when it is needed."""
 
@@ -59,12 +67,12 @@ class _Commands(TyperGroup):
         if cmd_name not in command_names():
             return None
         app = typer.Typer(**_SETTINGS)
-        app.command(cmd_name, help=help_of(cmd_name))(_callback(load_command(cmd_name)))
+        app.command(cmd_name, cls=_Command, help=help_of(cmd_name))(_callback(load_command(cmd_name)))
         return get_command(app)
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, help_of(name)) for name in command_names()])
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        records = (each.get_help_record(ctx) for each in self.get_params(ctx))
+        write_main_help(formatter, self.help or "", [record for record in records if record is not None])
 
 
 app = typer.Typer(name="depthcli", cls=_Commands, no_args_is_help=True, **_SETTINGS | {"add_completion": True})
@@ -148,7 +156,7 @@ def _run_typer(arguments: list[str] | None) -> int:
     | event | what typer does | what this function does |
     |---|---|---|
     | Ctrl-C | returns 130 or raises ``Abort`` | raises ``KeyboardInterrupt`` |
-    | wrong usage | raises an exception of a private class with ``exit_code`` 2 | prints its usage line, returns 2 |
+    | wrong usage | raises an exception of a private class with ``exit_code`` 2 | prints one line, returns 2 |
     | the reader of a help text closes the pipe (``--help \| head``) | exits with 1 | returns 0: nothing failed |
     | a help text is written to a full disk | raises ``OSError`` | raises ``IncompleteError``, as for other output |
     | shell completion (``_DEPTHCLI_COMPLETE`` is set) | exits with its own code | leaves it so |
@@ -169,8 +177,7 @@ def _run_typer(arguments: list[str] | None) -> int:
     except Exception as error:
         if getattr(error, "exit_code", None) != 2 or not hasattr(error, "show"):
             raise
-        with contextlib.suppress(OSError):
-            error.show()
+        _print_usage_error(error)
         return 2
     if code == 130:
         raise KeyboardInterrupt
@@ -188,6 +195,17 @@ def _repair_streams() -> None:
 
 def _terminate(number: int, frame: Any) -> None:
     raise _Terminated
+
+
+def _print_usage_error(error: Any) -> None:
+    """Print what is wrong in one line, or the help where no command was given at all."""
+    text = " ".join(error.format_message().split()).rstrip(".")
+    if error.ctx is None or text.startswith("Usage:"):
+        with contextlib.suppress(OSError):
+            error.show()
+    else:
+        path = error.ctx.command_path
+        _print_error(f"{path}: {text[:1].lower()}{text[1:]}; see {path} --help")
 
 
 def _print_error(text: str) -> None:

@@ -47,9 +47,27 @@ if TYPE_CHECKING:
     from depthcli.batch.command import Command
 
 
+_GROUPS = {
+    "Match and refine": ("stereo", "fuse", "refine-kinect", "transparent", "register-confidence"),
+    "Prepare and convert": ("sample", "rectify", "depth"),
+    "Evaluate and report": ("evaluate", "sweep", "export", "merge"),
+    "Inspect and set up": ("presets", "devices", "warmup"),
+}
+"""Headings of ``depthcli --help``; commands that are listed nowhere come last, under a heading of their own."""
+
+
 def command_names() -> list[str]:
     """Return the names of all commands, as typed, sorted."""
     return sorted(m.name.replace("_", "-") for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_"))
+
+
+def grouped_commands() -> dict[str, list[str]]:
+    """Return heading -> names of its commands, in the order of ``depthcli --help``; every command is under one."""
+    names = command_names()
+    groups = {heading: [name for name in group if name in names] for heading, group in _GROUPS.items()}
+    if more := [name for name in names if not any(name in group for group in groups.values())]:
+        groups["More"] = more
+    return groups
 
 
 def load_command(name: str) -> Command:

@@ -14,29 +14,28 @@ if TYPE_CHECKING:
     from depthcli.batch.task import RunOptions
 
 CONFIG = Option("config", str, "YAML file, or the name of a preset.", "CONFIG", required=True)
-INPUT = Option("input", Path, "Folder of scenes, or a CSV file of pairs.", "DIR", short="-i")
-OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True)
-LAYOUT = Option("layout", str, "Layout of the input folder. Default: recognized from its files.", "NAME")
-SCENES = Option("scenes", str, "Use only the scenes whose name matches; repeatable.", "GLOB", repeatable=True)
-NAME = Option("name", str, "Name of a single scene. Default: that of its file or folder.", "NAME")
+INPUT = Option("input", Path, "Folder of scenes, or a CSV file of pairs.", "DIR", short="-i", group="Input")
+OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True, group="Output")
+LAYOUT = Option("layout", str, "Layout of the folder. Default: recognized by its files.", "NAME", group="Input")
+SCENES = Option("scenes", str, "Only scenes whose name matches; repeatable.", "GLOB", repeatable=True, group="Input")
+NAME = Option("name", str, "Name of a single scene. Default: from its file.", "NAME", group="Input")
 SET = Option("set", str, "Override one key of the config; repeatable.", "KEY=VALUE", repeatable=True)
-EVALUATE = Option("evaluate", bool, "Compare the results with the ground truth of the input folder.", default=False)
-HTML_FLAG = Option("html", bool, "Like --evaluate, and write evaluation/report.html.", default=False)
-DRY_RUN = Option("dry_run", bool, "Print config, scenes and memory needed; compute nothing.", default=False)
+EVALUATE = Option("evaluate", bool, "Compare the results with the input's ground truth.", default=False, group="Report")
+HTML_FLAG = Option("html", bool, "Like --evaluate, and write evaluation/report.html.", default=False, group="Report")
+DRY_RUN = Option("dry_run", bool, "Print config, scenes and memory; compute nothing.", default=False, group="Run")
 SELECT = (NAME, LAYOUT, SCENES, SET)
 RUN = (
-    Option("jobs", int, "Number of scenes computed at a time, each by a process.", "N", default=1, short="-j",
-           min_value=1, max_value=512),
-    Option("threads", int, "Threads of each process. Default: all cores, divided by --jobs.", "N",
-           min_value=1, max_value=1024),
-    Option("max_memory", str, "Memory that may be used, such as 2GiB. Default: all that is free.", "SIZE"),
-    Option("overwrite", bool, "Replace the results of an earlier run with another config.", default=False),
-    Option("keep", str, "Files to keep of each scene, such as disp_left.pfm,status.png. Default: all.", "NAMES"),
-    Option("shard", str, "Compute part I of N; other processes fill the same folder. Default: from Slurm's job array.",
-           "I/N"),
-    Option("scheduler", str, "Compute on the workers of this dask.distributed cluster.", "tcp://HOST:PORT"),
-    Option("fail_fast", bool, "Stop at the first scene that fails.", default=False),
-    Option("list_scenes", bool, "Print the names of the scenes; compute nothing.", default=False),
+    Option("overwrite", bool, "Replace an earlier run that had another config.", default=False, group="Output"),
+    Option("keep", str, "Files kept, as disp_left.pfm,status.png. Default: all.", "NAMES", group="Output"),
+    Option("jobs", int, "Scenes at a time, each in a process.", "N", default=1, short="-j",
+           min_value=1, max_value=512, group="Run"),
+    Option("threads", int, "Threads of each process. Default: all cores / --jobs.", "N",
+           min_value=1, max_value=1024, group="Run"),
+    Option("max_memory", str, "Memory to use, such as 2GiB. Default: all that is free.", "SIZE", group="Run"),
+    Option("shard", str, "Compute part I of N. Default: from Slurm's job array.", "I/N", group="Run"),
+    Option("scheduler", str, "tcp://HOST:PORT of a dask.distributed cluster.", "ADDRESS", group="Run"),
+    Option("fail_fast", bool, "Stop at the first scene that fails.", default=False, group="Run"),
+    Option("list_scenes", bool, "Print the names of the scenes; compute nothing.", default=False, group="Run"),
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Turn the disparity maps of a run into metric depth maps and point clouds.
+"""Turn disparity maps into metric depth and point clouds.
 
 The calibration lies beside the images that the run was made from (``calib.txt`` of Middlebury, ETH3D and of
 ``rectify``, KITTI's files), or is given by options.
@@ -49,29 +49,37 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
 
     results: ClassVar[tuple[str, ...]] = DEPTH_RESULTS
 
-    arguments = (Option("run", Path, "Run folder of stereo or fuse, or one disparity map.", "RUN", required=True),)
+    arguments = (
+        Option("run", Path, "Run folder of stereo or fuse, or one disparity map.", "RUN", required=True, group="Input"),
+    )
 
     options = (
         OUTPUT,
         SCENES,
-        Option("input", Path, "Folder of the run's scenes, if it has moved.", "DIR", short="-i"),
-        Option("left", Path, "Left image of a single map, for the point cloud.", "FILE"),
-        Option("calibration", Path, "Calibration for all scenes: a calib.txt, or projections of KITTI.", "FILE"),
-        Option("focal", float, "Focal length, instead of a calibration file.", "PIXELS", min_value=1e-6),
+        Option("input", Path, "Folder of the run's scenes, if it has moved.", "DIR", short="-i", group="Input"),
+        Option("left", Path, "Left image of a single map, for the point cloud.", "FILE", group="Input"),
+        Option("calibration", Path, "Calibration of all scenes: calib.txt, or KITTI's.", "FILE", group="Input"),
+        Option("focal", float, "Focal length, instead of a calibration file.", "PIXELS", min_value=1e-6,
+               group="Input"),
         Option("baseline", float, "Distance of the cameras, instead of a calibration file.", "METERS",
-               min_value=1e-9),
-        Option("doffs", float, "x of the right principal point minus the left one's.", "PIXELS"),
-        Option("mask", str, "Pixels that get a depth: measured, all, or confident:0.8, the 80 % of the measured "
-               "ones with the highest confidence (confident:0.8:NAME if there are several maps). Default: all for "
-               "maps, measured for point clouds.", "WHICH"),
-        Option("ply", bool, "Also write a colored point cloud of every scene.", default=False),
-        Option("near", float, "Nearest depth of point clouds.", "METERS", default=0.0, min_value=0.0),
-        Option("far", float, "Farthest depth of point clouds.", "METERS", min_value=0.0),
+               min_value=1e-9, group="Input"),
+        Option("doffs", float, "x of the right principal point minus the left one's.", "PIXELS", group="Input"),
+        Option("mask", str, "Pixels that get a depth: all, measured, or confident:0.8, the 80 % of the measured ones "
+               "with the highest confidence (confident:0.8:NAME of several). Default: all, in clouds measured.",
+               "WHICH", group="Output"),
+        Option("ply", bool, "Also write a colored point cloud of every scene.", default=False, group="Output"),
+        Option("near", float, "Nearest depth of point clouds.", "METERS", default=0.0, min_value=0.0, group="Output"),
+        Option("far", float, "Farthest depth of point clouds.", "METERS", min_value=0.0, group="Output"),
         Option("depth_scale", float, "Codes per meter in depth.png.", "CODES", default=1000.0, min_value=1e-3,
-               max_value=1e6),
+               max_value=1e6, group="Output"),
         *RUN,
         DRY_RUN,
     )  # fmt: skip
+
+    examples = (
+        "depthcli depth runs/accurate --output depth --ply --far 10",
+        "depthcli depth disp_left.pfm --focal 700 --baseline 0.12 --output depth",
+    )
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Turn every map of the run into depth; return the exit code."""

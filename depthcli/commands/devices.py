@@ -1,4 +1,4 @@
-"""List the GPUs and other devices that stereo can run on, with memory and measured bandwidth."""
+"""List the GPUs and other devices that stereo can run on."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from depthcli.batch.json_csv import Row, to_json
 
 class DevicesCommand(Command):
     """Lists devices by their drivers, and copies an array on each."""
+
+    examples = ("depthcli devices",)
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list, and on stderr why there is none of a kind; return the exit code."""

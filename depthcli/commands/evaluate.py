@@ -1,4 +1,4 @@
-"""Compare the maps of one or more runs with the ground truth, side by side.
+"""Compare maps of one or more runs with the ground truth.
 
 A run is a folder that ``depthcli`` made, or a folder of maps by another program; which files are a scene's map, how it
 is read and how it is scored is decided by the scene's protocol (``depthcli/evaluation/protocols``).
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from depthcli.report.page import Page
 
 HTML = (
-    Option("html", bool, "Also write report.html, to look at maps and errors in a browser.", default=False),
-    Option("html_budget", str, "Size of its pictures beyond which they are scaled down, full ones beside the file.",
-           "SIZE", default="50MB"),
+    Option("html", bool, "Also write report.html: maps and errors in a browser.", default=False, group="Report"),
+    Option("html_budget", str, "Size of its pictures beyond which they are scaled down.", "SIZE", default="50MB",
+           group="Report"),
 )  # fmt: skip
 _RESULTS = (
     "scores.*", "report.md", "report.html", "contact_sheet.png", "errors/**/*", "curves/**/*", "points/**/*",
@@ -45,25 +45,31 @@ class EvaluateCommand(Command):
 
     arguments = (
         Option("runs", Path, "Run folders, folders of others' maps, or single maps.", "RUN...", repeatable=True,
-               required=True),
+               required=True, group="Input"),
     )  # fmt: skip
 
     options = (
-        Option("truth", Path, "Folder of scenes with ground truth; for single maps, a file.", "DIR", required=True),
-        Option("output", Path, "Folder for scores, pictures and report. Default: tables are printed, no more.",
-               "DIR", short="-o"),
+        Option("truth", Path, "Folder with ground truth; of a single map, a file.", "DIR", required=True,
+               group="Input"),
+        Option("output", Path, "Folder for scores, pictures and report. Default: none.", "DIR", short="-o",
+               group="Output"),
         SCENES,
         LAYOUT,
-        Option("protocol", str, "How to score, such as kitti-2015. Default: as each scene's data set.", "NAME"),
-        Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", min_value=1e-6),
+        Option("protocol", str, "How to score, such as kitti-2015. Default: by data set.", "NAME"),
+        Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", min_value=1e-6, group="Input"),
         Option("invalid", float, "Value of disparity files that means none; nan: no value does. Default: recognized.",
-               "VALUE"),
-        Option("resolution", str, "Size of Middlebury v3's truth. Default: by a known scene's width.", "F|H|Q"),
-        Option("resize", str, "Bring depth maps and their truth to one size, nearest neighbor.", "WxH"),
+               "VALUE", group="Input"),
+        Option("resolution", str, "Size of Middlebury v3's truth. Default: by the width.", "F|H|Q"),
+        Option("resize", str, "Bring depth maps and truth to this size.", "WxH"),
         Option("threshold", float, "Threshold of wrong pixels. Default: the benchmark's.", "T", min_value=1e-6),
-        Option("format", str, "Print wide tables: latex, markdown or csv; best bold, second underlined.", "FORMAT"),
+        Option("format", str, "Print wide tables: latex, markdown or csv.", "FORMAT", group="Report"),
         *HTML,
     )  # fmt: skip
+
+    examples = (
+        "depthcli evaluate runs/accurate runs/fast --truth scenes -o results --html",
+        "depthcli evaluate runs/fast --truth scenes --format latex --quiet",
+    )
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Evaluate and print the tables; return the exit code."""

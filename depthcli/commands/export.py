@@ -1,4 +1,4 @@
-"""Pack the maps of a run as a benchmark takes them, checked before a byte is written.
+"""Check the maps of a run and pack them for a benchmark.
 
 All that is wrong with the maps is reported together, and nothing is written then.
 """
@@ -26,17 +26,23 @@ _MAX_NAMED = 12  # scenes that one message names, which keeps it within a few li
 class ExportCommand(Command):
     """``depthcli export RUN --for BENCHMARK --method NAME --output FILE.zip``."""
 
-    arguments = (Option("run", Path, "Run folder, or a folder of others' maps.", "RUN", required=True),)
+    arguments = (Option("run", Path, "Run folder, or a folder of others' maps.", "RUN", required=True, group="Input"),)
 
     options = (
-        Option("for_", str, "middlebury-v3, kitti-2012, kitti-2015 or eth3d.", "BENCHMARK", required=True),
-        Option("method", str, "Name of the method at the benchmark.", "NAME", required=True),
-        Option("output", Path, "The archive to write.", "FILE.zip", short="-o", required=True),
-        Option("split", str, "Only the training or only the test scenes.", "training|test"),
-        Option("sparse", bool, "Submit maps with holes as sparse ones (Middlebury).", default=False),
-        Option("seconds", float, "Run time of every scene, where the run has no report.", "S", min_value=0.0),
-        Option("overwrite", bool, "Replace the archive.", default=False),
+        Option(
+            "for_", str, "middlebury-v3, kitti-2012, kitti-2015 or eth3d.", "BENCHMARK", required=True, group="Output"
+        ),
+        Option("method", str, "Name of the method at the benchmark.", "NAME", required=True, group="Output"),
+        Option("output", Path, "The archive to write.", "FILE.zip", short="-o", required=True, group="Output"),
+        Option("split", str, "Only the training or only the test scenes.", "SPLIT", group="Input"),
+        Option("sparse", bool, "Submit maps with holes as sparse ones (Middlebury).", default=False, group="Output"),
+        Option(
+            "seconds", float, "Run time of every scene, where the run has no report.", "S", min_value=0.0, group="Input"
+        ),
+        Option("overwrite", bool, "Replace the archive.", default=False, group="Output"),
     )
+
+    examples = ("depthcli export runs/accurate --for eth3d --method accurate -o eth3d.zip",)
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Check all maps, then write them; return the exit code.

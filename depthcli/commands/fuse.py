@@ -1,4 +1,4 @@
-"""Match image pairs by several measures, each trusted where the pixels around agree with it."""
+"""Match image pairs by several cost measures, fused."""
 
 from __future__ import annotations
 
@@ -17,6 +17,11 @@ if TYPE_CHECKING:
 
 class FuseCommand(PairCommand["FuseConfig"]):
     """Fusion of measures computed here and of volumes made elsewhere."""
+
+    examples = (
+        "depthcli fuse accurate --input scenes --output runs/fused --evaluate",
+        "depthcli fuse cross-modal --input color-infrared --output runs/infrared",
+    )
 
     def config_model(self) -> type[FuseConfig]:
         from depthcli.methods.fusion.config import FuseConfig

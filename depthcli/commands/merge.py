@@ -1,4 +1,4 @@
-"""Join the reports of the processes that share a run, and list its scenes.
+"""Join the reports of processes that share a run.
 
 The last process of a run does that itself; this is for runs whose processes were killed or still compute.
 """
@@ -18,7 +18,8 @@ from depthcli.core.option import Option
 class MergeCommand(Command):
     """``depthcli merge RUN``."""
 
-    arguments = (Option("run", Path, "Run folder.", "RUN", required=True),)
+    arguments = (Option("run", Path, "Run folder.", "RUN", required=True, group="Input"),)
+    examples = ("depthcli merge runs/accurate",)
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Write report.json and report.csv again; return the exit code, which says whether a scene failed."""

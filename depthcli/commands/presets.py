@@ -1,4 +1,4 @@
-"""List the presets, or print one with all its fields and their descriptions: presets show NAME."""
+"""List the presets, or print one with all its fields."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ class PresetsCommand(Command):
     """Lists and prints the configs that are shipped with the package."""
 
     arguments = (
-        Option("action", str, "'show' to print one preset.", "show"),
-        Option("preset", str, "NAME, or COMMAND/NAME.", "NAME"),
+        Option("action", str, "The word show, to print one preset.", "show", group="Input"),
+        Option("preset", str, "The preset: NAME, or COMMAND/NAME.", "NAME", group="Input"),
     )
+
+    examples = ("depthcli presets", "depthcli presets show stereo/accurate")
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Print the list or the preset; return the exit code."""

@@ -1,4 +1,4 @@
-"""Rectify image pairs, with or without a calibration of the cameras, as input for ``stereo`` and ``depth``.
+"""Rectify image pairs, with or without a calibration.
 
 For every scene the rectified pair is written, its calibration as calib.txt, and the search range that matched key
 points suggest.
@@ -52,16 +52,23 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         LAYOUT,
         SCENES,
         Option("calibration", Path, "Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr "
-               "camchain or KITTI calib_cam_to_cam; repeatable.", "FILE", repeatable=True),
+               "camchain or KITTI calib_cam_to_cam; repeatable.", "FILE", repeatable=True, group="Input"),
         Option("uncalibrated", bool, "Rectify by matched key points alone; depths stay unknown.", default=False),
-        Option("unit", str, "Unit of the translation in an OpenCV file: m, cm or mm.", "UNIT", default="m"),
-        Option("fisheye", bool, "The lenses of an OpenCV file are fisheye.", default=False),
-        Option("cameras", str, "Numbers of the left and right camera in a KITTI file.", "L,R", default="2,3"),
+        Option("unit", str, "Unit of the translation in an OpenCV file: m, cm or mm.", "UNIT", default="m",
+               group="Input"),
+        Option("fisheye", bool, "The lenses of an OpenCV file are fisheye.", default=False, group="Input"),
+        Option("cameras", str, "Numbers of the left and right camera in a KITTI file.", "L,R", default="2,3",
+               group="Input"),
         Option("alpha", float, "0: keep only what both images show; 1: keep all of both.", "SHARE", default=0.0,
                min_value=0, max_value=1),
         *RUN,
         DRY_RUN,
     )  # fmt: skip
+
+    examples = (
+        "depthcli rectify --input photos --calibration stereo.yaml --output rectified",
+        "depthcli rectify --left l.jpg --right r.jpg --uncalibrated --output pair",
+    )
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Rectify every pair; return the exit code."""

@@ -1,4 +1,4 @@
-"""Clean and complete the depth maps of a Kinect or a sensor like it, guided by their color images."""
+"""Clean and complete the depth maps of a Kinect."""
 
 from __future__ import annotations
 
@@ -34,16 +34,21 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
     # Frames of a sequence have folders of their own.
     results: ClassVar[tuple[str, ...]] = (*DEPTH_RESULTS, *(f"*/{name}" for name in DEPTH_RESULTS))
 
+    examples = (
+        "depthcli refine-kinect accurate --input frames --output runs/refined",
+        "depthcli refine-kinect fast --color color.png --depth depth.png -o one --ply",
+    )
+
     @property
     def options(self) -> tuple[Option, ...]:
-        ply = Option("ply", bool, "Also write a colored point cloud of every frame.", default=False)
+        ply = Option("ply", bool, "Also write a colored point cloud of every frame.", default=False, group="Output")
         return (
             *super().options,
             ply,
-            Option("intrinsics", str, "Of the color camera, pixels: fx,fy,cx,cy.", "NUMBERS"),
-            Option("mask", str, "Pixels of point clouds: all or measured.", "WHICH"),
-            Option("near", float, "Nearest depth of point clouds.", "METERS"),
-            Option("far", float, "Farthest depth of point clouds.", "METERS"),
+            Option("intrinsics", str, "Of the color camera, pixels: fx,fy,cx,cy.", "NUMBERS", group="Input"),
+            Option("mask", str, "Pixels of point clouds: all or measured.", "WHICH", group="Output"),
+            Option("near", float, "Nearest depth of point clouds.", "METERS", group="Output"),
+            Option("far", float, "Farthest depth of point clouds.", "METERS", group="Output"),
         )
 
     def config_model(self) -> type[RefineKinectConfig]:

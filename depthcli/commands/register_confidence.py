@@ -1,4 +1,4 @@
-"""Estimate where a registration of two volumes is wrong: confidence, expected error and shift of every voxel."""
+"""Estimate the error of a registration of two volumes."""
 
 from __future__ import annotations
 
@@ -25,11 +25,16 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
     kinds: ClassVar[tuple[type[Scene], ...]] = (VolumePairScene,)
     results: ClassVar[tuple[str, ...]] = ("confidence.*", "expected_error.*", "shift.*", "preview.png", "points.csv")
 
+    examples = (
+        "depthcli register-confidence mind --input volumes --output runs/mind",
+        "depthcli register-confidence mind --fixed a.nii.gz --warped b.nii.gz -o one",
+    )
+
     @property
     def options(self) -> tuple[Option, ...]:
         """The options of all batch commands, and ``--neurological``."""
-        about = "Show the patient's right on the right in pictures, else on the left."
-        return (*super().options, Option("neurological", bool, about, default=False))
+        about = "Show the patient's right on the right in pictures."
+        return (*super().options, Option("neurological", bool, about, default=False, group="Output"))
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Measure every pair; ``--neurological`` overrides the key of the config. Return the exit code."""

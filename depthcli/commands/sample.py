@@ -1,8 +1,9 @@
-"""Generate scenes with exact ground truth, for tests and first steps."""
+"""Generate scenes with exact ground truth."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -20,14 +21,21 @@ class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
 
     results: ClassVar[tuple[str, ...]] = ("*.png", "*.pfm", "*.nii.gz", "meta.json", "calib.json")
 
+    examples = (
+        "depthcli sample --output scenes --count 4 --noise 2",
+        "depthcli sample --kinect --output frames",
+    )
+
     @property
     def options(self) -> tuple[Option, ...]:
         """One flag per kind of sample, and the options of all kinds."""
-        flags = tuple(Option(n, bool, each.about, default=False) for n, each in samples().items() if n != "stereo")
+        flags = tuple(
+            Option(n, bool, each.about, default=False, group="Scenes") for n, each in samples().items() if n != "stereo"
+        )
         own: dict[str, Option] = {}
         for each in samples().values():
             for option in each.options:
-                own.setdefault(option.name, option)
+                own.setdefault(option.name, replace(option, group="Scenes"))
         return (OUTPUT, *flags, *own.values(), *RUN, DRY_RUN)
 
     def run(self, values: Values, reporter: Reporter) -> int:

@@ -1,4 +1,4 @@
-"""Match image pairs: a disparity map, its status and a preview for every scene."""
+"""Match image pairs: disparity maps, status and previews."""
 
 from __future__ import annotations
 
@@ -16,13 +16,20 @@ if TYPE_CHECKING:
     from depthcli.methods.stereo.stages import Matcher
 
 _DEVICE = Option(
-    "device", str, "Where to match: cpu, auto (a GPU if there is one), opencl or cuda, with :N. Default: cpu.", "NAME",
+    "device", str, "Where to match: cpu, auto (a GPU if there is one), opencl or cuda, also with :N. Default: cpu.",
+    "NAME",
     sets="device",
 )  # fmt: skip
 
 
 class StereoCommand(PairCommand["StereoConfig"]):
     """Stereo matching by a pipeline of ``methods/stereo/pipeline/``, here or on a device."""
+
+    examples = (
+        "depthcli stereo accurate --input scenes --output runs/accurate --html",
+        "depthcli stereo fast --left l.png --right r.png --max-disparity 64 -o pair",
+        "depthcli stereo accurate -i scenes -o runs/p2 --set optimization.p2=6",
+    )
 
     @property
     def options(self) -> tuple[Option, ...]:

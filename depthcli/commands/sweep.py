@@ -1,4 +1,4 @@
-"""Run a config with many settings and compare the results: which key matters, and which value is best.
+"""Run a config with many settings; compare the results.
 
 Every combination has a run folder of its own. Finished runs are kept when a sweep is repeated or extended.
 """
@@ -37,20 +37,22 @@ class SweepCommand(Command):
     arguments = (CONFIG,)
 
     options = (
-        Option("over", str, "Values to try: KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable.", "KEY=VALUES",
+        Option("over", str, "KEY=2,4,8 or KEY=FIRST:LAST:STEP; repeatable.", "KEY=VALUES",
                repeatable=True, required=True),
-        Option("command", str, "The command that CONFIG belongs to.", "COMMAND", default="stereo"),
-        Option("input", Path, "Folder of scenes.", "DIR", short="-i", required=True),
+        Option("command", str, "The command of CONFIG.", "COMMAND", default="stereo"),
+        Option("input", Path, "Folder of scenes.", "DIR", short="-i", required=True, group="Input"),
         OUTPUT,
-        Option("random", int, "Draw N combinations at random instead of running all.", "N", min_value=1),
+        Option("random", int, "Draw N combinations at random, not all.", "N", min_value=1),
         Option("seed", int, "Seed of --random.", "N", default=0, min_value=0),
         LAYOUT,
         SCENES,
         Option("set", str, "Override one key in all runs; repeatable.", "KEY=VALUE", repeatable=True),
         *RUN,
-        Option("dry_run", bool, "List the runs and their numbers of finished scenes only.", default=False),
+        Option("dry_run", bool, "List the runs, with how much of each is done.", default=False, group="Run"),
         *HTML,
     )  # fmt: skip
+
+    examples = ("depthcli sweep accurate --over optimization.p2=2,4,8 -i scenes -o sweep",)
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Run every combination, evaluate all runs, and return the exit code.

@@ -1,4 +1,4 @@
-"""Complete the depth of transparent objects, from a depth sensor and sparse depth or an infrared image."""
+"""Complete the depth of transparent objects."""
 
 from __future__ import annotations
 
@@ -24,6 +24,10 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
     """Completes the depth of transparent objects from sparse depth, given or matched between color and infrared."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (RgbdScene,)
+    examples = (
+        "depthcli transparent kinect --input frames --output runs/kinect",
+        "depthcli transparent sparse --input frames --output runs/sparse --evaluate",
+    )
     results: ClassVar[tuple[str, ...]] = DEPTH_RESULTS
 
     def config_model(self) -> type[TransparentConfig]:

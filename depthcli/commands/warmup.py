@@ -1,4 +1,4 @@
-"""Compile the kernels that presets need, in several processes side by side, so that the first run starts at once."""
+"""Compile the kernels of presets before their first run."""
 
 from __future__ import annotations
 
@@ -18,13 +18,19 @@ if TYPE_CHECKING:
 class WarmupCommand(Command):
     """Compiles kernels, or lists them with the time that it takes."""
 
-    arguments = (Option("presets", str, "Presets, as COMMAND/NAME or COMMAND (all of it).", "PRESET", repeatable=True),)
+    arguments = (
+        Option("presets", str, "Presets, as COMMAND/NAME or COMMAND (all of it).", "PRESET...", repeatable=True,
+               group="Input"),
+    )  # fmt: skip
 
     options = (
-        Option("all", bool, "Every preset.", default=False),
-        Option("list", bool, "List the kernels by the time that compiling them takes; compile none.", default=False),
-        Option("jobs", int, "Processes side by side. Default: one per core.", "N", short="-j", min_value=1),
-    )
+        Option("all", bool, "Every preset.", default=False, group="Input"),
+        Option("list", bool, "List the kernels and their times; compile none.", default=False, group="Run"),
+        Option("jobs", int, "Processes side by side. Default: one per core.", "N", short="-j", min_value=1,
+               group="Run"),
+    )  # fmt: skip
+
+    examples = ("depthcli warmup stereo/accurate fuse", "depthcli warmup --all --jobs 4")
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Compile or list; return the exit code."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
+
+OptionGroup: TypeAlias = Literal["Input", "Scenes", "Method", "Output", "Report", "Run"]
+"""Headings of the help of a command, in their order."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,7 @@ class Option:
     required : must be given
     min_value, max_value : bounds of a number
     sets : the config key that it overrides, as ``--set`` does; the command itself does not receive it
+    group : the heading under which the help shows it
     """
 
     name: str
@@ -35,6 +39,7 @@ class Option:
     min_value: float | None = None
     max_value: float | None = None
     sets: str = ""
+    group: OptionGroup = "Method"
 
     @property
     def flag(self) -> str:

@@ -59,9 +59,9 @@ class RgbdScene(Scene):
     """
 
     options: ClassVar[tuple[Option, ...]] = (
-        Option("color", Path, "Color image, instead of --input.", "FILE"),
-        Option("depth", Path, "Depth map registered to it, instead of --input.", "FILE"),
-        Option("depth_scale", float, "Codes a meter of the depth files.", "CODES", sets="depth_scale"),
+        Option("color", Path, "Color image, instead of --input.", "FILE", group="Input"),
+        Option("depth", Path, "Depth map registered to it.", "FILE", group="Input"),
+        Option("depth_scale", float, "Codes a meter of the depth files.", "CODES", sets="depth_scale", group="Input"),
     )
 
     color: Path

@@ -70,14 +70,13 @@ class StereoScene(Scene):
     """
 
     options: ClassVar[tuple[Option, ...]] = (
-        Option("left", Path, "Left image, instead of --input; or a pattern, a folder, a video.", "FILE"),
-        Option("right", Path, "Right image, likewise.", "FILE"),
-        Option("max_disparity", str, "Largest disparity searched; auto: by key points.", "PIXELS|auto",
+        Option("left", Path, "Left image, pattern, folder or video; replaces --input.", "FILE", group="Input"),
+        Option("right", Path, "Right image, likewise.", "FILE", group="Input"),
+        Option("calibration", Path, "Calibration, for pairs that are not rectified.", "FILE", sets="calibration",
+               group="Input"),
+        Option("max_disparity", str, "Largest disparity searched, or auto: by key points.", "N",
                sets="max_disparity"),
-        Option("min_disparity", str, "Smallest disparity searched, also negative; default 0.", "PIXELS|auto",
-               sets="min_disparity"),
-        Option("calibration", Path, "Calibration of cameras whose pairs are not rectified yet.", "FILE",
-               sets="calibration"),
+        Option("min_disparity", str, "Smallest disparity searched, or auto. Default: 0.", "N", sets="min_disparity"),
     )  # fmt: skip
 
     left: Path

@@ -75,15 +75,16 @@ class VolumePairScene(Scene):
     """
 
     options: ClassVar[tuple[Option, ...]] = (
-        Option("fixed", Path, "Fixed volume, instead of --input.", "FILE"),
-        Option("warped", Path, "Moving volume after registration, on the fixed grid.", "FILE"),
-        Option("moving", Path, "Moving volume, with --displacement or --transform.", "FILE"),
-        Option("displacement", Path, "Displacement field of the registration.", "FILE"),
-        Option("transform", Path, "Transform of the registration.", "FILE"),
-        Option("apply", str, "With both files: displacement, transform, or both (ANTs).", "WHICH"),
-        Option("mask", Path, "Mask of the fixed volume.", "FILE"),
-        Option("field", str, "Convention of the field: auto, itk, ants, niftyreg, voxels.", "NAME", sets="field"),
-    )
+        Option("fixed", Path, "Fixed volume, instead of --input.", "FILE", group="Input"),
+        Option("warped", Path, "Moving volume after registration, on the fixed grid.", "FILE", group="Input"),
+        Option("moving", Path, "Moving volume, with --displacement or --transform.", "FILE", group="Input"),
+        Option("displacement", Path, "Displacement field of the registration.", "FILE", group="Input"),
+        Option("transform", Path, "Transform of the registration.", "FILE", group="Input"),
+        Option("apply", str, "With both files: displacement, transform, or both (ANTs).", "WHICH", group="Input"),
+        Option("mask", Path, "Mask of the fixed volume.", "FILE", group="Input"),
+        Option("field", str, "Convention of the field: auto, itk, ants, niftyreg, voxels.", "NAME", sets="field",
+               group="Input"),
+    )  # fmt: skip
 
     fixed: Path
     moving_warped: Path | None = None

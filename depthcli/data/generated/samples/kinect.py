@@ -20,7 +20,7 @@ _MIN_WIDTH = 96  # pixels; twice the largest disparity of make_kinect_scene
 class KinectSampleKind(Sample):
     """Widened foreground, shadows, specular spots and noise, of scenes from nothing or with known disparity."""
 
-    about = "Color and depth as a Kinect measures it, with true depth."
+    about = "Color, and depth as a Kinect measures it."
     options: ClassVar[tuple[Option, ...]] = (
         SEED,
         WIDTH,

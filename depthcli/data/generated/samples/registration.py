@@ -21,7 +21,7 @@ _LARGEST = (3.0, 6.0, 1.0)  # largest error, voxels, in turn
 class RegistrationSample(Sample):
     """Textured ellipsoids, registered up to a known smooth error."""
 
-    about = "Pairs of volumes with a known smooth registration error."
+    about = "Volumes with a known smooth registration error."
     options: ClassVar[tuple[Option, ...]] = (
         COUNT,
         SEED,

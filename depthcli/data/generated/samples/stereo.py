@@ -21,8 +21,8 @@ _DEFAULT_KINDS = KINDS[:4]  # in turn, where no kind is named
 
 COUNT = Option("count", int, "Number of scenes.", "N", default=6, short="-n", min_value=1, max_value=10_000)
 SEED = Option("seed", int, "Seed of the first scenes.", "N", default=0, min_value=0, max_value=2**31 - 1)
-WIDTH = Option("width", int, "Width.", "PIXELS", default=400, min_value=16, max_value=8192)
-HEIGHT = Option("height", int, "Height.", "PIXELS", default=300, min_value=16, max_value=8192)
+WIDTH = Option("width", int, "Width, pixels.", "N", default=400, min_value=16, max_value=8192)
+HEIGHT = Option("height", int, "Height, pixels.", "N", default=300, min_value=16, max_value=8192)
 
 
 class StereoSample(Sample):
@@ -31,17 +31,17 @@ class StereoSample(Sample):
     about = "Stereo pairs (the default)."
     options: ClassVar[tuple[Option, ...]] = (
         COUNT,
-        Option("kind", str, f"{', '.join(KINDS)}; repeatable; default: in turn the first four.", "KIND",
+        Option("kind", str, f"{', '.join(KINDS)}; repeatable. Default: the first four in turn.", "KIND",
                repeatable=True),
         SEED,
         WIDTH,
         HEIGHT,
-        Option("max_disparity", int, "Largest disparity, at most width / 2.", "PIXELS", default=48,
+        Option("max_disparity", int, "Largest disparity, at most width / 2.", "N", default=48,
                min_value=4, max_value=4096),
         Option("noise", float, "Standard deviation of the noise, grey levels.", "LEVELS", default=0.0, min_value=0,
                max_value=100),
         Option(
-            "radiometric", float, "How different the light of the right image is, 0 to 1.", "SHARE", default=0.0,
+            "radiometric", float, "How different the right image's light is, 0 to 1.", "SHARE", default=0.0,
             min_value=0, max_value=1,
         ),
         Option("wall_contrast", float, "Texture of the walls, 0 (bare) to 1.", "SHARE", default=1.0,
