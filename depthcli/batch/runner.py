@@ -22,9 +22,11 @@ from depthcli.batch.reports import Part, ReportWriter, drop_parts, finished_row,
 from depthcli.batch.run_folder import check_folder, saved_config
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
 from depthcli.batch.task import Run, RunOptions, Task, run_task
-from depthcli.core.errors import ConfigError, IncompleteError
+from depthcli.core.errors import ConfigError, IncompleteError, OutputError
 from depthcli.data.formats.files import write_text
 from depthcli.data.scenes import Scene
+
+_GOES_ON = "the same command goes on where it stopped"
 
 
 def run_scenes(
@@ -55,7 +57,7 @@ def run_scenes(
         The folder holds another run or the result of another input of the same name, is in use, or contains
         the inputs.
     OutputError
-        The folder cannot be used.
+        The folder cannot be used; or the disk became full, and the run stopped there.
     IncompleteError
         Everything was computed, but the report cannot be written; or the connection to the scheduler was lost.
     """
@@ -82,6 +84,7 @@ class _Batch:
     tasks : what has to be computed
     claimed : those of them that this process began, in a shared run or not
     n_unclaimed : number of those that other processes compute
+    disk_full : where and why no more files could be written, which ended the run; or empty
     """
 
     def __init__(
@@ -94,6 +97,7 @@ class _Batch:
         self.tasks: list[Task] = []
         self.claimed: list[Task] = []
         self.n_unclaimed = 0
+        self.disk_full = ""
         self.writer: ReportWriter
 
     def open_folder(self, names: set[str]) -> dict[str, Row]:
@@ -160,19 +164,35 @@ class _Batch:
         self.writer = ReportWriter(self.output, self.part, self.rows, order, others)
 
     def compute(self) -> None:
-        """Compute all tasks, and keep the report up to date; it is complete also where this is interrupted."""
+        """Compute all tasks, and keep the report up to date; it is complete also where this is interrupted.
+
+        OutputError where the disk is full: no further scene could be written.
+        """
+        stopped = False
         try:
             with self.reporter, contextlib.closing(self._computed_rows()) as computed:
                 self.reporter.start(len(self.scenes), len(self.rows), self.run.command.name)
                 for row in map(_with_interned_keys, computed):
+                    if "disk_full" in row:
+                        self.disk_full = row["disk_full"]
+                        break
                     self._add(row)
-                    if self.options.fail_fast and row["status"] == "failed":
-                        self.reporter.info("stopped at the first failure; the same command goes on where it stopped")
+                    if stopped := self.options.fail_fast and row["status"] == "failed":
                         break
         finally:
             self._finish()
+        if self.disk_full:
+            raise OutputError(f"{self.disk_full}; stopped, {self._counts()}; make room there, {_GOES_ON}")
+        if stopped:
+            self.reporter.info(f"stopped at the first failure, {self._counts()}; {_GOES_ON}")
         if self.n_unclaimed:
             self.reporter.info(f"{self.n_unclaimed} scenes are being computed by other processes")
+
+    def _counts(self) -> str:
+        """Return how many scenes were done, failed, or not computed by anybody."""
+        failed = sum(row["status"] == "failed" for row in self.rows.values())
+        left = len(self.scenes) - len(self.rows) - self.n_unclaimed
+        return f"{len(self.rows) - failed} of {len(self.scenes)} scenes done, {failed} failed, {left} not computed"
 
     def _computed_rows(self) -> Generator[Row, None, None]:
         jobs = min(self.options.jobs, len(self.tasks))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fnmatch
 import os
 import shutil
@@ -20,6 +21,7 @@ from depthcli.batch.run_folder import run_text
 from depthcli.batch.sharing import Shard
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
+from depthcli.core.text import show_bytes
 from depthcli.data.formats.files import collected_warnings
 from depthcli.data.scenes import Scene
 
@@ -129,9 +131,16 @@ class Task:
 
 
 def run_task(task: Task, run: Run, limit: int) -> Row:
-    """Compute a scene with at most ``limit`` bytes and return its row; any failure becomes the row's ``error``."""
+    """Compute a scene with at most ``limit`` bytes and return its row; any failure becomes the row's ``error``.
+
+    Where a disk was full, the row has the key ``disk_full`` with the place, the reason and the bytes that are free.
+    """
     with collected_warnings() as lines:
         row = _run_task(task, run, limit)
+    if place := row.get("disk_full"):
+        row["disk_full"] = row["error"]
+        with contextlib.suppress(OSError):  # the files of this scene have been deleted by now
+            row["disk_full"] += f" ({show_bytes(shutil.disk_usage(place).free)} free on that disk)"
     row["warnings"] = list(dict.fromkeys([*row.get("warnings", ()), *lines]))
     return row
 
@@ -149,17 +158,8 @@ def _run_task(task: Task, run: Run, limit: int) -> Row:
         seconds = {name: round(value, 6) for name, value in outcome.seconds.items()}
         row: Row = {"scene": task.scene.name, "status": "done", "error": "", **outcome.facts, "seconds": seconds}
         row |= {"peak_memory": resources.peak_memory(), "source": task.source, "warnings": outcome.warnings}
-    except MemoryError:
-        row = task.failed("out of memory; see --max-memory")
-    except DepthcliError as error:
-        row = task.failed(str(error))
-    except OSError as error:
-        row = task.failed(f"{error.filename or task.target}: {error.strerror or error}")
     except Exception as error:
-        what = f"{type(error).__name__}: {error}".splitlines()[0][:300]
-        with contextlib.suppress(OSError):
-            task.trace.write_text(traceback.format_exc(), "utf-8", "backslashreplace")
-        row = task.failed(f"{BUG}{what}; the traceback is in {task.trace.name}, please report it")
+        row = _failed_row(task, error)
     finally:
         memory.release()
         if opened is not None:
@@ -172,6 +172,33 @@ def _run_task(task: Task, run: Run, limit: int) -> Row:
         with contextlib.suppress(OSError):  # the result of an earlier run from other inputs must not stay
             remove_results(task.target)
     return row
+
+
+def _failed_row(task: Task, error: Exception) -> Row:
+    """Return the row of a scene whose computation raised ``error``, which is being handled."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):
+            place = _folder_of(cause.filename, task.output)
+            return task.failed(f"{place}: {cause.strerror or 'the disk is full'}") | {"disk_full": str(place)}
+        cause = cause.__cause__ or cause.__context__
+    if isinstance(error, MemoryError):
+        return task.failed("out of memory; see --max-memory")
+    if isinstance(error, DepthcliError):
+        return task.failed(str(error))
+    if isinstance(error, OSError):
+        return task.failed(f"{error.filename or task.target}: {error.strerror or error}")
+    what = f"{type(error).__name__}: {error}".splitlines()[0][:300]
+    with contextlib.suppress(OSError):
+        task.trace.write_text(traceback.format_exc(), "utf-8", "backslashreplace")
+    return task.failed(f"{BUG}{what}; the traceback is in {task.trace.name}, please report it")
+
+
+def _folder_of(file: object, output: Path) -> Path:
+    """Return the folder in which a file could not be written: the run folder, unless it lies elsewhere."""
+    if not isinstance(file, str | Path) or Path(file).absolute().is_relative_to(output.absolute()):
+        return output
+    return Path(file).parent
 
 
 def _delete_unwanted(folder: Path, keep: tuple[str, ...]) -> None:

@@ -1,7 +1,7 @@
 """The command line, the only place with typer: builds commands from the objects in ``commands/``, maps errors to codes.
 
-Exit codes: 0 all done; 1 a bug; 2 wrong usage or config; 3 finished, but something failed; 130 Ctrl-C; 143 SIGTERM.
-Nothing heavy is imported here, so that ``--help`` answers at once.
+Exit codes: 0 all done; 1 a bug; 2 wrong usage or config, or a full disk; 3 finished, but something failed; 130 Ctrl-C;
+143 SIGTERM. Nothing heavy is imported here, so that ``--help`` answers at once.
 """
 
 from __future__ import annotations

@@ -91,7 +91,8 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
             from depthcli.evaluation.tables import report_text
 
             reporter.data(report_text(evaluation))
-        reporter.info(f"{len(rows) - len(failed)} of {len(rows)} scenes done, in {output}")
+        total = len(scenes) if options.shard is None else len(rows)
+        reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {output}")
         if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
             return 1
         return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0

@@ -287,7 +287,9 @@ def test_stopping_at_the_first_failure(made_scenes: Path, tmp_path: Path, capsys
     for jobs in ("1", "2"):
         out = tmp_path / jobs
         assert run("stereo", FAST, "-i", scenes, "-o", out, "--fail-fast", "--jobs", jobs) == 3
-        assert "stopped at the first failure" in capsys.readouterr().err
+        captured = capsys.readouterr().err
+        assert "stopped at the first failure, " in captured
+        assert f"{sum(status == 'done' for status in report(out).values())} of 3 scenes done, in {out}" in captured
         assert report(out)["planes_1"] == "failed"
         if jobs == "1":
             assert report(out) == {"planes_0": "done", "planes_1": "failed"}
