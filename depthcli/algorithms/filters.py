@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -48,14 +49,26 @@ def discontinuity_mask(
 
 @contextlib.contextmanager
 def single_thread() -> Iterator[None]:
-    """Let OpenCV use one thread within the context.
+    """Let OpenCV use one thread within the context; several threads of Python may be inside at a time.
 
     The fast global smoother, and the WLS filter that is based on it, divide images into as many stripes as there are
     threads and round differently at the ends of vectors: the last bits depend on the number of threads.
     """
-    n_threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
+    with _single.lock:
+        if _single.users == 0:
+            _single.n_threads = cv2.getNumThreads()
+            cv2.setNumThreads(1)
+        _single.users += 1
     try:
         yield
     finally:
-        cv2.setNumThreads(n_threads)
+        with _single.lock:
+            _single.users -= 1
+            if _single.users == 0:
+                cv2.setNumThreads(_single.n_threads)
+
+
+class _single:  # noqa: N801  # state of OpenCV, which all threads of Python share
+    lock = threading.Lock()
+    users = 0
+    n_threads = 0

@@ -11,11 +11,11 @@ has ``depthcli.batch.runner`` call ``compute(config, scene, folder, memory)`` fo
 
 ========================  ============================================================================================
 ``stereo``, ``fuse``      ``_pairs``: load the pair, or rectify it (``_rectified``); find the search range; match by
-                          the config's pipeline or fusion; write map, status and preview (``_save``)
-``refine-kinect``         load depth and color of a frame, or of a sequence in order; refine; write (``_save``)
-``transparent``           load depth, color and sparse depth, or match infrared for it; complete; write (``_save``)
+                          the config's pipeline or fusion; write map, status and preview (``api``)
+``refine-kinect``         load depth and color of a frame, or of a sequence in order; refine; write (``api``)
+``transparent``           load depth, color and sparse depth, or match infrared for it; complete; write (``api``)
 ``register-confidence``   load two volumes and the registration; search around every voxel; write confidence, expected
-                          error and shift as volumes (``_save_registration``)
+                          error and shift as volumes (``api``)
 ``depth``                 read a run's disparity map and its calibration; triangulate; write depth, and points
 ``rectify``               load the views; match key points; warp by the calibration or the points; write both views,
                           calib.txt and the search range

@@ -15,19 +15,13 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
-    from depthcli.core.frames import StereoPair
     from depthcli.data.formats.pictures import Palette
     from depthcli.device import Device
     from depthcli.methods.stereo.config import PairConfig
     from depthcli.methods.stereo.matching import Limits
-    from depthcli.methods.stereo.search_range import SearchRange
     from depthcli.methods.stereo.stages import Matcher
-    from depthcli.methods.stereo.volume import StereoResult
 
 PairConfigT = TypeVar("PairConfigT", bound="PairConfig")
-
-_MIN_MEASURED_SHARE = 0.5  # of the pixels; with fewer a scene has a warning
-_MAX_SHARE_AT_END = 0.05  # of the measured pixels at an end of the search range; with more a scene has a warning
 
 
 class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
@@ -50,9 +44,9 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     def limits(self, config: PairConfigT, memory: int) -> Limits:
         """Return where a pair may be matched, and in how much memory."""
-        from depthcli.methods.stereo.matching import Limits
+        from depthcli.api.matching import limits_of
 
-        return Limits(memory, config.tiles, config.tile_memory << 20, self.device(config))
+        return limits_of(config, memory, self.device(config))
 
     def memory_of(self, config: PairConfigT, scene: StereoScene) -> int | None:
         """Estimate by the left image's size; None where key points give the range, InputError where nothing does."""
@@ -126,12 +120,9 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         """
         import numpy as np
 
+        from depthcli.api.matching import match_pair, partly_used
         from depthcli.commands._rectified import rectified_pair
-        from depthcli.commands._save import save_stereo
         from depthcli.core.result import Clock
-        from depthcli.core.text import show_bytes
-        from depthcli.methods.stereo.matching import match
-        from depthcli.methods.stereo.search_range import complete_range
 
         clock = Clock()
         min_disparity, max_disparity = given_range(config, scene)
@@ -146,24 +137,10 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         else:
             clock.start("rectify")
             pair, facts, warnings = rectified_pair(config.calibration, scene, folder)
-        if max_disparity is None or "auto" in (min_disparity, max_disparity):
-            clock.start("range")
-        search, key_points = complete_range(min_disparity, max_disparity, pair)
-        clock.start("other")
-        shifted = search.shift(pair)
-        matched = match(matcher, shifted, search.shifted_max_disparity, limits)
-        result = search.restore(matched, pair.shape[1])
-        del matched
-        clock.include(result.seconds)
+        found = match_pair(matcher, pair, (min_disparity, max_disparity), limits, clock)
         clock.start("save")
-        measured = float(np.mean(result.disparity.measured))
-        warnings += _warnings(pair, result, measured, search, key_points)
-        if result.figures.get("exact") == 0 and memory < limits.tile_memory:
-            warnings.append(
-                f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
-                f"{show_bytes(memory)} of memory may be used: with more the map is another one"
-            )
-        save_stereo(result, folder, search.min_disparity, search.max_disparity)
+        found.save(folder)
+        search, key_points = found.search, found.key_points
         columns = {
             "width": pair.shape[1],
             "height": pair.shape[0],
@@ -171,13 +148,13 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
             **({"min_disparity": search.min_disparity} if search.min_disparity or key_points else {}),
             **facts,
             **key_points,
-            "density": round(result.disparity.density, 6),
-            "measured": round(measured, 6),
-            **({"bits": pair.bits} if _partly_used(pair) else {}),
-            **{name: float(value) for name, value in result.figures.items()},
+            "density": round(found.density, 6),
+            "measured": round(float(np.mean(found.measured)), 6),
+            **({"bits": pair.bits} if partly_used(pair) else {}),
+            **{name: float(value) for name, value in found.details.figures.items()},
             **device_columns,
         }
-        return Outcome(columns, clock.seconds, warnings)
+        return Outcome(columns, clock.seconds, [*warnings, *found.warnings])
 
 
 def given_range(config: PairConfig, scene: StereoScene) -> tuple[int | str, int | str | None]:
@@ -189,31 +166,3 @@ def given_range(config: PairConfig, scene: StereoScene) -> tuple[int | str, int 
 def _check_range(config: PairConfig, scene: StereoScene, max_disparity: int | str | None) -> None:
     if max_disparity is None and config.calibration is None:  # rectified pairs have a range that key points suggest
         raise InputError(f"{scene.folder}: the search range is not known; say it with --max-disparity, or auto")
-
-
-def _partly_used(pair: StereoPair) -> bool:
-    return pair.bits is not None and pair.bits < 8 * pair.left.dtype.itemsize
-
-
-def _warnings(
-    pair: StereoPair, result: StereoResult, measured: float, search: SearchRange, key_points: dict[str, int]
-) -> list[str]:
-    warnings = []
-    if _partly_used(pair):
-        warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
-    if measured < _MIN_MEASURED_SHARE:
-        warnings.append(
-            f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
-            "not rectified, search range too small, or no texture?"
-        )
-    ends = ((search.min_disparity, "--min-disparity"), (search.max_disparity, "--max-disparity"))
-    for share, (end, option) in zip(search.share_at_ends(result.disparity), ends, strict=True):
-        if share > _MAX_SHARE_AT_END:
-            warnings.append(
-                f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
-            )
-    if key_points and search.min_disparity > key_points["range_low"] and key_points["range_low"] < 0:
-        warnings.append(f"key points have disparities down to {key_points['range_low']}; see --min-disparity")
-    if search.min_disparity < 0:
-        warnings.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
-    return warnings

@@ -127,7 +127,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         """
         import numpy as np
 
-        from depthcli.commands._save import save_metric_depth
+        from depthcli.api._save import save_metric_depth
         from depthcli.core.frames import color8
         from depthcli.core.result import Clock
         from depthcli.data.formats.depth import MAX_DEPTH, MIN_DEPTH

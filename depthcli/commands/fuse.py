@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from depthcli.batch.command import Values
 from depthcli.commands._pairs import PairCommand, given_range
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import InputError
 from depthcli.data.scenes.stereo import StereoScene
 
 if TYPE_CHECKING:
@@ -30,6 +30,8 @@ class FuseCommand(PairCommand["FuseConfig"]):
 
     def config(self, values: Values) -> FuseConfig:
         """Return the config, with the network that it names."""
+        from depthcli.api.matching import with_network
+
         return with_network(super().config(values))
 
     def files(self, config: FuseConfig, scene: StereoScene) -> dict[str, Path]:
@@ -56,24 +58,6 @@ class FuseCommand(PairCommand["FuseConfig"]):
         names = {measure.volume for measure in config.measures if measure.volume is not None}
         last = scene.name.rpartition("/")[2]
         return {name: scene.left.parent / name.replace("{scene}", last) for name in sorted(names)}
-
-
-def with_network(config: FuseConfig) -> FuseConfig:
-    """Return the config with the arrays of the network that it names, if it names one.
-
-    Raises
-    ------
-    ConfigError
-        The network cannot be read, or was trained for other maps.
-    """
-    from depthcli.data.formats.networks import network_path, read_network
-
-    if config.network_name is None:
-        return config
-    try:
-        return config.with_network(read_network(network_path(config.network_name)))
-    except InputError as error:
-        raise ConfigError(f"maps.choice.weights: {error}") from None
 
 
 COMMAND = FuseCommand()

@@ -170,8 +170,8 @@ def _refine_frame(
 ) -> Outcome:
     import numpy as np
 
+    from depthcli.api._save import save_depth, share
     from depthcli.batch.resources import check_memory
-    from depthcli.commands._save import save_depth, share
     from depthcli.core.cameras.camera import typical_intrinsics
     from depthcli.core.maps import DepthStatus
     from depthcli.core.result import Clock

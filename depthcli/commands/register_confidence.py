@@ -67,8 +67,8 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         InputError
             The files cannot be used, or ``memory`` bytes do not suffice.
         """
+        from depthcli.api._save_registration import save_registration
         from depthcli.batch.resources import check_memory
-        from depthcli.commands._save_registration import save_registration
         from depthcli.core.result import Clock
         from depthcli.data.formats.volumes import written_suffix
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from depthcli.batch.command import Values
 from depthcli.commands._pairs import PairCommand
-from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.data.scenes.stereo import StereoScene
 
@@ -42,16 +41,12 @@ class StereoCommand(PairCommand["StereoConfig"]):
 
     def config(self, values: Values) -> StereoConfig:
         """Return the config with the address of its device: a run continues where it began, or not at all."""
-        from depthcli.device import DeviceError, find_device
-
         config = super().config(values)
         if config.device == "cpu":
             return config
-        try:
-            info = find_device(config.device)
-        except DeviceError as error:
-            raise ConfigError(str(error)) from error
-        return config.model_copy(update={"device": "cpu" if info is None else info.address})
+        from depthcli.api.matching import with_address
+
+        return with_address(config)
 
     def matcher(self, config: StereoConfig, scene: StereoScene) -> Matcher:
         return config.pipeline

@@ -78,7 +78,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         """
         import numpy as np
 
-        from depthcli.commands._save import save_depth, share
+        from depthcli.api._save import save_depth, share
         from depthcli.core.maps import DepthStatus
         from depthcli.core.result import Clock
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, BeforeValidator
 
 from depthcli.core.method import Family
-from depthcli.core.yaml_source import ConfigData, Location, dotted, short
+from depthcli.core.yaml_source import OVERRIDES, ConfigData, Location, dotted, short
 
 
 def explain(model: type[BaseModel], config: ConfigData, error: Any) -> str:
@@ -44,8 +44,9 @@ def explain(model: type[BaseModel], config: ConfigData, error: Any) -> str:
         what = what.replace("Input should", "should", 1)
     big = isinstance(got, dict | list | tuple | BaseModel) and len(short(got)) > 60
     shown = "" if big or kind in ("missing", "method_name") else f" (got {short(got)})"
-    # An option that names the key, or one below it, needs no key beside it.
-    named = place.startswith("--") and (not place.startswith("--set ") or f"{place[6:]}.".startswith(f"{key}."))
+    # An option or override that names the key, or one below it, needs no key beside it.
+    path = place.partition(" ")[2]
+    named = place.startswith(OVERRIDES) and (not path or f"{path}.".startswith(f"{key}."))
     prefix = place if named or not key else f"{place}: {key}"
     return f"{prefix}: {what}{shown}{hint}"
 

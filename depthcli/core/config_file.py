@@ -1,7 +1,7 @@
 """Config files checked against a pydantic model.
 
-Precedence: field default < base < file < ``--set key=value``. All problems are reported together, each as
-``file:line: key: what is wrong (got ...); did you mean ...``.
+Precedence: field default < base < file < ``--set key=value``, or values that a call from Python overrides. All problems
+are reported together, each as ``file:line: key: what is wrong (got ...); did you mean ...``.
 
 A model whose key got another name says so in ``renamed: ClassVar[dict[str, str]] = {"old": "new"}``. The old key
 is then refused as any unknown key is, with the new name as the hint, even where the two names are not similar.
@@ -13,7 +13,7 @@ import contextlib
 import copy
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,7 +33,10 @@ from depthcli.core.yaml_source import (
     to_yaml,
 )
 
-__all__ = ["ConfigData", "dump_config", "load_config", "overlay", "parse_config", "read_config", "to_yaml", "validate"]
+__all__ = [
+    "ConfigData", "dump_config", "load_config", "overlay", "overlay_values", "parse_config", "read_config", "to_yaml",
+    "validate",
+]  # fmt: skip
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -66,18 +69,41 @@ def overlay(
             config.problems.append(str(error))
             continue
         location: Location = tuple(parts)
-        problem = _assign(config.data, location, defaults or {})
-        if problem:
-            config.problems.append(f"{place}: {problem}")
-            continue
         places: dict[Location, str] = {}
         value = None if node is None else Builder(place, places, config.problems, lines=False).build(node, location)
-        parent = _walk(config.data, location[:-1])
-        parent[location[-1]] = value
-        for below in [p for p in config.places if p[: len(location)] == location]:
-            del config.places[below]
-        config.places.update(places)
-        config.places[location] = place
+        _put(config, location, value, place, defaults)
+        config.places.update({at: each for at, each in places.items() if at != location})
+
+
+def overlay_values(config: ConfigData, values: Mapping[str, Any], defaults: dict[str, Any] | None = None) -> None:
+    """Apply values, in order, in place.
+
+    Parameters
+    ----------
+    config : as for :func:`overlay`
+    values : ``a.b`` -> plain value. A mapping that selects no method changes only the keys that it holds
+    defaults : as for :func:`overlay`
+    """
+    for path, value in values.items():
+        parts = [int(p) if p.isdecimal() and len(p) < 9 else p for p in path.split(".")]
+        if isinstance(value, Mapping) and value and not any(key in value for key in _METHOD_KEYS):
+            overlay_values(config, {f"{path}.{key}": each for key, each in value.items()}, defaults)
+        elif any(part == "" for part in parts):
+            config.problems.append(f"override {path[:64]!r}: want the name of a key, such as cost.window")
+        else:
+            _put(config, tuple(parts), value, f"override {path}", defaults)
+
+
+def _put(config: ConfigData, location: Location, value: Any, place: str, defaults: dict[str, Any] | None) -> None:
+    """Set one value that ``place`` gives, or note why that cannot be."""
+    problem = _assign(config.data, location, defaults or {})
+    if problem:
+        config.problems.append(f"{place}: {problem}")
+        return
+    _walk(config.data, location[:-1])[location[-1]] = value
+    for below in [p for p in config.places if p[: len(location)] == location]:
+        del config.places[below]
+    config.places[location] = place
 
 
 def with_base(config: ConfigData, path: Path, find: Callable[[str], Path | None], chain: tuple[Path, ...] = ()) -> None:
@@ -159,6 +185,7 @@ def load_config(
     source: Path | ConfigData,
     settings: Sequence[str | tuple[str, str]] = (),
     find: Callable[[str], Path | None] = lambda name: None,
+    values: Mapping[str, Any] | None = None,
 ) -> _Model:
     """Return a config read, laid over its base, overlaid with options and checked.
 
@@ -168,6 +195,7 @@ def load_config(
     source : a file, or a config that was read already, whose ``base`` is not followed
     settings : as for :func:`overlay`
     find : as for :func:`with_base`
+    values : as for :func:`overlay_values`
 
     Raises
     ------
@@ -177,12 +205,13 @@ def load_config(
     config = source if isinstance(source, ConfigData) else read_config(source)
     if isinstance(source, Path):
         with_base(config, source, find)
-    if settings:
+    if settings or values:
         defaults: dict[str, Any] = {}
         if not config.problems:
             with contextlib.suppress(ValidationError):  # reported below, where --set may have mended it
                 defaults = model.model_validate(config.data).model_dump(mode="json", by_alias=True)
         overlay(config, settings, defaults)
+        overlay_values(config, values or {}, defaults)
     return validate(model, config)
 
 

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntFlag
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 
-class Status(IntFlag):
+class _Flags(IntFlag):
+    @classmethod
+    def _missing_(cls, value: object) -> Any:
+        # The status of a pixel is an integer of numpy, which enum does not take for one.
+        return cls(int(value)) if isinstance(value, np.integer) else super()._missing_(value)
+
+
+class Status(_Flags):
     """Why a pixel has no value (NaN), or what was done to the value it has.
 
     ``OCCLUDED`` to ``NO_DATA`` are reasons why the matcher measured no reliable value. ``FILLED`` and ``SMOOTHED``
@@ -25,7 +33,7 @@ class Status(IntFlag):
     SMOOTHED = 32
 
 
-class DepthStatus(IntFlag):
+class DepthStatus(_Flags):
     """What was done to a pixel of a sensor's depth map; ``KEPT`` alone was measured and left as it was (or smoothed).
 
     At most one of the bits up to ``EMPTY`` is set; ``SMOOTHED`` and ``SAMPLED`` are information beside it.
@@ -62,8 +70,36 @@ class _Map:
         """Share of pixels with a value, in [0, 1]."""
         return float(np.mean(self.valid))
 
+    def _has(self, bits: int) -> NDArray[np.bool_]:
+        has: NDArray[np.bool_] = (self.status & np.uint8(bits)) != 0
+        return has
 
-class DisparityMap(_Map):
+
+class MatchedMap(_Map):
+    """Values that matching gave, with bits of :class:`Status`."""
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the pixel has a value, and it was not filled in."""
+        return self.valid & ~self._has(Status.FILLED)
+
+    @property
+    def filled(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the value was filled in, from pixels around."""
+        return self._has(Status.FILLED)
+
+    @property
+    def occluded(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the right view does not see the pixel; it may have been filled."""
+        return self._has(Status.OCCLUDED)
+
+    @property
+    def mismatched(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the views contradict each other about the pixel; it may have been filled."""
+        return self._has(Status.MISMATCH)
+
+
+class DisparityMap(MatchedMap):
     """Disparity of the left view.
 
     Attributes
@@ -71,12 +107,6 @@ class DisparityMap(_Map):
     values : (H, W) float32, pixels, NaN = no value
     status : (H, W) uint8, bits of :class:`Status`
     """
-
-    @property
-    def measured(self) -> NDArray[np.bool_]:
-        """(H, W) bool: the pixel has a value, and it was not filled in."""
-        measured: NDArray[np.bool_] = self.valid & ((self.status & Status.FILLED) == 0)
-        return measured
 
 
 class DepthMap(_Map):
@@ -87,3 +117,21 @@ class DepthMap(_Map):
     values : (H, W) float32, meters, NaN = no value
     status : (H, W) uint8, bits of :class:`DepthStatus`
     """
+
+    @property
+    def kept(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the value is the sensor's, as it was or smoothed."""
+        return ~self._has(_ADDED | DepthStatus.CORRECTED | DepthStatus.EMPTY)
+
+    @property
+    def filled(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the sensor has no value, which was filled in."""
+        return self._has(_ADDED)
+
+    @property
+    def corrected(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the sensor's value was replaced."""
+        return self._has(DepthStatus.CORRECTED)
+
+
+_ADDED = DepthStatus.GAP_FILLED | DepthStatus.FALLBACK | DepthStatus.CARRIED

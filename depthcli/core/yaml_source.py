@@ -18,6 +18,9 @@ from depthcli.core.errors import ConfigError
 
 Location = tuple[str | int, ...]
 
+OVERRIDES = ("--", "override ")
+"""How the places of values begin that no file holds: options of the command line, and keywords of Python."""
+
 # Far above any config, far below what would take long or much memory (anchors can multiply nodes).
 _MAX_BYTES = 1 << 20
 _MAX_NODES = 50_000
@@ -59,12 +62,12 @@ class ConfigData:
     def place(self, location: Location) -> str:
         """Return the place of the value at ``location``, for messages.
 
-        That is the last option that set the value or a part of it; else its own ``file:line``, or that of the nearest
-        value around it whose place is known.
+        That is the last option or override that set the value or a part of it; else its own ``file:line``, or that of
+        the nearest value around it whose place is known.
         """
-        if location not in self.places or not self.places[location].startswith("--"):
+        if location not in self.places or not self.places[location].startswith(OVERRIDES):
             below = [place for at, place in self.places.items() if at[: len(location)] == location]
-            changed = [place for place in below if place.startswith("--")]
+            changed = [place for place in below if place.startswith(OVERRIDES)]
             if location and changed:
                 return changed[-1]
         for size in range(len(location), 0, -1):

@@ -5,11 +5,13 @@ numba reads its settings once, when it is imported: :mod:`depthcli.kernels.cache
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import importlib
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, cast
 
 from depthcli.kernels.cache import KernelCache, cache_folder  # before numba: it sets where kernels are kept
@@ -25,7 +27,7 @@ from numba.extending import models, overload, register_model
 
 __all__ = [
     "CompileWatch", "cache_folder", "cgutils", "compile_seconds", "float32", "int32", "intrinsic", "jit", "models",
-    "n_threads", "overload", "parallel_jit", "prange", "register_model", "set_threads", "types",
+    "n_threads", "one_at_a_time", "overload", "parallel_jit", "prange", "register_model", "set_threads", "types",
 ]  # fmt: skip
 
 
@@ -111,6 +113,24 @@ def set_threads(count: int) -> None:
     """Let kernels use at most ``count`` threads, and no more than numba was started with."""
     n_started: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     numba.set_num_threads(max(1, min(count, n_started)))
+
+
+@contextlib.contextmanager
+def one_at_a_time() -> Iterator[None]:
+    """Let one Python thread at a time pass where numba's pool of threads takes kernels of one only.
+
+    That is its own pool, which it has where neither OpenMP nor TBB is installed. Which pool it is is known when the
+    first parallel kernel has run: until then threads pass one at a time, too.
+    """
+    try:
+        takes_several = numba.threading_layer() in ("omp", "tbb")  # type: ignore[attr-defined]
+    except ValueError:
+        takes_several = False
+    with contextlib.nullcontext() if takes_several else _turn:
+        yield
+
+
+_turn = threading.RLock()
 
 
 class CompileWatch(numba.core.event.Listener):

@@ -29,6 +29,16 @@ class Intrinsics:
         """Return the intrinsics in a camera matrix (3, 3) or projection (3, 4)."""
         return cls(float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2]))
 
+    def points(self, depth: NDArray[np.float32], chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """Return the points (N, 3) float32 of the ``chosen`` pixels of a depth map, row by row.
+
+        They are in the camera's frame and in the unit of ``depth``: x right, y down, z forward.
+        """
+        rows, columns = np.nonzero(chosen)
+        z = depth[chosen].astype(np.float64)
+        x, y = (columns - self.cx) / self.fx * z, (rows - self.cy) / self.fy * z
+        return np.stack([x, y, z], axis=-1).astype(np.float32)
+
 
 def typical_intrinsics(width: int, height: int) -> Intrinsics:
     """Return those that drivers of the first Kinect and its kin assume: 525 pixels at 640, the center of the image."""

@@ -183,15 +183,17 @@ def write_ply(
     if color.shape != (*depth.shape, 3) or (mask is not None and mask.shape != depth.shape):
         raise ValueError(f"depth {depth.shape}, color {color.shape} and mask must have one size")
     chosen = np.isfinite(depth) if mask is None else np.isfinite(depth) & mask
-    rows, columns = np.nonzero(chosen)
-    z = depth[chosen].astype(np.float64)
-    vertices = np.empty(z.size, [(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")])
-    vertices["x"] = (columns - intrinsics.cx) / intrinsics.fx * z
-    vertices["y"] = (rows - intrinsics.cy) / intrinsics.fy * z
-    vertices["z"] = z
-    for channel, name in enumerate(("red", "green", "blue")):
-        vertices[name] = color[..., channel][chosen]
+    write_points(path, intrinsics.points(depth, chosen), color[chosen])
+
+
+def write_points(path: Path | str, points: NDArray[np.float32], color: NDArray[np.uint8]) -> None:
+    """Write points (N, 3) with colors (N, 3) RGB as PLY, binary little endian; OutputError where that cannot be."""
+    axes, channels = "xyz", ("red", "green", "blue")
+    vertices = np.empty(len(points), [(name, "<f4") for name in axes] + [(name, "u1") for name in channels])
+    for names, values in ((axes, points), (channels, color)):
+        for k, name in enumerate(names):
+            vertices[name] = values[:, k]
     types = {"f": "float", "u": "uchar"}
     properties = [f"property {types[vertices.dtype[name].kind]} {name}" for name in vertices.dtype.names or ()]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {z.size}", *properties, "end_header", ""]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties, "end_header", ""]
     write_bytes(path, "\n".join(header).encode("ascii") + vertices.tobytes())

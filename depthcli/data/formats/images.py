@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.errors import InputError, OutputError
+from depthcli.core.errors import InputError
 from depthcli.core.frames import Image as Image
 from depthcli.data.formats.files import naming, read_bytes, write_bytes
 from depthcli.data.formats.headers import (
@@ -101,23 +101,20 @@ def decode_floats(data: bytes) -> NDArray[np.float32] | None:
 
 
 def write_png(path: Path | str, array: NDArray[Any]) -> None:
-    """Write (H, W) grey or (H, W, 3) RGB, uint8 or uint16 (bool: 0 and 255), atomically.
+    """Write an image as :func:`png_bytes` encodes it, atomically; OutputError where the file cannot be written."""
+    write_bytes(path, png_bytes(array))
 
-    Raises
-    ------
-    ValueError
-        Another shape or dtype.
-    OutputError
-        The file cannot be written.
-    """
+
+def png_bytes(array: NDArray[Any]) -> bytes:
+    """Return (H, W) grey or (H, W, 3) RGB, uint8 or uint16 (bool: 0 and 255), as a PNG; ValueError for any other."""
     if array.dtype == np.bool_:
         array = array.astype(np.uint8) * np.uint8(255)
     if array.dtype not in (np.uint8, np.uint16) or not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)):
         raise ValueError(f"want (H, W) or (H, W, 3) uint8 or uint16, got {array.shape} {array.dtype}")
     done, code = cv2.imencode(".png", np.ascontiguousarray(array if array.ndim == 2 else array[..., ::-1]))
     if not done:
-        raise OutputError(f"{path}: cannot be encoded as PNG")
-    write_bytes(path, code.tobytes())
+        raise ValueError(f"{array.shape} {array.dtype} cannot be encoded as PNG")
+    return code.tobytes()
 
 
 def decode_image(data: bytes) -> Image:

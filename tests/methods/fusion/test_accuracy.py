@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from depthcli.api.matching import with_network
 from depthcli.batch.presets import find_config
-from depthcli.commands.fuse import with_network
 from depthcli.core.config_file import load_config
 from depthcli.evaluation.curves import sparsification
 from depthcli.kernels.winners import winners

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from depthcli.batch.json_csv import to_csv
 from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.errors import OutputError
 from depthcli.core.result import RefinedDepth, Result
 from depthcli.data.formats.depth import write_depth_png, write_ply
 from depthcli.data.formats.disparity import write_disparity_png, write_pfm
@@ -31,6 +32,21 @@ def share(pixels: NDArray[np.bool_]) -> float:
     return round(float(np.mean(pixels)), 6)
 
 
+def made(folder: Path | str) -> Path:
+    """Return the folder, created where it is missing; OutputError where that cannot be."""
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    return path
+
+
+def stereo_preview(values: NDArray[np.float32], min_disparity: int, max_disparity: int) -> NDArray[np.uint8]:
+    """Return the (H, W, 3) RGB picture of disparities between the bounds, black = no value."""
+    return preview(values - np.float32(min_disparity), max_disparity - min_disparity)
+
+
 def save_stereo(result: StereoResult, folder: Path, min_disparity: int, max_disparity: int) -> None:
     """Write everything a stereo pipeline gave for disparities between the bounds into the existing ``folder``.
 
@@ -41,7 +57,7 @@ def save_stereo(result: StereoResult, folder: Path, min_disparity: int, max_disp
     shown = np.where(values < 0, np.float32(np.nan), values) if min_disparity < 0 else values
     write_disparity_png(folder / "disp_left.png", shown)
     write_status(folder / "status.png", result.disparity.status, STATUS_PALETTE)
-    write_png(folder / "preview.png", preview(values - np.float32(min_disparity), max_disparity - min_disparity))
+    write_png(folder / "preview.png", stereo_preview(values, min_disparity, max_disparity))
     _save_rest(result, folder)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.resampling import resample, trilinear
+from depthcli.api._registration_preview import registration_preview
 from depthcli.batch.json_csv import Row, to_csv
-from depthcli.commands._registration_preview import registration_preview
 from depthcli.data.formats.files import write_text
 from depthcli.data.formats.images import write_png
 from depthcli.data.formats.volumes import write_volume

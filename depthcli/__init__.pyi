@@ -1,0 +1,19 @@
+from depthcli.api.config import load_config as load_config
+from depthcli.api.results import Depth as Depth
+from depthcli.api.results import Disparity as Disparity
+from depthcli.api.results import PointCloud as PointCloud
+from depthcli.api.results import RefinedDepth as RefinedDepth
+from depthcli.api.stereo import Matcher as Matcher
+from depthcli.api.stereo import fuse as fuse
+from depthcli.api.stereo import matcher as matcher
+from depthcli.api.stereo import stereo as stereo
+from depthcli.core.errors import ConfigError as ConfigError
+from depthcli.core.errors import DepthcliError as DepthcliError
+from depthcli.core.errors import InputError as InputError
+from depthcli.core.errors import OutputError as OutputError
+from depthcli.core.maps import DepthStatus as DepthStatus
+from depthcli.core.maps import Status as Status
+from depthcli.methods.fusion.config import FuseConfig as FuseConfig
+from depthcli.methods.stereo.config import StereoConfig as StereoConfig
+
+__version__: str

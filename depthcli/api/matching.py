@@ -1,0 +1,119 @@
+"""What Python's functions and the commands that match pairs have in common: from a config and a pair to a result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from depthcli import device
+from depthcli.api.results import Disparity
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import StereoPair
+from depthcli.core.result import Clock
+from depthcli.core.text import show_bytes
+from depthcli.data.formats.networks import network_path, read_network
+from depthcli.device import Device, DeviceError
+from depthcli.methods.fusion.config import FuseConfig
+from depthcli.methods.stereo.config import PairConfig, StereoConfig
+from depthcli.methods.stereo.matching import Limits, match
+from depthcli.methods.stereo.search_range import SearchRange, complete_range
+from depthcli.methods.stereo.stages import Matcher
+from depthcli.methods.stereo.volume import StereoResult
+
+_MIN_MEASURED_SHARE = 0.5  # of the pixels; with fewer a map has a warning
+_MAX_SHARE_AT_END = 0.05  # of the measured pixels at an end of the search range; with more a map has a warning
+
+
+def match_pair(
+    matcher: Matcher, pair: StereoPair, ends: tuple[int | str, int | str | None], limits: Limits, clock: Clock
+) -> Disparity:
+    """Match a pair; what Python's functions and the commands that match pairs have in common.
+
+    Parameters
+    ----------
+    ends : of the search range, pixels or "auto"; the upper one None: as key points suggest
+    clock : books ``range``, where key points are matched, the stages of the method, and ``other``
+
+    Raises
+    ------
+    InputError
+        The range is empty, too few key points match, or the memory does not suffice.
+    """
+    if ends[1] is None or "auto" in ends:
+        clock.start("range")
+    search, key_points = complete_range(*ends, pair)
+    clock.start("other")
+    matched = match(matcher, search.shift(pair), search.shifted_max_disparity, limits)
+    result = search.restore(matched, pair.shape[1])
+    clock.include(result.seconds)
+    warnings = tuple(_warnings(pair, result, search, key_points, limits))
+    found = result.disparity
+    return Disparity(found.values, found.status, pair.left, search, result, dict(clock.seconds), warnings, key_points)
+
+
+def limits_of(config: PairConfig, memory: int, device: Device | None) -> Limits:
+    """Return where a config lets a pair be matched, with at most ``memory`` bytes."""
+    return Limits(memory, config.tiles, config.tile_memory << 20, device)
+
+
+def with_address(config: StereoConfig) -> StereoConfig:
+    """Return the config with the address of its device; ConfigError where there is no such device."""
+    if config.device == "cpu":
+        return config
+    try:
+        info = device.find_device(config.device)
+    except DeviceError as error:
+        raise ConfigError(str(error)) from error
+    return config.model_copy(update={"device": "cpu" if info is None else info.address})
+
+
+def with_network(config: FuseConfig) -> FuseConfig:
+    """Return the config with the arrays of the network that it names, if it names one.
+
+    Raises
+    ------
+    ConfigError
+        The network cannot be read, or was trained for other maps.
+    """
+    if config.network_name is None:
+        return config
+    try:
+        return config.with_network(read_network(network_path(config.network_name)))
+    except InputError as error:
+        raise ConfigError(f"maps.choice.weights: {error}") from None
+
+
+def partly_used(pair: StereoPair) -> bool:
+    """Return whether the samples have fewer bits than their type."""
+    return pair.bits is not None and pair.bits < 8 * pair.left.dtype.itemsize
+
+
+def _warnings(
+    pair: StereoPair, result: StereoResult, search: SearchRange, key_points: Mapping[str, int], limits: Limits
+) -> list[str]:
+    warnings = []
+    measured = float(np.mean(result.disparity.measured))
+    if partly_used(pair):
+        warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
+    if measured < _MIN_MEASURED_SHARE:
+        warnings.append(
+            f"only {100 * measured:.0f} % of the map was measured, the rest is filled in or empty: views swapped, "
+            "not rectified, search range too small, or no texture?"
+        )
+    ends = ((search.min_disparity, "--min-disparity"), (search.max_disparity, "--max-disparity"))
+    for share, (end, option) in zip(search.share_at_ends(result.disparity), ends, strict=True):
+        if share > _MAX_SHARE_AT_END:
+            warnings.append(
+                f"{100 * share:.0f} % of the measured pixels lie at the end of the search range, {end}; see {option}"
+            )
+    if key_points and search.min_disparity > key_points["range_low"] and key_points["range_low"] < 0:
+        warnings.append(f"key points have disparities down to {key_points['range_low']}; see --min-disparity")
+    if search.min_disparity < 0:
+        warnings.append("disp_left.png cannot hold negative disparities: no value there; disp_left.pfm has them")
+    if result.figures.get("exact") == 0 and limits.memory < limits.tile_memory:
+        warnings.append(
+            f"matched in {result.figures['tiles']:.0f} tiles at {result.figures['levels']:.0f} sizes, since only "
+            f"{show_bytes(limits.memory)} of memory may be used: with more the map is another one"
+        )
+    return warnings

@@ -1,0 +1,217 @@
+"""Rectified pairs to disparity maps: ``stereo``, ``fuse``, and ``matcher`` for many pairs."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from depthcli.api.arrays import as_image
+from depthcli.api.config import Overrides, load_config
+from depthcli.api.matching import limits_of, match_pair, with_address, with_network
+from depthcli.api.results import Disparity
+from depthcli.api.running import computing
+from depthcli.batch.resources import available_memory
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import StereoPair
+from depthcli.core.result import Clock
+from depthcli.data.formats.stereo_images import pair_of
+from depthcli.device import open_device
+from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
+from depthcli.methods.stereo.config import StereoConfig
+from depthcli.methods.stereo.stages import Matcher as Method
+
+End = int | Literal["auto"] | None
+"""An end of the search range: pixels, "auto": from matched key points, or None: what the config says."""
+
+_WARMUP_SHAPE = (32, 96)  # pixels, of the pairs that load the kernels
+_MAX_WARMUP_DISPARITY = 32
+
+
+def stereo(
+    left: ArrayLike,
+    right: ArrayLike,
+    max_disparity: End = None,
+    preset: str | Path | StereoConfig = "accurate",
+    overrides: Overrides | None = None,
+    **fields: object,
+) -> Disparity:
+    """Match a rectified pair.
+
+    Parameters
+    ----------
+    left, right : (H, W) grey or (H, W, 3) RGB (OpenCV reads BGR: ``image[..., ::-1]``); uint8, uint16, or floats from
+        0 to 1. Where one is grey and the other in color, both become grey
+    max_disparity : largest disparity searched, pixels; "auto": from matched key points; None: what the config says
+    preset : name of a preset of ``depthcli stereo``, path of a YAML file, or a config
+    overrides : config keys -> values, as ``--set`` has them, such as ``{"cost.window": 9}``
+    **fields : the same for keys that are Python names, such as ``min_disparity=-8``
+
+    Returns
+    -------
+    The left view's map. ``warnings`` says what looks wrong with it.
+
+    Raises
+    ------
+    ConfigError
+        No such preset, or keys and values that do not fit.
+    InputError
+        Images that cannot be matched, an unknown search range, or too little memory.
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> left = np.random.default_rng(0).integers(0, 256, (48, 96), np.uint8)
+    >>> right = np.roll(left, -8, axis=1)  # all is seen at a disparity of 8 pixels
+    >>> disparity = depthcli.stereo(left, right, max_disparity=16, preset="fast")
+    >>> float(np.median(disparity.values[disparity.measured]))
+    8.0
+    """
+    config = load_config(StereoConfig, preset, overrides, **_with_range(fields, max_disparity))
+    return _Matching(with_address(config))(left, right)
+
+
+def fuse(
+    left: ArrayLike,
+    right: ArrayLike,
+    max_disparity: End = None,
+    preset: str | Path | FuseConfig = "accurate",
+    overrides: Overrides | None = None,
+    *,
+    volumes: Mapping[str, ArrayLike] | None = None,
+    **fields: object,
+) -> Disparity:
+    """Match a rectified pair by several measures, each trusted where the pixels around agree with it.
+
+    Parameters
+    ----------
+    left, right, max_disparity, overrides, **fields : as for :func:`stereo`
+    preset : name of a preset of ``depthcli fuse``, path of a YAML file, or a config
+    volumes : costs made elsewhere: name, as the ``volume`` of a measure in the config has it -> (H, W, D)
+
+    Returns
+    -------
+    The left view's map.
+
+    Raises
+    ------
+    ConfigError, InputError
+        As for :func:`stereo`.
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> left = np.random.default_rng(0).integers(0, 256, (48, 96), np.uint8)
+    >>> right = np.roll(left, -8, axis=1)
+    >>> disparity = depthcli.fuse(left, right, max_disparity=16)
+    >>> round(float(np.median(disparity.values)))
+    8
+    """
+    config = load_config(FuseConfig, preset, overrides, **_with_range(fields, max_disparity))
+    return _Matching(with_network(config), volumes)(left, right)
+
+
+class Matcher:
+    """Matches many pairs by one config: what :func:`matcher` returns. It may be called from several threads."""
+
+    def __init__(self, config: StereoConfig | FuseConfig) -> None:
+        self.config = config
+        self._matching = _Matching(config)
+        self._matching.load_kernels()
+
+    def __call__(self, left: ArrayLike, right: ArrayLike) -> Disparity:
+        """Match a pair as :func:`stereo` does, with the same result.
+
+        Parameters
+        ----------
+        left, right : as for :func:`stereo`
+
+        Raises
+        ------
+        InputError
+            As for :func:`stereo`.
+        """
+        return self._matching(left, right)
+
+
+def matcher(
+    preset: str | Path | StereoConfig | FuseConfig = "accurate",
+    max_disparity: End = None,
+    overrides: Overrides | None = None,
+    **fields: object,
+) -> Matcher:
+    """Return what matches many pairs: the config is checked, and kernels are loaded or compiled, once and before.
+
+    Parameters
+    ----------
+    preset : as for :func:`stereo`; or a ``FuseConfig``
+    max_disparity, overrides, **fields : as for :func:`stereo`
+
+    Raises
+    ------
+    ConfigError
+        As for :func:`stereo`.
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> match = depthcli.matcher("fast", max_disparity=16)
+    >>> left = np.random.default_rng(0).integers(0, 256, (48, 96), np.uint8)
+    >>> [float(np.median(match(left, np.roll(left, -k, axis=1)).values)) for k in (2, 4, 6)]
+    [2.0, 4.0, 6.0]
+    """
+    fields = _with_range(fields, max_disparity)
+    if isinstance(preset, FuseConfig):
+        return Matcher(with_network(load_config(FuseConfig, preset, overrides, **fields)))
+    return Matcher(with_address(load_config(StereoConfig, preset, overrides, **fields)))
+
+
+def _with_range(fields: dict[str, object], max_disparity: End) -> dict[str, object]:
+    return fields if max_disparity is None else {**fields, "max_disparity": max_disparity}
+
+
+class _Matching:
+    """A config, made ready to match pairs."""
+
+    def __init__(self, config: StereoConfig | FuseConfig, volumes: Mapping[str, ArrayLike] | None = None) -> None:
+        if config.calibration is not None:
+            raise ConfigError("calibration: Python's functions match rectified pairs; rectify them before")
+        self.config = config
+        self.method: Method = config.pipeline if isinstance(config, StereoConfig) else config
+        if isinstance(config, FuseConfig) and (wanted := {m.volume for m in config.measures if m.volume is not None}):
+            given = {name: np.asarray(volume) for name, volume in (volumes or {}).items()}
+            if wanted - set(given):
+                raise ConfigError(f"volumes: the config wants {', '.join(sorted(wanted))}")
+            self.method = FusionWithVolumes(config, lambda: given)
+        self.device = open_device(config.device) if isinstance(config, StereoConfig) else None
+        # A device has one queue of work.
+        self.turn = contextlib.nullcontext() if self.device is None else threading.Lock()
+
+    def __call__(self, left: ArrayLike, right: ArrayLike) -> Disparity:
+        images = as_image(left, "left"), as_image(right, "right")
+        floats = np.asarray(left).dtype.kind == "f"  # dark ones use all 16 bits, too
+        pair = pair_of(*images, (Path("left"), Path("right")), 16 if floats else None)
+        ends = self.config.min_disparity or 0, self.config.max_disparity
+        if ends[1] is None:
+            raise InputError('the search range is not known; say it with max_disparity, or "auto"')
+        limits = limits_of(self.config, available_memory(), self.device)
+        with self.turn, computing():
+            return match_pair(self.method, pair, ends, limits, Clock())
+
+    def load_kernels(self) -> None:
+        """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""
+        top = self.config.max_disparity
+        ends = 0, min(top, _MAX_WARMUP_DISPARITY) if isinstance(top, int) and top > 0 else _MAX_WARMUP_DISPARITY
+        noise = np.random.default_rng(0).integers(0, 256, (*_WARMUP_SHAPE, 3), np.uint8)
+        limits = limits_of(self.config, available_memory(), self.device)
+        if isinstance(self.method, FusionWithVolumes):
+            return
+        for image in (noise[..., 0].copy(), noise):
+            with self.turn, computing():
+                pair = StereoPair(image, np.roll(image, -2, axis=1), 8)
+                match_pair(self.method, pair, ends, limits, Clock())

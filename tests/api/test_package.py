@@ -1,0 +1,94 @@
+"""``import depthcli``: light, typed, and every public name with an example that runs."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import importlib
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import depthcli
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ("config", "results", "stereo")
+
+USER_SCRIPT = """
+import numpy as np
+from PIL import Image
+
+import depthcli
+
+left, right = (np.asarray(Image.open(f"{side}.png")) for side in ("left", "right"))
+disparity = depthcli.stereo(left, right, max_disparity=16, preset="fast", optimization={"p2": 2.0})
+depth = disparity.to_depth(focal=100.0, baseline=0.1)
+cloud = depth.to_points(near=0.1, far=50.0)
+disparity.save("pair")
+depth.save("depth")
+cloud.save("points.ply")
+print(disparity.density, disparity.measured.mean(), len(cloud), depthcli.Status(disparity.status[0, 0]))
+"""
+
+
+def python(*arguments: str, cwd: Path | None = None) -> str:
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, cwd=cwd, check=True, capture_output=True, text=True, timeout=300).stdout
+
+
+def test_the_import_is_light():
+    heavy = ("numpy", "numba", "cv2", "pydantic", "yaml")
+    code = f"""
+import sys, time
+start = time.perf_counter()
+import depthcli
+seconds = time.perf_counter() - start
+assert "stereo" in dir(depthcli) and "Disparity" in depthcli.__all__
+print(seconds, [name for name in {heavy} if name in sys.modules])
+"""
+    seconds, _, loaded = python("-c", code).strip().partition(" ")
+    assert float(seconds) < 0.1
+    assert loaded == "[]"
+
+
+def test_errors_are_imported_without_kernels():
+    assert python("-c", "import sys, depthcli; depthcli.InputError; print('numba' in sys.modules)").strip() == "False"
+
+
+def test_the_stub_names_what_the_package_has():
+    tree = ast.parse((ROOT / "depthcli" / "__init__.pyi").read_text())
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    stub = {alias.asname: node.module for node in imports for alias in node.names}
+    assert set(depthcli.__all__) == {*stub, "__version__"}
+    for name, module in stub.items():
+        assert getattr(depthcli, name) is getattr(importlib.import_module(str(module)), name)
+    with pytest.raises(AttributeError, match="no attribute 'stereos'"):
+        depthcli.stereos  # noqa: B018
+
+
+def test_every_public_name_has_a_docstring():
+    for name in depthcli.__all__[1:]:
+        assert inspect.getdoc(getattr(depthcli, name)), name
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_run(name: str):
+    failed, tried = doctest.testmod(importlib.import_module(f"depthcli.api.{name}"))
+    assert tried and not failed
+
+
+@pytest.mark.slow
+def test_a_script_of_ten_lines_is_typed_and_runs(tmp_path: Path, made_scenes: Path):
+    (tmp_path / "user.py").write_text(USER_SCRIPT)
+    options = ["--strict", "--config-file", "", "--cache-dir", str(tmp_path / "cache"), "--follow-imports=silent"]
+    checked = python("-m", "mypy", *options, "user.py", cwd=tmp_path)
+    assert checked.startswith("Success")
+    for side in ("left", "right"):
+        (tmp_path / f"{side}.png").write_bytes((made_scenes / "planes_0" / f"{side}.png").read_bytes())
+    said = python("user.py", cwd=tmp_path).split()
+    assert float(said[0]) == 1.0 and float(said[1]) > 0.5 and int(said[2]) > 1000
+    assert (tmp_path / "points.ply").read_bytes().startswith(b"ply\n")
+    assert {p.name for p in (tmp_path / "depth").iterdir()} == {"depth.pfm", "depth.png", "status.png", "preview.png"}

@@ -1,0 +1,186 @@
+"""``stereo``, ``fuse`` and ``matcher`` from Python: results, bytes of saved files, inputs, errors."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import depthcli
+from depthcli.cli import main
+from depthcli.core import memory
+from depthcli.data.formats.images import read_image
+
+Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+
+
+@pytest.fixture(scope="module")
+def pair(made_scenes: Path) -> Images:
+    left, right = (read_image(made_scenes / "planes_0" / f"{side}.png") for side in ("left", "right"))
+    return left, right  # type: ignore[return-value]
+
+
+def assert_same_files(here: Path, there: Path, also: tuple[str, ...] = ("record.json",)):
+    names = {path.name for path in here.iterdir()}
+    assert names and {path.name for path in there.iterdir()} == {*names, *also}
+    for name in names:
+        assert (here / name).read_bytes() == (there / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("command", ["stereo", "fuse"])
+def test_saved_files_are_those_of_the_command(tmp_path: Path, made_scenes: Path, pair: Images, command: str):
+    found = depthcli.stereo(*pair, 12, confidence=["lrc"]) if command == "stereo" else depthcli.fuse(*pair, 12)
+    found.save(tmp_path / "python")
+    scene = ["--input", str(made_scenes), "--scenes", "planes_0", "--max-disparity", "12"]
+    scene += ["--set", "confidence=[lrc]"] if command == "stereo" else []
+    assert main([command, "accurate", *scene, "--output", str(tmp_path / "run"), "-q"]) == 0
+    assert_same_files(tmp_path / "python", tmp_path / "run" / "planes_0")
+
+
+def test_depth_is_that_of_the_command(tmp_path: Path, made_scenes: Path, pair: Images):
+    disparity = depthcli.stereo(*pair, max_disparity=12, preset="fast")
+    depth = disparity.to_depth(focal=80.0, baseline=0.2, doffs=1.0)
+    depth.save(tmp_path / "python")
+    depth.to_points(far=4.0).save(tmp_path / "python" / "points.ply")
+    run = str(tmp_path / "run")
+    assert main(["stereo", "fast", "-i", str(made_scenes), "--scenes", "planes_0", "-o", run, "-q"]) == 0
+    cameras = ["--focal", "80", "--baseline", "0.2", "--doffs", "1", "--ply", "--far", "4"]
+    assert main(["depth", run, "--output", str(tmp_path / "depth"), *cameras, "-q"]) == 0
+    assert_same_files(tmp_path / "python", tmp_path / "depth" / "planes_0")
+
+
+def test_a_result_describes_itself(pair: Images):
+    disparity = depthcli.stereo(*pair, max_disparity=12, preset="fast", confidence=["lrc"])
+    assert disparity.values.dtype == np.float32 and disparity.status.dtype == np.uint8
+    assert disparity.values.shape == disparity.confidence["lrc"].shape == pair[0].shape[:2]
+    assert depthcli.Status(disparity.status[0, 0]) == int(disparity.status[0, 0])
+    assert np.array_equal(disparity.filled, (disparity.status & depthcli.Status.FILLED) > 0)
+    assert np.array_equal(disparity.measured, disparity.valid & ~disparity.filled)
+    assert {"cost", "optimization", "other"} <= set(disparity.seconds)
+    assert disparity._repr_png_().startswith(b"\x89PNG")
+    assert "96 x 64, searched 0 to 12 px, 100.0 %" in repr(disparity)
+    with pytest.raises(AttributeError):
+        disparity.values = disparity.values  # type: ignore[misc]
+    depth = disparity.to_depth(focal=80.0, baseline=0.2, mask=disparity.measured)
+    assert np.array_equal(depth.valid, disparity.measured)
+    assert len(depth.to_points()) == np.count_nonzero(disparity.measured)
+    with pytest.raises(depthcli.ConfigError, match="either a calibration"):
+        disparity.to_depth(focal=80.0)
+
+
+def test_the_same_image_in_other_forms(pair: Images):
+    def values(left: NDArray[np.generic], right: NDArray[np.generic]) -> NDArray[np.float32]:
+        return depthcli.stereo(left, right, 12, "fast").values
+
+    expected = values(*pair)
+    frozen = [image.copy() for image in pair]
+    for image in frozen:
+        image.flags.writeable = False
+    assert np.array_equal(values(*frozen), expected)
+    assert np.array_equal(values(*(np.asfortranarray(image) for image in pair)), expected)
+    assert np.array_equal(values(*(np.dstack([image, image[..., 0]]) for image in pair)), expected)
+    deep = [image.astype(np.uint16) * np.uint16(257) for image in pair]  # luma of 16 bits is rounded otherwise
+    expected = values(*deep)
+    assert np.array_equal(values(*(image.astype(">u2") for image in deep)), expected)
+    assert np.array_equal(values(*(image / 255 for image in pair)), expected)
+
+
+def test_overrides_are_those_of_set(pair: Images):
+    plain = depthcli.load_config(depthcli.StereoConfig, "accurate")
+    dotted = depthcli.load_config(depthcli.StereoConfig, "accurate", {"optimization.p2": 5})
+    nested = depthcli.load_config(depthcli.StereoConfig, plain, optimization={"p2": np.float32(5)})
+    assert dotted == nested != plain
+    whole = depthcli.load_config(depthcli.StereoConfig, plain, optimization={"method": "winner_takes_all"})
+    assert whole.pipeline.optimization.method_name() == "winner_takes_all"  # type: ignore[attr-defined]
+    given = depthcli.stereo(*pair, preset=plain, max_disparity=12)
+    assert np.array_equal(given.values, depthcli.stereo(*pair, 12).values)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"preset": "acurate"}, "did you mean 'accurate'"),
+        ({"tilez": "never"}, "override tilez: no such key .*did you mean 'tiles'"),
+        ({"optimization": {"p2": -1}}, r"override optimization.p2: should be greater than 0 \(got -1\)"),
+        ({"overrides": {"cost.": 1}}, "want the name of a key"),
+        ({"max_disparity": 0}, "should be greater than the smallest disparity, 0"),
+        ({"calibration": "rig.yml"}, "rectify them before"),
+        ({"device": "cuda:99"}, "cuda"),
+    ],
+)
+def test_wrong_configs_are_refused(pair: Images, arguments: dict[str, object], message: str):
+    with pytest.raises(depthcli.ConfigError, match=message):
+        depthcli.stereo(*pair, **{"max_disparity": 12, **arguments})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "message"),
+    [
+        (np.zeros((5, 6), np.uint8), np.zeros((5, 7), np.uint8), "right: 7 x 5 .*left is 6 x 5"),
+        (np.zeros((5, 6), np.int32), np.zeros((5, 6), np.uint8), "left: want uint8, uint16, or floating point"),
+        (np.zeros((5, 6), np.uint8), np.full((5, 6), 2.0), r"right: .*from 0 to 1 \(got 2 to 2\)"),
+        (np.full((5, 6), np.nan), np.zeros((5, 6)), "left: images of floating point"),
+        (np.zeros((5, 6, 2), np.uint8), np.zeros((5, 6), np.uint8), r"left: want an image of shape .*\(5, 6, 2\)"),
+        (np.zeros((0, 6), np.uint8), np.zeros((0, 6), np.uint8), "left: want an image"),
+    ],
+)
+def test_wrong_images_are_refused(left: NDArray[np.generic], right: NDArray[np.generic], message: str):
+    with pytest.raises(depthcli.InputError, match=message):
+        depthcli.stereo(left, right, 4, "fast")
+
+
+def test_the_range_has_to_be_known(pair: Images):
+    with pytest.raises(depthcli.InputError, match='say it with max_disparity, or "auto"'):
+        depthcli.stereo(*pair)
+    assert depthcli.stereo(*pair, "auto", "fast").key_points["range_matches"] > 16
+
+
+def test_volumes_made_elsewhere(pair: Images):
+    costs = np.random.default_rng(0).random((*pair[0].shape[:2], 13), np.float32)
+    config = depthcli.FuseConfig.model_validate({"measures": ["census", {"volume": "net.npy"}], "max_disparity": 12})
+    with pytest.raises(depthcli.ConfigError, match=r"the config wants net.npy"):
+        depthcli.fuse(*pair, preset=config)
+    assert depthcli.fuse(*pair, preset=config, volumes={"net.npy": costs}).density == 1.0
+
+
+@pytest.mark.parametrize("preset", ["fast", "opencv-sgbm-wls"])
+def test_a_matcher_in_several_threads_gives_what_it_gives_alone(pair: Images, preset: str):
+    match = depthcli.matcher(preset, max_disparity=12)
+    pairs = [(np.roll(pair[0], k, axis=0), np.roll(pair[1], k, axis=0)) for k in range(4)]
+    expected = [match(*each) for each in pairs]
+    assert np.array_equal(expected[0].values, depthcli.stereo(*pair, 12, preset).values)
+    wrong: list[int] = []
+
+    def work() -> None:
+        for k in (*range(4), *range(4)):
+            found = match(*pairs[k])
+            same = np.array_equal(found.values, expected[k].values, equal_nan=True)
+            wrong.extend([] if same and np.array_equal(found.status, expected[k].status) else [k])
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert not wrong and not any(thread.is_alive() for thread in threads)
+
+
+def test_frames_back_to_back_take_no_more_memory(pair: Images):
+    match = depthcli.matcher("fast", max_disparity=12)
+
+    def resident() -> int:
+        lines = Path("/proc/self/status").read_text("ascii").splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS:"))
+
+    if not Path("/proc/self/status").is_file():
+        pytest.skip("no /proc here")
+    for _ in range(30):
+        match(*pair)
+    before, kept = resident(), memory.kept()
+    for _ in range(200):
+        match(*pair)
+    assert resident() - before < 4000  # KiB; one frame leaves 100 KiB of maps
+    assert memory.kept() <= kept + (1 << 20)
