@@ -10,6 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
+
+from depthcli.cli import app
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = sorted(
@@ -82,3 +85,22 @@ def test_a_python_that_is_too_old_is_told_in_a_line(checkout: Path, tmp_path: Pa
     done = subprocess.run(command, env=os.environ | {"PYTHON": str(old)}, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr == "depthcli needs Python 3.11 or newer; Python 3.8.1 is too old (set PYTHON)\n"
+
+
+@pytest.mark.parametrize("words", [[], ["--all"]])
+def test_the_demo_ends_with_the_address_of_its_page(checkout: Path, tmp_path: Path, words: list[str]):
+    log = tmp_path / "log"
+    tool = checkout / ".venv" / "bin" / "depthcli"
+    tool.write_text(f'#!/bin/sh\nfor word; do printf "%s\\t" "$word"; done >> "{log}"; echo >> "{log}"\n')
+    tool.chmod(0o755)
+    command = [str(checkout / "scripts" / "demo"), *words, "my demo"]
+    done = subprocess.run(command, cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    page = tmp_path / "my demo" / "evaluation" / "report.html"
+    assert done.stderr.splitlines()[-1] == page.as_uri()
+    called = [line.rstrip("\t").split("\t") for line in log.read_text().splitlines()]
+    (evaluation,) = (line for line in called if line[0] == "evaluate")
+    assert "--html" in evaluation
+    assert evaluation[evaluation.index("--output") + 1] == str(page.parent)
+    for name, *rest in called:
+        get_command(app).get_command(None, name).make_context(name, rest)  # type: ignore[attr-defined, arg-type]
