@@ -26,7 +26,12 @@ _MAX_SHARE_AT_END = 0.05  # of the measured pixels at an end of the search range
 
 
 def match_pair(
-    matcher: Matcher, pair: StereoPair, ends: tuple[int | str, int | str | None], limits: Limits, clock: Clock
+    matcher: Matcher,
+    pair: StereoPair,
+    ends: tuple[int | str, int | str | None],
+    limits: Limits,
+    clock: Clock,
+    suggested: SearchRange | None = None,
 ) -> Disparity:
     """Match a pair; what Python's functions and the commands that match pairs have in common.
 
@@ -34,15 +39,16 @@ def match_pair(
     ----------
     ends : of the search range, pixels or "auto"; the upper one None: as key points suggest
     clock : books ``range``, where key points are matched, the stages of the method, and ``other``
+    suggested : what key points suggest, where it is known
 
     Raises
     ------
     InputError
         The range is empty, too few key points match, or the memory does not suffice.
     """
-    if ends[1] is None or "auto" in ends:
+    if (ends[1] is None and suggested is None) or "auto" in ends:
         clock.start("range")
-    search, key_points = complete_range(*ends, pair)
+    search, key_points = complete_range(*ends, pair, suggested)
     clock.start("other")
     matched = match(matcher, search.shift(pair), search.shifted_max_disparity, limits)
     result = search.restore(matched, pair.shape[1])

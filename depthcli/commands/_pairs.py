@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from abc import abstractmethod
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
@@ -100,9 +103,12 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         return super().run(values, reporter)
 
     def files(self, config: PairConfigT, scene: StereoScene) -> dict[str, Path]:
-        """Return the files of the pair, and the calibration that rectifies it."""
+        """Return the files of the pair, the calibration that rectifies it, and the frame whose range it takes."""
         names = () if config.calibration is None else config.calibration.files
-        return scene.input_files | {f"calibration_{k}": Path(name) for k, name in enumerate(names)}
+        frame = {}
+        if scene.first is not None and config.calibration is not None and given_range(config, scene)[1] is None:
+            frame = {f"range_{role}": file for role, file in scene.first.input_files.items()}
+        return scene.input_files | {f"calibration_{k}": Path(name) for k, name in enumerate(names)} | frame
 
     def settings(self, config: PairConfigT, scene: StereoScene) -> dict[str, str]:
         """Return the search range, which may come from a file beside the images."""
@@ -121,7 +127,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         import numpy as np
 
         from depthcli.api.matching import match_pair, partly_used
-        from depthcli.commands._rectified import rectified_pair
+        from depthcli.commands._rectified import rectified_pair, sequence_range
         from depthcli.core.result import Clock
 
         clock = Clock()
@@ -131,13 +137,18 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         device_columns = self.device_columns(config)
         facts: Row = {}
         warnings: list[str] = []
+        suggested = save = None
+        if config.calibration is not None and max_disparity is None:
+            clock.start("range")
+            suggested = sequence_range(config.calibration, scene.first or scene)
         if config.calibration is None:
             clock.start("load")
             pair = scene.load()
         else:
             clock.start("rectify")
-            pair, facts, warnings = rectified_pair(config.calibration, scene, folder)
-        found = match_pair(matcher, pair, (min_disparity, max_disparity), limits, clock)
+            pair, save, facts, warnings = rectified_pair(config.calibration, scene, folder)
+        with _meanwhile(save):
+            found = match_pair(matcher, pair, (min_disparity, max_disparity), limits, clock, suggested)
         clock.start("save")
         found.save(folder)
         search, key_points = found.search, found.key_points
@@ -155,6 +166,18 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
             **device_columns,
         }
         return Outcome(columns, clock.seconds, [*warnings, *found.warnings])
+
+
+@contextlib.contextmanager
+def _meanwhile(task: Callable[[], None] | None) -> Iterator[None]:
+    """Do ``task`` in another thread while the block runs; raise its exception at the end of the block."""
+    if task is None:
+        yield
+        return
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(task)
+        yield
+        done.result()
 
 
 def given_range(config: PairConfig, scene: StereoScene) -> tuple[int | str, int | str | None]:

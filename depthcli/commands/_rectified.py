@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from depthcli.batch.json_csv import Row
+from depthcli.core.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -16,6 +20,7 @@ if TYPE_CHECKING:
     from depthcli.data.scenes.stereo import StereoScene
     from depthcli.methods.stereo.config import Calibration
     from depthcli.methods.stereo.rectification import Points, RectifyingHomographies
+    from depthcli.methods.stereo.search_range import SearchRange
 
 _MAX_ROW_ERROR = 1.0  # median row error of a calibrated pair, pixels; with more a scene has a warning
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
@@ -30,45 +35,102 @@ def read_rig(calibration: Calibration) -> Rig:
 
 
 def rectified_rig(calibration: Calibration, left: NDArray[np.generic], right: NDArray[np.generic]) -> RectifiedRig:
-    """Return how images of these sizes are rectified; InputError where the calibration is not theirs."""
+    """Return how images of these sizes are rectified; InputError where the calibration is not theirs.
+
+    The latest one is kept, with its maps, for the following images of the same sizes, until the files change.
+    """
     sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
-    return read_rig(calibration).rectified(*sizes, calibration.alpha)
+    return _rectified_rig(calibration, _states(*map(Path, calibration.files)), *sizes)
 
 
-def rectified_pair(calibration: Calibration, scene: StereoScene, folder: Path) -> tuple[StereoPair, Row, list[str]]:
-    """Rectify the scene's pair; write images and calibration into ``folder``; return facts and warnings, too.
+@lru_cache(maxsize=1)  # of 12 megapixels the maps take 190 MB
+def _rectified_rig(
+    calibration: Calibration, files: object, size: tuple[int, int], right_size: tuple[int, int]
+) -> RectifiedRig:
+    return read_rig(calibration).rectified(size, right_size, calibration.alpha)
+
+
+def _states(*files: Path) -> tuple[object, ...]:
+    """Return what changes when the files do: time, size and number of each; nothing of one that is missing."""
+    found = []
+    for file in files:
+        try:
+            state = os.stat(file)
+            found.append((state.st_mtime_ns, state.st_size, state.st_ino))
+        except (OSError, ValueError):  # reading it says why
+            found.append((0, 0, 0))
+    return tuple(found)
+
+
+def rectified_pair(
+    calibration: Calibration, scene: StereoScene, folder: Path
+) -> tuple[StereoPair, Callable[[], None], Row, list[str]]:
+    """Rectify the scene's pair.
+
+    Rows are compared in single pairs and the first frames of sequences: the others have the same cameras.
+
+    Returns
+    -------
+    pair : the rectified pair
+    save : writes the rectified left image and the calibration into ``folder``
+    facts, warnings : columns of the report, and lines for the user
 
     Raises
     ------
     InputError
         The images or the calibration cannot be used.
     """
-    from depthcli.data.formats.stereo_images import pair_of
-
     left, right = scene.load_views()
     found = rectified_rig(calibration, left, right)
-    views = found.images(left, right)
-    facts, warnings = row_errors(match_rows(left, right), found)
-    save_views(folder, views[0], views[1], found)
+    pair, view = _pair_of(found, scene, left, right)
+    facts, warnings = row_errors(match_rows(left, right), found) if scene.first is None else ({}, [])
     if scene.has_truth:
         warnings.append("the map is that of the rectified image, the scene's ground truth is not: do not compare them")
+    return pair, partial(save_views, folder, {"left": view}, found), facts, warnings
+
+
+def sequence_range(calibration: Calibration, first: StereoScene) -> SearchRange | None:
+    """Return the search range that key points of the first frame of a sequence suggest; None where too few match.
+
+    The latest one is kept for the following frames, until the files change.
+    """
+    return _sequence_range(calibration, first, _states(*first.input_files.values(), *map(Path, calibration.files)))
+
+
+@lru_cache(maxsize=1)
+def _sequence_range(calibration: Calibration, first: StereoScene, files: object) -> SearchRange | None:
+    from depthcli.methods.stereo.search_range import suggested_range
+
+    try:
+        left, right = first.load_views()
+        return suggested_range(_pair_of(rectified_rig(calibration, left, right), first, left, right)[0])
+    except InputError:  # every frame is on its own then
+        return None
+
+
+def _pair_of(
+    rig: RectifiedRig, scene: StereoScene, left: NDArray[Any], right: NDArray[Any]
+) -> tuple[StereoPair, NDArray[Any]]:
+    """Return the rectified pair, and its left image with the colors that the scene's has."""
+    from depthcli.data.formats.stereo_images import pair_of
+
+    views = rig.images(left, right)
     assert scene.right is not None  # it was loaded
-    return pair_of(views[0], views[1], (scene.left, scene.right)), facts, warnings
+    return pair_of(views[0], views[1], (scene.left, scene.right)), views[0]
 
 
 def save_views(
     folder: Path,
-    left: NDArray[np.generic],
-    right: NDArray[np.generic],
+    views: Mapping[str, NDArray[np.generic]],
     rig: RectifiedRig | RectifyingHomographies,
     max_disparity: int | None = None,
 ) -> None:
-    """Write ``left.png``, ``right.png`` and, where ``rig`` has metric depth, ``calib.txt`` with the search range."""
+    """Write each view as ``<name>.png`` and, where ``rig`` has metric depth, ``calib.txt`` with the search range."""
     from depthcli.core.cameras.rig import RectifiedRig
     from depthcli.data.formats.images import write_png
     from depthcli.data.formats.pair_geometry import write_geometry
 
-    for name, view in (("left", left), ("right", right)):
+    for name, view in views.items():
         write_png(folder / f"{name}.png", view)
     if isinstance(rig, RectifiedRig):
         write_geometry(folder / "calib.txt", rig.geometry, max_disparity)

@@ -153,7 +153,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
             warnings.append(str(error))
         if isinstance(found, RectifiedRig):
             facts |= {"focal": found.geometry.left.fx, "baseline": found.geometry.baseline}
-        _rectified.save_views(folder, views[0], views[1], found, meta.get("max_disparity"))
+        _rectified.save_views(folder, {"left": views[0], "right": views[1]}, found, meta.get("max_disparity"))
         write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
         return Outcome(facts, clock.seconds, warnings)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from depthcli.data.formats.images import read_image, write_png
 from depthcli.data.formats.pair_geometry import read_geometry
 from depthcli.data.formats.pictures import read_status
 from depthcli.data.formats.rigs import read_rig
+from depthcli.methods.stereo import rectification, search_range
 from depthcli.methods.stereo.rectification import match_views, rectify_uncalibrated, row_error
 
 SIZE = (240, 180)
@@ -253,8 +255,8 @@ def test_a_config_rectifies_on_the_fly(pinhole: Shot, tmp_path: Path, capsys: py
     one, two = tmp_path / "one/room", tmp_path / "two/room"
     for name in ("disp_left.pfm", "disp_left.png", "status.png", "preview.png"):
         assert (one / name).read_bytes() == (two / name).read_bytes()
-    for name in ("left.png", "right.png"):
-        assert (one / name).read_bytes() == (tmp_path / "scenes/room" / name).read_bytes()
+    assert (one / "left.png").read_bytes() == (tmp_path / "scenes/room/left.png").read_bytes()
+    assert not (one / "right.png").exists()
     row = json.loads((tmp_path / "one/report.json").read_text())["scenes"][0]
     assert row["row_error"] < 0.25 < 1.5 < row["row_error_before"]
     # Meters without another word: the rectified pair and its calibration lie beside the map.
@@ -272,6 +274,65 @@ def test_a_config_rectifies_on_the_fly(pinhole: Shot, tmp_path: Path, capsys: py
     assert "done already" not in said
     assert "is it the calibration of these images?" in said
     assert (one / "disp_left.pfm").read_bytes() != (two / "disp_left.pfm").read_bytes()
+
+
+@pytest.fixture
+def video(pinhole: Shot, tmp_path: Path) -> list[str | Path]:
+    """Four frames, the later ones of other content, and the command that matches them; two images in one folder."""
+    for k in range(4):
+        for side in ("left", "right"):
+            image = read_image(getattr(pinhole, side))
+            write_png(tmp_path / "in" / f"{side}_{k}.png", image if k == 0 else 255 - np.roll(image, 9 * k, 0))
+    file = opencv(tmp_path / "c.yml", pinhole.rig)
+    return ["stereo", "fast", "-i", tmp_path / "in", "--calibration", file]
+
+
+def test_a_calibration_costs_a_video_once(video: list[str | Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Rows and range are those of the first frame; the maps of the rectification are made once."""
+    calls: Counter[str] = Counter()
+
+    def counted(place: object, name: str) -> None:
+        whole = getattr(place, name)
+
+        def call(*arguments: object, **options: object) -> object:
+            calls[name] += 1
+            return whole(*arguments, **options)
+
+        monkeypatch.setattr(place, name, call)
+
+    counted(rectification, "match_views")
+    counted(search_range, "suggested_range")
+    counted(Camera, "undistortion_maps")
+    assert run(*video, "-o", tmp_path / "run", "-q") == 0
+    assert calls == {"match_views": 1, "suggested_range": 1, "undistortion_maps": 2}
+    rows = json.loads((tmp_path / "run/report.json").read_text())["scenes"]
+    assert len({row["max_disparity"] for row in rows}) == 1
+    assert ["row_error" in row for row in rows] == [True, False, False, False]
+    # Another calibration in the same file is another rectification.
+    opencv(tmp_path / "c.yml", rig(strength=0.75))
+    assert run(*video, "-o", tmp_path / "other", "-q") == 0
+    assert calls == {"match_views": 2, "suggested_range": 2, "undistortion_maps": 4}
+
+
+@pytest.mark.slow
+def test_frames_of_a_video_are_the_same_in_every_process(video: list[str | Path], tmp_path: Path):
+    def maps(folder: Path) -> dict[str, bytes]:
+        names = ("disp_left.pfm", "left.png", "calib.txt")
+        return {f"{k}/{name}": (folder / str(k) / name).read_bytes() for k in range(4) for name in names}
+
+    assert run(*video, "-o", tmp_path / "one", "-q") == 0
+    assert run(*video, "-o", tmp_path / "jobs", "-q", "--jobs", "2") == 0
+    for part in ("2/2", "1/2"):
+        assert run(*video, "-o", tmp_path / "shards", "-q", "--shard", part) == 0
+    assert run(*video, "-o", tmp_path / "resumed", "-q", "--scenes", "3") == 0
+    assert run(*video, "-o", tmp_path / "resumed", "-q") == 0
+    for other in ("jobs", "shards", "resumed"):
+        assert maps(tmp_path / other) == maps(tmp_path / "one")
+    # The first frame is an input of all: of another one, they are matched again, each on its own where it has no range.
+    write_png(tmp_path / "in/left_0.png", np.full((SIZE[1], SIZE[0], 3), 70, np.uint8))
+    assert run(*video, "-o", tmp_path / "one", "-q") == 3
+    rows = json.loads((tmp_path / "one/report.json").read_text())["scenes"]
+    assert [row["status"] for row in rows] == ["failed", "done", "done", "done"]
 
 
 @pytest.mark.parametrize("damage", ["absent", "text", "other size"])

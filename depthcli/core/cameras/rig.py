@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -133,12 +134,9 @@ class RectifiedRig:
 
     def overlap(self) -> float:
         """Return the share of the rectified image's pixels that both cameras see, for points at infinity."""
-        common = np.ones(self.size[::-1], bool)
-        for (x, y), rotation, (width, height) in zip(
-            self._maps(), (self.rotation, self.rotation_right), (self.size, self.right_size), strict=True
-        ):
-            ahead = np.tensordot(rotation.T[2], self._rays(), axes=1) > 0
-            common &= (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1) & ahead
+        common = self._common
+        for rotation in (self.rotation, self.rotation_right):
+            common = common & (np.tensordot(rotation.T[2], self._rays(), axes=1) > 0)
         return float(np.mean(common))
 
     def images(
@@ -152,12 +150,11 @@ class RectifiedRig:
         left, right : images of the cameras
         interpolation, border : OpenCV's flags: of values between pixels, and outside of the images
         """
-        views, common = [], np.ones(self.size[::-1], bool)
-        for (x, y), image in zip(self._maps(), (left, right), strict=True):
-            views.append(cv2.remap(image, x, y, interpolation, borderMode=border))
-            height, width = image.shape[:2]
-            common &= (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-        return views[0], views[1], common
+        one, other = (
+            cv2.remap(image, x, y, interpolation, borderMode=border)
+            for (x, y), image in zip(self._maps, (left, right), strict=True)
+        )
+        return one, other, self._common.copy()
 
     def points(
         self, left: NDArray[np.floating[Any]], right: NDArray[np.floating[Any]]
@@ -170,7 +167,7 @@ class RectifiedRig:
 
     def rectify_depth(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return a depth map of the left camera in the rectified one's pixels and along its axis, meters."""
-        x, y = self._maps()[0]
+        x, y = self._maps[0]
         near = cv2.remap(depth, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
         # The camera only turns: a pixel's ray stays, its point's depth along the axis changes.
         along = np.tensordot(self.rotation.T[2], self._rays(), axes=1)
@@ -187,12 +184,21 @@ class RectifiedRig:
         points = np.stack([x / self.projection[0, 0], y / self.projection[1, 1], z], axis=1) @ self.rotation
         return self.rig.left.depth_image(points, (depth.shape[0], depth.shape[1]), values[rows, columns])
 
+    @cached_property  # one rectification may serve all frames of a video
     def _maps(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
         """x and y in the left and the right image of every rectified pixel."""
         return [
             self.rig.left.undistortion_maps(self.rotation, self.projection, self.size),
             self.rig.right.undistortion_maps(self.rotation_right, self.projection_right, self.size),
         ]
+
+    @cached_property
+    def _common(self) -> NDArray[np.bool_]:
+        """(H, W): both cameras' images contain the pixel's point at infinity."""
+        common = np.ones(self.size[::-1], bool)
+        for (x, y), (width, height) in zip(self._maps, (self.size, self.right_size), strict=True):
+            common &= (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+        return common
 
     def _rays(self) -> NDArray[np.float64]:
         """(3, H, W): directions of the rectified camera's pixels."""

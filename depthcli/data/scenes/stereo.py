@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -67,6 +67,7 @@ class StereoScene(Scene):
     round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
     calibration : file that says how disparities become depth, or None
     cameras : numbers of the pair's cameras in a calibration of several (KITTI)
+    first : the first frame of the sequence that this one is a later frame of, or None; see :func:`with_first_frames`
     """
 
     options: ClassVar[tuple[Option, ...]] = (
@@ -87,13 +88,14 @@ class StereoScene(Scene):
     disparity_noc: Path | None = None
     disparity_scale: float | None = None
     scale_by_width: bool = False
-    masks: dict[str, Path] = field(default_factory=dict)
+    masks: dict[str, Path] = field(default_factory=dict, hash=False)
     objects: Path | None = None
     max_disparity: int | None = None
     min_disparity: int = 0
     round_disparity: bool = False
     calibration: Path | None = None
     cameras: tuple[int, int] = (2, 3)
+    first: StereoScene | None = None
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
@@ -219,3 +221,21 @@ class StereoScene(Scene):
             if file is not None and array is not None:
                 check_same_size(file, array.shape, self.disparity_left, disparity.shape)
         return StereoTruth(disparity, right, noc, objects, masks, scale)
+
+
+def with_first_frames(scenes: Sequence[Scene]) -> list[Scene]:
+    """Return the scenes, of which stereo pairs know the first frame of their sequence.
+
+    Pairs whose left and right images lie in the same two folders, or which are frames of the same two videos, are a
+    sequence in the order of their names.
+    """
+    firsts: dict[tuple[Path, Path], StereoScene] = {}
+    found: list[Scene] = []
+    for scene in sorted(scenes, key=lambda scene: scene.name):
+        if isinstance(scene, StereoScene) and scene.right is not None and not scene.problem:
+            files = scene.left, scene.right
+            place = files if scene.frame_number is not None else (files[0].parent, files[1].parent)
+            first = firsts.setdefault(place, scene)
+            scene = scene if first is scene else replace(scene, first=first)
+        found.append(scene)
+    return found

@@ -133,9 +133,16 @@ def suggested_range(pair: StereoPair) -> SearchRange:
 
 
 def complete_range(
-    min_disparity: int | str, max_disparity: int | str | None, pair: StereoPair
+    min_disparity: int | str,
+    max_disparity: int | str | None,
+    pair: StereoPair,
+    suggested: SearchRange | None = None,
 ) -> tuple[SearchRange, dict[str, int]]:
     """Replace ends that are "auto" by those of key points, and a missing upper end by the suggested range.
+
+    Parameters
+    ----------
+    suggested : the suggested range, where it is known; None: that of the pair's key points
 
     Returns
     -------
@@ -148,7 +155,7 @@ def complete_range(
         The range is empty, or too few key points match.
     """
     if max_disparity is None:
-        suggested = suggested_range(pair)
+        suggested = suggested or suggested_range(pair)
         max_disparity = suggested.max_disparity
         min_disparity = suggested.min_disparity if min_disparity in (0, "auto") else min_disparity
     columns = {}
