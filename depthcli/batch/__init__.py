@@ -13,7 +13,8 @@ The life of a scene, from :func:`depthcli.batch.runner.run_scenes`, which gets a
 6. *Written*: in the process that computed it ``install`` moves the files to ``<run folder>/<scene>``, the record last;
    it replaces what a record claims, and no other file.
 7. *Reported*: the row (facts, seconds by stage, memory) goes back to ``runner``, which shows progress (``console``) and
-   has ``reports`` write ``report.json`` and ``report.csv``; the last of several processes joins their reports.
+   has ``reports`` write ``report.json`` and ``report.csv``; the last of several processes joins their reports
+   (``report_parts``).
 
 A kill at any moment leaves files that one of these steps recognizes when the same command is started again.
 

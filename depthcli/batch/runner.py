@@ -18,7 +18,8 @@ from depthcli.batch.console import Reporter
 from depthcli.batch.install import discard, hidden_folder, remove_leftovers, remove_results
 from depthcli.batch.json_csv import Row
 from depthcli.batch.plan import Planner, check_files, check_names, inputs_digest, scenes_of_shard
-from depthcli.batch.reports import Part, ReportWriter, drop_parts, finished_row, read_report
+from depthcli.batch.report_parts import Part, ReportWriter, drop_parts
+from depthcli.batch.reports import finished_row, read_report
 from depthcli.batch.run_folder import check_folder, saved_config
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
 from depthcli.batch.task import Run, RunOptions, Task, run_task
@@ -63,7 +64,9 @@ def run_scenes(
     """
     run = Run(command, config, options)
     own, shard = scenes_of_shard(command, config, scenes, options), options.shard
-    part = Part(command.name, run.identity, shard, "" if shard is None else inputs_digest(run, scenes))
+    part = Part(command.name, run.identity)
+    if shard is not None:
+        part = Part(command.name, run.identity, shard, inputs_digest(run, scenes), tuple(s.name for s in scenes))
     check_names(run, own, output)
     with FolderLock(output, shard is not None, reporter.info) as lock:
         batch = _Batch(run, part, own, output, reporter, lock)
@@ -244,7 +247,7 @@ class _Batch:
             if row is not None and row["status"] == "done" and not (task.target / records.RECORD_FILE).is_file():
                 self.rows[task.scene.name] = task.failed(f"{task.target}: was computed, but its files have gone since")
         discard(self.workspace)
-        self.writer.close(self.lock)
+        self.writer.close(self.lock, complete=len(self.rows) + self.n_unclaimed >= len(self.scenes))
         if self.lock.alone:
             remove_leftovers(self.output)
 

@@ -9,10 +9,13 @@ import os
 from pathlib import Path
 
 from depthcli.batch.command import SOME_FAILED, Command, Values
-from depthcli.batch.console import Reporter, run_table
-from depthcli.batch.json_csv import to_json
+from depthcli.batch.console import Column, Reporter, run_table
+from depthcli.batch.json_csv import Row, to_json
+from depthcli.commands._batch import BatchCommand
 from depthcli.core.errors import InputError
 from depthcli.core.option import Option
+
+_MAX_NAMED = 10  # shards, and scenes, that a message names
 
 
 class MergeCommand(Command):
@@ -22,9 +25,10 @@ class MergeCommand(Command):
     examples = ("depthcli merge runs/accurate",)
 
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Write report.json and report.csv again; return the exit code, which says whether a scene failed."""
+        """Write report.json and report.csv again; return the exit code, 3 where a scene failed or is missing."""
         from depthcli.batch.records import RECORD_FILE
-        from depthcli.batch.reports import drop_joined_parts, joined_rows, report_document, write_report
+        from depthcli.batch.report_parts import drop_joined_parts, joined_rows, missing_parts
+        from depthcli.batch.reports import report_document, write_report
         from depthcli.batch.run_folder import opened_run
         from depthcli.batch.sharing import FolderLock
 
@@ -40,15 +44,44 @@ class MergeCommand(Command):
                 found = (path.parent for depth in ("*", "*/*") for path in place.glob(f"{depth}/{RECORD_FILE}"))
                 rows = joined_rows(place, identity, (path.relative_to(place).as_posix() for path in found))
                 write_report(place, command, rows)
-                if alone:
+                shards, names = missing_parts(place, identity, rows)
+                if alone and not names:
                     drop_joined_parts(place)
         failed = sum(row["status"] == "failed" for row in rows)
         if values["json"]:
-            reporter.data(to_json(report_document(command, rows)))
+            reporter.data(to_json(report_document(command, rows) | {"missing": names, "unfinished_shards": shards}))
         elif not values["quiet"]:
-            reporter.data(run_table(rows, ()))
-        reporter.info(f"{len(rows) - failed} of {len(rows)} scenes done, in {place}")
-        return SOME_FAILED if failed else 0
+            absent: list[Row] = [
+                {"scene": name, "status": "missing", "seconds": {}, "peak_memory": None} for name in names
+            ]
+            reporter.data(run_table(sorted([*rows, *absent], key=lambda row: str(row["scene"])), _columns(command)))
+        if shards or names:
+            reporter.error(_missing_text(shards, names))
+        reporter.info(f"{len(rows) - failed} of {len(rows) + len(names)} scenes done, in {place}")
+        return SOME_FAILED if failed or shards or names else 0
+
+
+def _columns(name: str) -> tuple[Column, ...]:
+    """Return the columns of the table that the command ``name`` prints itself."""
+    from depthcli.commands import command_names, load_command
+
+    command = load_command(name) if name in command_names() else None
+    return command.columns() if isinstance(command, BatchCommand) else ()
+
+
+def _missing_text(shards: list[str], names: list[str]) -> str:
+    """Return one line that says which shards have not ended, and which scenes have no result."""
+    parts = []
+    if shards:
+        parts.append(f"{_some('shard', shards)} {'has' if len(shards) == 1 else 'have'} not ended")
+    if names:
+        parts.append(f"{len(names)} scenes are missing: {_some('', names)}")
+    return f"{'; '.join(parts)}; start {'these shards' if shards else 'the run'} again with the same command"
+
+
+def _some(what: str, names: list[str]) -> str:
+    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+    return f"{what} {', '.join(names[:_MAX_NAMED])}{more}".lstrip()
 
 
 COMMAND = MergeCommand()

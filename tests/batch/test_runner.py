@@ -428,7 +428,7 @@ def test_a_report_that_cannot_be_written_is_told_after_the_work(folder: Folder, 
     def full(*_: object) -> None:
         raise OutputError("report.json: cannot be written (No space left on device)")
 
-    monkeypatch.setattr("depthcli.batch.reports.write_report", full)
+    monkeypatch.setattr("depthcli.batch.report_parts.write_report", full)
     with pytest.raises(IncompleteError, match="No space left"):
         folder.run()
     assert (folder.output / "d" / "out.txt").exists()

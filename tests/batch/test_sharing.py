@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from depthcli.batch import run_folder
-from depthcli.batch.reports import REPORT_FILES, joined_rows, read_report, write_rows
+from depthcli.batch.report_parts import joined_rows
+from depthcli.batch.reports import REPORT_FILES, read_report, write_rows
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock, Shard, parse_shard
 from depthcli.cli import main
 from depthcli.commands.stereo import COMMAND as STEREO
@@ -157,10 +158,11 @@ def test_a_killed_process_leaves_its_part_to_be_done_again(tmp_path: Path):
     assert other.returncode == 0
     left = set(report(tmp_path / "whole")) - set(report(out))
     # The report is that of what is there, the killed process's scenes too as soon as somebody lists them.
-    assert run("merge", out, "-q") == 0
+    code = run("merge", out, "-q")
     there = {path.parent.name for path in out.glob("*/record.json")}
     assert set(report(out)) == there
     assert 5 <= len(there) <= 8
+    assert code == (0 if len(there) == 8 else 3)
     assert left >= set(report(tmp_path / "whole")) - there
     assert run(*common, "-o", out, "--shard", "1/2", "-q") == 0
     assert contents(out) == contents(tmp_path / "whole")
@@ -322,6 +324,60 @@ def test_shards_and_evaluation_exclude_each_other(made_scenes: Path, tmp_path: P
     assert "must be part/parts" in capsys.readouterr().err
     assert run("merge", tmp_path / "absent") == 2
     assert run("merge", made_scenes.parent) == 2
+
+
+def test_merge_says_what_is_missing(made_scenes: Path, whole: Path, tmp_path: Path, capsys):
+    out = tmp_path / "run"
+    common = ("stereo", FAST, "-i", made_scenes, "-o", out)
+    assert run(*common, "--shard", "1/3", "-q") == 0
+    assert run(*common, "--shard", "3/3", "-q") == 0
+    capsys.readouterr()
+    there, names = set(report(out)), sorted(report(whole))
+    missing = [name for name in names if name not in there]
+    assert 3 <= len(missing) <= 5
+    for _ in range(2):
+        assert run("merge", out) == 3
+        said, err = capsys.readouterr()
+        lines = [line.split() for line in said.splitlines()]
+        assert lines[0] == ["scene", "status", "size", "density", "measured", "seconds", "memory"]
+        assert [line[0] for line in lines[1:]] == names
+        assert [line[0] for line in lines if line[1] == "missing"] == missing
+        assert err.splitlines()[0] == (
+            f"shard 2 of 3 has not ended; {len(missing)} scenes are missing: {', '.join(missing)}; "
+            "start these shards again with the same command"
+        )
+        assert f"{len(there)} of 12 scenes done, in {out}" in err
+    assert run("merge", out, "--json", "-q") == 3
+    document = json.loads(capsys.readouterr().out)
+    assert (document["missing"], document["unfinished_shards"]) == (missing, ["2 of 3"])
+    assert run(*common, "--shard", "2/3", "-q") == 0
+    assert contents(out) == contents(whole)  # nothing hidden is left
+    capsys.readouterr()
+    assert run("merge", out) == 0
+    merged = capsys.readouterr().out
+    assert run("stereo", FAST, "-i", made_scenes, "-o", whole) == 0
+    alone = capsys.readouterr().out
+    timeless = [[line.split()[:6] for line in text.splitlines()] for text in (merged, alone)]
+    assert timeless[0] == timeless[1]
+    first, second = (json.loads((folder / "report.json").read_text()) for folder in (out, whole))
+    assert [list(row) for row in first["scenes"]] == [list(row) for row in second["scenes"]]
+
+
+def test_a_shard_that_stopped_at_a_failure_has_not_ended(made_scenes: Path, tmp_path: Path, capsys):
+    scenes, out = tmp_path / "in", tmp_path / "run"
+    for name in ("planes_0", "planes_1", "planes_2"):
+        shutil.copytree(made_scenes / name, scenes / name)
+    (scenes / "planes_0" / "left.png").write_bytes(b"damaged")
+    common = ("stereo", FAST, "-i", scenes, "-o", out)
+    assert run(*common, "--shard", "1/1", "--fail-fast") == 3
+    assert "stopped at the first failure, 0 of 3 scenes done, 1 failed, 2 not computed" in capsys.readouterr().err
+    assert run("merge", out, "-q") == 3
+    assert capsys.readouterr().err.startswith("shard 1 of 1 has not ended; 2 scenes are missing: planes_1, planes_2; ")
+    assert run(*common, "--shard", "1/1", "-q") == 3  # one failed; nothing is missing
+    assert not (out / ".parts").exists()
+    capsys.readouterr()
+    assert run("merge", out, "-q") == 3
+    assert "missing" not in capsys.readouterr().err
 
 
 @pytest.mark.slow
