@@ -60,6 +60,10 @@ class _Command(TyperCommand):
 class _Commands(TyperGroup):
     """The commands of ``commands/``; each is built when it is needed."""
 
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = dict.fromkeys(command_names())  # type: ignore[assignment]  # read for "did you mean" only
+
     def list_commands(self, ctx: Any) -> list[str]:
         return command_names()
 
@@ -199,13 +203,13 @@ def _terminate(number: int, frame: Any) -> None:
 
 def _print_usage_error(error: Any) -> None:
     """Print what is wrong in one line, or the help where no command was given at all."""
-    text = " ".join(error.format_message().split()).rstrip(".")
+    text = " ".join(error.format_message().split()).rstrip(".").replace(". Did you", "; did you")
     if error.ctx is None or text.startswith("Usage:"):
         with contextlib.suppress(OSError):
             error.show()
     else:
-        path = error.ctx.command_path
-        _print_error(f"{path}: {text[:1].lower()}{text[1:]}; see {path} --help")
+        path, see = error.ctx.command_path, " See" if text.endswith("?") else "; see"
+        _print_error(f"{path}: {text[:1].lower()}{text[1:]}{see} {path} --help")
 
 
 def _print_error(text: str) -> None:

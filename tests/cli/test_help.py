@@ -96,6 +96,7 @@ def test_examples_parse_and_their_configs_load(example: str, capsys):
     ("words", "line"),
     [
         (("nope",), "depthcli: no such command 'nope'; see depthcli --help"),
+        (("sterio",), "depthcli: no such command 'sterio'; did you mean 'stereo'? See depthcli --help"),
         (("stereo",), "depthcli stereo: missing argument 'CONFIG'; see depthcli stereo --help"),
         (("merge", "a", "--jso"), "depthcli merge: no such option: --jso (Possible options: --json)"),
     ],
