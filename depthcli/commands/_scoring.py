@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,10 +13,12 @@ from typing import TYPE_CHECKING
 
 from depthcli.batch.json_csv import Row, to_csv
 from depthcli.batch.reports import read_report
+from depthcli.commands._runs import recognized
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.data.formats.files import collected_warnings, write_text
 from depthcli.data.formats.images import write_png
 from depthcli.data.scenes import Scene
+from depthcli.evaluation.map_files import MapOptions
 from depthcli.evaluation.plots import curve_plot
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load
 from depthcli.evaluation.results import MapResult
@@ -36,7 +40,9 @@ class Scoring:
     protocol : scores every scene; None: each scene names its own
     settings : options of the protocols
     page : is given every map; or None
+    map_options : run -> how its maps are named and coded, of those that it was given for, or that were recognized
     protocols : name -> protocol, of those that were used
+    hints : what was assumed, one line each
     """
 
     runs: dict[str, Path]
@@ -45,7 +51,9 @@ class Scoring:
     protocol: AnyProtocol | None
     settings: Settings
     page: Page | None = None
+    map_options: dict[str, MapOptions] = field(default_factory=dict)
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)
+    hints: list[str] = field(default_factory=list)
 
     @cached_property
     def reports(self) -> dict[str, dict[str, Row]]:
@@ -57,11 +65,52 @@ class Scoring:
         """Small pictures of the first scenes."""
         return ContactSheet(list(self.runs))
 
+    def recognize_maps(self, scenes: Sequence[Scene]) -> None:
+        """Find the pattern of the maps of every run that holds none under a usual name.
+
+        Raises
+        ------
+        InputError
+            Several patterns would fit.
+        """
+        short = [scene.name.rpartition("/")[2] for scene in scenes]
+        usable: dict[str, tuple[Scene, AnyProtocol, list[str]]] = {}
+        for scene, name in zip(scenes, short, strict=True):
+            with contextlib.suppress(DepthcliError):
+                usable[scene.name] = scene, self._protocol_of(scene), self._names(scene, short.count(name) == 1)
+
+        def fits(name: str, path: Path, options: MapOptions) -> bool:
+            scene, protocol, _ = usable[name]
+            with collected_warnings():
+                try:
+                    self._reader(protocol, options).read(path, scene, protocol.truth(scene))
+                except DepthcliError:
+                    return False
+            return True
+
+        named = {name: (protocol, names) for name, (_, protocol, names) in usable.items()}
+        for run, place in self.runs.items():
+            if os.path.isdir(place) and not self.reports[run]:
+                given = self.map_options.get(run, MapOptions())
+                found = recognized(run, place, given, named, fits)
+                if found != given:
+                    self.map_options[run] = found
+                    self.hints.append(f"{run}: taken as its maps: {found.pattern} (--maps says otherwise)")
+
+    def _names(self, scene: Scene, unique: bool) -> list[str]:
+        """Names that a scene may have in a run folder."""
+        short = [scene.name.rpartition("/")[2]] if unique else []
+        return [scene.name, f"{self.truth.resolve().name}/{scene.name}", *short]
+
+    def _reader(self, protocol: AnyProtocol, options: MapOptions) -> AnyProtocol:
+        """The protocol with the settings of one run, by which its maps are read."""
+        own = {name: value for name in ("scale", "invalid") if (value := getattr(options, name)) is not None}
+        return type(protocol)(replace(protocol.settings, **own, any_scale="scale" in own)) if own else protocol
+
     def results(self, scene: Scene, unique: bool) -> list[MapResult]:
         """Return the results of one scene for every run; ``unique``: no other scene has its short name."""
-        folder, _, short = scene.name.rpartition("/")
+        folder, names = scene.name.rpartition("/")[0], self._names(scene, unique)
         start = MapResult("", scene.name, folder or self.truth.resolve().name, "")
-        names = [scene.name, f"{self.truth.resolve().name}/{scene.name}", *([short] if unique else [])]
         try:
             protocol = self._protocol_of(scene)
             start = replace(start, protocol=protocol.name)
@@ -96,20 +145,20 @@ class Scoring:
     ) -> MapResult:
         """Find, read, score and draw one run's map; where that fails, the worst scores with the reason."""
         place, rows = self.runs[start.run], self.reports[start.run]
+        options = self.map_options.get(start.run, MapOptions())
+        files = options.files(protocol.files)
         row: Row = next((rows[name] for name in names if name in rows), {})
         try:
-            path = place if os.path.isfile(place) else protocol.files.find(place, names)
+            path = place if os.path.isfile(place) else files.find(place, names)
             if path is None:
-                reason = (
-                    f": the run failed there: {row['error']}" if row.get("error") else protocol.files.searched(names)
-                )
+                reason = f": the run failed there: {row['error']}" if row.get("error") else files.searched(names)
                 raise InputError(f"{place}: no map of scene {scene.name}{reason}")
-            estimate: object = protocol.read(path, scene, truth)
+            estimate: object = self._reader(protocol, options).read(path, scene, truth)
         except DepthcliError as error:
             missing, dense = tuple(protocol.missing(truth)), tuple(protocol.missing(truth, dense=True))
             return replace(start, scores=missing, dense=dense, error=str(error))
         warnings, confidences = protocol.warnings(estimate, truth), {}
-        for name, file in protocol.files.confidences(path).items():
+        for name, file in files.confidences(path).items():
             try:
                 confidences[name] = protocol.read_confidence(file, truth)
             except DepthcliError as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from depthcli.commands._scoring import Scoring
     from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport
+    from depthcli.evaluation.map_files import MapOptions
     from depthcli.evaluation.protocols import AnyProtocol, Settings
     from depthcli.evaluation.results import MapResult
     from depthcli.report.page import Page
@@ -44,7 +45,7 @@ class EvaluateCommand(Command):
     """``depthcli evaluate RUN... --truth DIR [--output DIR]``."""
 
     arguments = (
-        Option("runs", Path, "Run folders, folders of others' maps, or single maps.", "RUN...", repeatable=True,
+        Option("runs", Path, "Run folders, others' maps, single maps; NAME=DIR names one.", "RUN...", repeatable=True,
                required=True, group="Input"),
     )  # fmt: skip
 
@@ -56,9 +57,12 @@ class EvaluateCommand(Command):
         SCENES,
         LAYOUT,
         Option("protocol", str, "How to score, such as kitti-2015. Default: by data set.", "NAME"),
-        Option("scale", float, "Codes per unit of the maps' integer files.", "CODES", min_value=1e-6, group="Input"),
-        Option("invalid", float, "Value of disparity files that means none; nan: no value does. Default: recognized.",
-               "VALUE", group="Input"),
+        Option("maps", str, "Where maps lie: '{scene}/disparity.tiff'; of one run, NAME=...", "PATTERN",
+               repeatable=True, group="Input"),
+        Option("scale", str, "Codes per unit of integer files; of one run, NAME=CODES.", "CODES", repeatable=True,
+               group="Input"),
+        Option("invalid", str, "Value that means none, or nan; of one run, NAME=VALUE.", "VALUE", repeatable=True,
+               group="Input"),
         Option("resolution", str, "Size of Middlebury v3's truth. Default: by the width.", "F|H|Q"),
         Option("resize", str, "Bring depth maps and truth to this size.", "WxH"),
         Option("threshold", float, "Threshold of wrong pixels. Default: the benchmark's.", "T", min_value=1e-6),
@@ -78,13 +82,15 @@ class EvaluateCommand(Command):
         from depthcli.evaluation.tables import report_text, wide_tables
 
         resolution, resize = (values["resolution"] or "").upper() or None, _size(values["resize"])
-        settings = Settings(values["scale"], resolution, values["threshold"], resize, values["invalid"])
+        scale, invalid, map_options = _map_options(values)
+        settings = Settings(scale, resolution, values["threshold"], resize, invalid)
         form = values["format"]
         if form is not None and form not in FORMATS:
             raise ConfigError(f"--format: want {', '.join(FORMATS)} (got {form!r})")
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
             values["protocol"], settings, reporter, page=new_page(self, values, values["output"]),
+            map_options=map_options,
         )  # fmt: skip
         if values["json"]:
             reporter.data(to_json(report.to_dict()))
@@ -108,6 +114,7 @@ def evaluate(
     reporter: Reporter | None = None,
     kinds: Iterable[type[Scene]] | None = None,
     page: Page | None = None,
+    map_options: Mapping[str, MapOptions] | None = None,
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
@@ -117,7 +124,7 @@ def evaluate(
 
     Parameters
     ----------
-    runs : folders of maps; or maps, where there is a single scene
+    runs : folders of maps; or maps, where there is a single scene; ``NAME=PLACE`` names one
     truth : folder of scenes with ground truth, or one file of it
     output : folder for the results; None: nothing is written
     scenes : shell patterns of scene names
@@ -127,23 +134,25 @@ def evaluate(
     reporter : shows progress, failures and warnings
     kinds : kinds of scene to evaluate; None: all, or what ``protocol`` scores
     page : is filled and written to ``output``; or None
+    map_options : run -> how its maps are named and coded; what is not given is recognized
 
     Raises
     ------
     ConfigError
         ``output`` holds files that no evaluation wrote under the names of its results; nothing is computed then.
     InputError
-        No run, no scenes with ground truth, no such protocol. A map that is missing or unreadable is no error:
-        it becomes a result with its reason (``report.failed``).
+        No run, no scenes with ground truth, no such protocol, a run of which several files may be the maps. A map
+        that is missing or unreadable is no error: it becomes a result with its reason (``report.failed``).
     OutputError
         The results cannot be written.
     """
     from depthcli.batch.install import staging_folder
+    from depthcli.commands._runs import find_runs
     from depthcli.commands._scoring import Scoring
     from depthcli.evaluation.protocols import Settings, load
 
     reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), Path(truth)
-    places = _find_runs(runs)
+    places = find_runs(runs)
     scored_by = None if protocol is None else load(protocol)(settings)
     found = _find_truth(truth, scored_by, kinds, layout, scenes, settings, reporter)
     if len(found) > 1 and any(map(os.path.isfile, places.values())):
@@ -152,7 +161,9 @@ def evaluate(
     with writing or contextlib.nullcontext() as folder:
         if page is not None and folder is not None:
             page.folder = folder
-        report = _scored(Scoring(places, truth, folder, scored_by, settings, page), found, reporter)
+        report = _scored(
+            Scoring(places, truth, folder, scored_by, settings, page, dict(map_options or {})), found, reporter
+        )
     for warning in report.warnings:
         reporter.info(f"warning: {warning}")
     for result in report.failed:
@@ -168,6 +179,7 @@ def _scored(scoring: Scoring, scenes: Sequence[Scene], reporter: Reporter) -> Ev
     results: list[MapResult] = []
     with cache_below(scoring.output):
         with reporter:
+            scoring.recognize_maps(scenes)
             reporter.start(len(scenes), 0, "evaluate")
             short = [scene.name.rpartition("/")[2] for scene in scenes]
             for scene, name in zip(scenes, short, strict=True):
@@ -176,9 +188,11 @@ def _scored(scoring: Scoring, scenes: Sequence[Scene], reporter: Reporter) -> Ev
                 reporter.step(any(result.error for result in of_scene))
         for name, value in vars(scoring.settings).items():
             taken = any(name in each.takes for each in scoring.protocols.values())
-            if value is not None and scoring.protocols and not taken:
+            if value not in (None, False) and scoring.protocols and not taken:
                 reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
-        report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth)
+        report = EvaluationReport(
+            tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth, tuple(scoring.hints)
+        )
         _write(report, scoring)
     return report
 
@@ -203,17 +217,17 @@ def _size(text: str | None) -> tuple[int, int] | None:
     return (int(found[1]), int(found[2])) if text else None
 
 
-def _find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
-    """Name -> folder or file of every run."""
-    from depthcli.data.formats.files import shown
-    from depthcli.evaluation.comparison import run_names
+def _map_options(values: Values) -> tuple[float | None, float | None, dict[str, MapOptions]]:
+    """Scale and value of no value for all runs, and what was given for each; ConfigError where that is wrong."""
+    from depthcli.commands._runs import by_run, find_runs, number_of, pattern_of, positive
+    from depthcli.evaluation.map_files import MapOptions
 
-    places = [Path(run) for run in runs]
-    if not places:
-        raise InputError("no run to evaluate")
-    if absent := [place for place in places if not (os.path.isdir(place) or os.path.isfile(place))]:
-        raise InputError(f"{shown(absent[0])}: no such folder")
-    return dict(zip(run_names(places), places, strict=True))
+    places = find_runs(values["runs"])
+    pattern, patterns = by_run("--maps", values["maps"] or [], places, pattern_of)
+    scale, scales = by_run("--scale", values["scale"] or [], places, positive)
+    invalid, invalids = by_run("--invalid", values["invalid"] or [], places, number_of)
+    options = {r: MapOptions(patterns.get(r) or pattern or "", scales.get(r), invalids.get(r)) for r in places}
+    return scale, invalid, options
 
 
 def _find_truth(

@@ -171,12 +171,14 @@ class EvaluationReport:
     results : one for every scene and run
     protocols : name -> protocol, of all that the results name
     truth : folder or file of the ground truth
+    hints : what was assumed of runs and scenes, one line each
     """
 
     runs: tuple[str, ...]
     results: tuple[MapResult, ...]
     protocols: dict[str, AnyProtocol]
     truth: Path
+    hints: tuple[str, ...] = ()
 
     @property
     def failed(self) -> list[MapResult]:
@@ -186,7 +188,7 @@ class EvaluationReport:
     @property
     def warnings(self) -> list[str]:
         """What looks wrong with the maps, one line each."""
-        return [f"{r.run}: {r.scene}: {r.warning}" for r in self.results if r.warning]
+        return [*self.hints, *(f"{r.run}: {r.scene}: {r.warning}" for r in self.results if r.warning)]
 
     @property
     def n_scenes(self) -> int:

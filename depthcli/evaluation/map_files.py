@@ -2,13 +2,43 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import MAP_SUFFIXES
+
+_MAX_LISTED = 50_000  # files of a run folder that are looked at
+# Words in the names of files that are no maps of the left view.
+_OTHER_WORDS = re.compile(
+    "confidence|conf|uncertainty|sigma|(?<!expected_)errors?|err|masks?|valid|nonocc|occ|noc|disc|right|gt|truth|"
+    "groundtruth|preview|status|colou?r|colored|rgb|image|img|im|view|texture|vis|viz|overlay|intensity|fixed|moving"
+)
+_OTHER_STEMS = ("left", "{scene}_left")
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """How the maps of one run are named and coded, as far as that was given.
+
+    Attributes
+    ----------
+    pattern : path of the map of ``{scene}`` in the run folder, with its ending; empty: as the protocol's ``MapFiles``
+    scale : codes per unit, of maps of any kind; None: as for all runs
+    invalid : value that stands for no value; None: as for all runs
+    """
+
+    pattern: str = ""
+    scale: float | None = None
+    invalid: float | None = None
+
+    def files(self, usual: MapFiles) -> MapFiles:
+        """Return where the maps of the run lie, ``usual`` where no pattern was given."""
+        return MapFiles((self.pattern,), ("",)) if self.pattern else usual
 
 
 @dataclass(frozen=True)
@@ -44,7 +74,9 @@ class MapFiles:
 
     def searched(self, names: Sequence[str]) -> str:
         """Return the places that ``find`` looks at, in words for an error message."""
-        places = ", ".join([*(f"{place}.*" for place in self.places), *self.other_places]).replace("{scene}", "SCENE")
+        ending = ".*" if len(self.suffixes) > 1 else self.suffixes[0]
+        named = [*(f"{place}{ending}" for place in self.places), *self.other_places]
+        places = ", ".join(named).replace("{scene}", "SCENE")
         short = names[0].rpartition("/")[2]
         several = "" if short in names else f"; several scenes are called {short}, so that the name needs its folder"
         return f" (looked for {places}{several})"
@@ -63,7 +95,7 @@ class MapFiles:
 
     def _in_run_folder(self, path: Path) -> bool:
         """True where the map is named as in a run folder, so that the files beside it belong to it."""
-        return any(place.rpartition("/")[2] == path.stem for place in self.places)
+        return any(Path(place).stem == path.stem for place in self.places)
 
 
 @dataclass(frozen=True)
@@ -85,3 +117,51 @@ class DisparityFiles(MapFiles):
         if len(named) > 1:
             raise InputError(f"{inside}: both {named[0].name} and {named[1].name}; keep one method in a folder")
         yield from named
+
+
+def found_patterns(folder: Path, scenes: Mapping[str, Sequence[str]], suffixes: Sequence[str]) -> dict[str, list[str]]:
+    """Return pattern -> scenes with such a file, of the files that can be maps; those of most scenes first.
+
+    A pattern is the path of a file in the folder with ``{scene}`` in place of the scene's name, such as
+    ``{scene}/out/{scene}_final.pfm``. Files that are named as something else (``confidence.pfm``, ``right.png``) and
+    such that are named after no scene are left out.
+
+    Parameters
+    ----------
+    folder : the run folder
+    scenes : scene -> names that it may have in file names, the longest form first
+    suffixes : endings of maps
+    """
+    words = [(scene, _whole_word(name)) for scene, names in scenes.items() for name in names]
+    made: dict[str, dict[str, None]] = {}
+    for path in itertools.islice(map_paths(folder, suffixes), _MAX_LISTED):
+        for scene, word in words:
+            pattern, n_replaced = word.subn("{scene}", path)
+            if n_replaced:
+                if not _is_other(pattern):
+                    made.setdefault(pattern, {})[scene] = None
+                break
+    ranked = sorted(made.items(), key=lambda item: (-len(item[1]), item[0]))
+    return {pattern: list(scenes) for pattern, scenes in ranked}
+
+
+def map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:
+    """Yield the paths of the files with these endings in a folder, relative to it, with ``/``, sorted."""
+    for place, folders, files in os.walk(folder):
+        folders.sort()
+        for file in sorted(files):
+            if file.lower().endswith(tuple(suffixes)):
+                yield Path(place, file).relative_to(folder).as_posix()
+
+
+def _whole_word(name: str) -> re.Pattern[str]:
+    return re.compile(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])")
+
+
+def _is_other(pattern: str) -> bool:
+    """True where the file's name says that it is no map of the left view."""
+    stem = pattern.rpartition("/")[2].lower().split(".")[0]
+    return stem in _OTHER_STEMS or any(
+        not stem[: found.start()][-1:].isalpha() and not stem[found.end() :][:1].isalpha()
+        for found in _OTHER_WORDS.finditer(stem)
+    )

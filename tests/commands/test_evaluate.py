@@ -541,7 +541,7 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
     with pytest.raises(InputError, match="a single map wants a single scene"):
         evaluate([tmp_path / "m.pfm"], truth, None)
     values = dict.fromkeys(
-        ("output", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize", "invalid")
+        ("output", "maps", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize", "invalid")
     )
     values |= {"runs": [tmp_path / "m.pfm"], "truth": truth / "a" / "disp_left.png", "json": True, "quiet": False}
     values |= {"html": False, "format": None}
@@ -610,3 +610,106 @@ def test_maps_of_floating_point_in_tiff_files(tmp_path: Path, truth: Path):
     values = [[s.value for s in r.scores] for r in report.results]
     assert values[0] == values[1]
     assert math.isclose(bad(report.results[0]), 100 * 2 / good.size)
+
+
+def others(folder: Path, truth: Path, place: str) -> Path:
+    """A folder with a perfect map of every scene, under another program's names; the ending says the kind."""
+    for name in ("a", "b"):
+        file, good = folder / place.replace("{scene}", name), exact(truth, name)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if file.suffix == ".pfm":
+            write_pfm(file, good)
+        elif file.suffix == ".npz":
+            np.savez_compressed(file, disp=good, seconds=np.ones(3))
+        elif file.suffix == ".tiff":
+            cv2.imwrite(str(file), good)
+        else:
+            write_png(file, np.rint(good * 100).astype(np.uint16))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("place", "options"),
+    [
+        ("{scene}/disparity.tiff", []),
+        ("{scene}/out/{scene}_final.pfm", []),
+        ("maps/{scene}.result.npz", []),
+        ("{scene}_disp.png", ["--scale", "other=100"]),
+    ],
+)
+def test_maps_under_any_name(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str], place: str, options: list[str]
+):
+    folder = others(tmp_path / "x", truth, place)
+    line = ["evaluate", f"other={folder}", "--truth", str(truth), "--protocol", "eth3d", "--json", *options]
+
+    def scores(*more: str) -> tuple[list[float], list[str]]:
+        assert main([*line, *more]) == 0
+        document = json.loads(capsys.readouterr().out)
+        assert document["runs"] == ["other"]
+        found = [s["value"] for r in document["results"] for s in r["scores"] if s["metric"] == "avgerr"]
+        return found, document["warnings"]
+
+    given, warnings = scores("--maps", f"other={place}")
+    assert max(given) < 0.01
+    assert warnings == []
+    taken, (hint,) = scores()
+    assert taken == given
+    assert hint == f"other: taken as its maps: {place} (--maps says otherwise)"
+
+
+def test_each_run_has_its_own_scale_and_invalid_value(tmp_path: Path, truth: Path):
+    plain, codes = others(tmp_path / "plain", truth, "{scene}.pfm"), tmp_path / "codes"
+    for name in ("a", "b"):
+        values = exact(truth, name) * 16
+        values[:, -8:] = 7
+        write_pfm(codes / f"{name}_raw.pfm", values)
+    out = tmp_path / "out"
+    line = ["evaluate", f"p={plain}", f"c={codes}", "--truth", str(truth), "-o", str(out), "--protocol", "eth3d"]
+    assert main([*line, "--maps", "c={scene}_raw.pfm", "--scale", "c=16", "--invalid", "c=7"]) == 0
+    found = {(r["run"], r["metric"]): float(r["value"]) for r in rows(out) if r["scene"] == "a" and r["mask"] == "all"}
+    assert (found["p", "avgerr"], found["c", "avgerr"]) == (0, 0)
+    assert (found["p", "coverage"], found["c", "coverage"]) == (100, 75)
+
+
+def test_a_folder_with_several_kinds_of_maps_is_refused(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder = others(tmp_path / "x", truth, "{scene}/first.tiff")
+    others(folder, truth, "{scene}/confidence.pfm")  # named as something else
+    assert main(["evaluate", str(folder), "--truth", str(truth), "-q"]) == 0
+    (folder / "a" / "log.pfm").write_bytes(b"no map")
+    (folder / "b" / "log.pfm").write_bytes(b"no map")
+    assert main(["evaluate", str(folder), "--truth", str(truth), "-q"]) == 0
+    others(folder, truth, "{scene}/second.tiff")
+    capsys.readouterr()
+    assert main(["evaluate", str(folder), "--truth", str(truth)]) == 2
+    message = capsys.readouterr().err
+    assert "2 kinds of file can be the maps (a/confidence.pfm, a/first.tiff" in message
+    assert "--maps 'x={scene}/first.tiff'" in message
+    assert main(["evaluate", str(folder), "--truth", str(truth), "-q", "--maps", "x={scene}/second.tiff"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--maps", "y={scene}.png"], "--maps y={scene}.png: no run is called 'y'; one of: x"),
+        (["--maps", "../{scene}.png"], "want the path of a scene's map in the run folder"),
+        (["--maps", "{name}.png"], "want the path of a scene's map in the run folder"),
+        (["--scale", "x=many"], "--scale: want a number (got 'many')"),
+        (["--scale", "0"], "--scale: want a number from 1e-6 on"),
+        (["--invalid", "1", "--invalid", "2"], "--invalid: two values for all runs"),
+    ],
+)
+def test_wrong_options_of_maps(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+):
+    folder = others(tmp_path / "x", truth, "{scene}.pfm")
+    assert main(["evaluate", str(folder), "--truth", str(truth), *options]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_two_runs_of_one_name(tmp_path: Path, truth: Path):
+    folder = others(tmp_path / "x", truth, "{scene}.pfm")
+    with pytest.raises(InputError, match="two runs are called x: give one of them another name"):
+        evaluate([folder, f"x={folder}"], truth, None)

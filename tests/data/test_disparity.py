@@ -175,3 +175,19 @@ def test_float_tiff_of_several_channels_or_half_width_is_refused(tmp_path: Path)
     path.write_bytes(half)
     with pytest.raises(InputError, match="1 x 16 bit floating point"):
         read_plane(path)
+
+
+def test_npz_files(tmp_path: Path):
+    values = np.arange(12, dtype=np.float32).reshape(3, 4)
+    np.savez(tmp_path / "one.npz", anything=values)
+    np.savez(tmp_path / "named.npz", depth=values, seconds=np.ones(2))
+    np.savez(tmp_path / "unnamed.npz", x=values, y=values)
+    for name in ("one", "named"):
+        np.testing.assert_array_equal(read_disparity(tmp_path / f"{name}.npz"), values)
+    with pytest.raises(InputError, match=r"an .npz file of 2 arrays \(x, y\); want a single one"):
+        read_disparity(tmp_path / "unnamed.npz")
+    whole = (tmp_path / "one.npz").read_bytes()
+    for n_bytes in (10, len(whole) // 2, len(whole) - 3):
+        (tmp_path / "cut.npz").write_bytes(whole[:n_bytes])
+        with pytest.raises(InputError, match=r"cut\.npz: damaged \.npz file"):
+            read_disparity(tmp_path / "cut.npz")

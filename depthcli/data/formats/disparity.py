@@ -1,4 +1,4 @@
-"""Disparity maps and other float maps as files: PFM, KITTI PNG, scaled 8-bit images, npy."""
+"""Disparity maps and other float maps as files: PFM, KITTI PNG, scaled 8-bit images, npy, npz."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from depthcli.core.errors import InputError, OutputError
 from depthcli.data.formats.files import naming, read_bytes, shown, warn, write_bytes
 from depthcli.data.formats.headers import image_kind, pfm_header
 from depthcli.data.formats.images import IMAGE_SUFFIXES, decode_floats, decode_grey
-from depthcli.data.formats.npy import decode_npy
+from depthcli.data.formats.npy import NPZ_MAGIC, decode_npy, npy_in_npz
 
-MAP_SUFFIXES = (".pfm", ".npy", *IMAGE_SUFFIXES)
+MAP_SUFFIXES = (".pfm", ".npy", ".npz", *IMAGE_SUFFIXES)
 """File name endings of disparity maps, most exact first."""
 
 KITTI_SCALE = 256.0
@@ -94,7 +94,7 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
 
 
 def read_plane(path: Path | str) -> NDArray[Any]:
-    """Return one channel of numbers as stored: a map (PFM, npy, float TIFF) or codes; the content says which.
+    """Return one channel of numbers as stored: a map (PFM, npy, npz, float TIFF) or codes; the content says which.
 
     Returns
     -------
@@ -107,6 +107,8 @@ def read_plane(path: Path | str) -> NDArray[Any]:
     """
     data = read_bytes(path)
     with naming(path):
+        if data.startswith(NPZ_MAGIC):
+            return decode_npy(npy_in_npz(data))
         kind = image_kind(data)
         if kind == "pfm":
             return _decode_pfm(data, path)

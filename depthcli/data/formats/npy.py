@@ -1,10 +1,13 @@
-"""NumPy's ``.npy`` files, read by a strict parser, which names any damage of the header."""
+"""NumPy's ``.npy`` and ``.npz`` files, read by a strict parser, which names any damage of the header."""
 
 from __future__ import annotations
 
 import math
 import os
 import re
+import zipfile
+import zlib
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -15,6 +18,10 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.files import naming, open_regular
 
 NPY_MAGIC = b"\x93NUMPY"
+NPZ_MAGIC = b"PK\x03\x04"
+
+_MAX_UNPACKED_BYTES = 1 << 30  # of an array in an .npz file, as much as the largest images take
+_MAP_NAMES = ("disp", "disparity", "disp_left", "depth", "arr_0")  # arrays that are taken of several in an .npz file
 
 _HEADER_BYTES = 1 << 16  # longest header of version 1
 _DTYPE = re.compile(rb"""['"]descr['"]\s*:\s*['"]([<>=|]?(?:[iuf][1248]|b1))['"]""")
@@ -40,6 +47,31 @@ def decode_npy(data: bytes) -> NDArray[Any]:
     """
     layout = _layout(data[:_HEADER_BYTES], len(data), 2)
     return np.frombuffer(data, layout.dtype, layout.values, layout.start).reshape(layout.shape, order=layout.order)
+
+
+def npy_in_npz(data: bytes) -> bytes:
+    """Return the ``.npy`` bytes of the map in the bytes of an ``.npz`` file: its only array, or the one named as a map.
+
+    Raises
+    ------
+    InputError
+        Damaged, too large, or several arrays of which none, or more than one, is named as a map.
+    """
+    try:
+        with zipfile.ZipFile(BytesIO(data)) as archive:
+            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            named = [name for name in _MAP_NAMES if name in members]
+            chosen = list(members) if len(members) == 1 else named
+            if len(chosen) != 1:
+                raise InputError(
+                    f"an .npz file of {len(members)} arrays ({', '.join(members)[:200]}); want a single one, or one "
+                    f"of them called {', '.join(_MAP_NAMES)}"
+                )
+            if members[chosen[0]].file_size > _MAX_UNPACKED_BYTES:
+                raise InputError(f"too large: {members[chosen[0]].file_size} bytes")
+            return archive.read(members[chosen[0]])
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError, ValueError) as error:
+        raise InputError(f"damaged .npz file ({error})") from error
 
 
 def map_npy(path: Path | str, dimensions: int) -> NDArray[Any]:

@@ -45,6 +45,7 @@ class Settings:
     threshold : of the headline, in the protocol's unit, instead of the benchmark's
     resize : (width, height) that depth maps and their truth are brought to, nearest neighbor, as ClearGrasp does
     invalid : value of the files of disparity maps that stands for no value, before ``scale``; None: it is recognized
+    any_scale : ``scale`` is of all files, not only of those that may hold integer codes
     """
 
     scale: float | None = None
@@ -52,6 +53,7 @@ class Settings:
     threshold: float | None = None
     resize: tuple[int, int] | None = None
     invalid: float | None = None
+    any_scale: bool = False
 
     def __post_init__(self) -> None:
         if self.resolution not in (None, "F", "H", "Q"):

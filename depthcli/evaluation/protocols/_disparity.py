@@ -119,7 +119,8 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         is no value; the latter with a warning.
         """
         codes = truth.scale if truth.scale is not None and truth.scale < 256 else None
-        scale = None if path.suffix.lower() == ".pfm" else self.settings.scale
+        pixels = path.suffix.lower() == ".pfm" and not self.settings.any_scale
+        scale = None if pixels else self.settings.scale
         estimate = read_disparity(path, scale, scale_8bit=codes)
         try:
             self.resized(estimate, truth)

@@ -27,7 +27,7 @@ Depth = NDArray[np.float32]
 _RATIOS = (1.05, 1.10, 1.25, 1.25**2, 1.25**3)  # of delta, as in ClearGrasp and the evaluations of NYU
 _WRONG_RATIO = 1.05  # from which on a pixel is shown as wrong: the smallest of delta
 _METERS = (".pfm", ".npy")  # endings of maps in meters
-_CODES_OR_METERS = (".tif", ".tiff")
+_CODES_OR_METERS = (".npz", ".tif", ".tiff")
 _CODES_PER_METER = 1000.0  # millimeters, where neither file nor settings say otherwise
 
 
@@ -61,7 +61,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     """
 
     kind = RgbdScene
-    files = MapFiles(("{scene}/depth", "{scene}"), (".pfm", ".npy", ".png", ".pgm", ".tif", ".tiff"))
+    files = MapFiles(("{scene}/depth", "{scene}"), (".pfm", ".npy", ".npz", ".png", ".pgm", ".tif", ".tiff"))
     presentation = Presentation(
         title="Depth: mean absolute error, mm; estimated pixels only",
         unit="mm",
@@ -103,7 +103,9 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
     def read(self, path: Path, scene: Scene, truth: DepthTruth) -> Depth:
         """Return the map in meters; integer codes have the truth's scale where the settings have none."""
         suffix = path.suffix.lower()
-        meters = suffix in _METERS or (suffix in _CODES_OR_METERS and read_plane(path).dtype.kind == "f")
+        meters = not self.settings.any_scale and (
+            suffix in _METERS or (suffix in _CODES_OR_METERS and read_plane(path).dtype.kind == "f")
+        )
         scale = None if meters else self.settings.scale or truth.scale
         estimate = self._resized(read_depth(path, scale))
         if estimate.shape != truth.depth.shape:
