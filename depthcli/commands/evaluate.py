@@ -45,7 +45,7 @@ class EvaluateCommand(Command):
     """``depthcli evaluate RUN... --truth DIR [--output DIR]``."""
 
     arguments = (
-        Option("runs", Path, "Run folders, others' maps, single maps; NAME=DIR names one.", "RUN...", repeatable=True,
+        Option("runs", Path, "Run folders or maps; NAME=DIR gives a run a name.", "RUN...", repeatable=True,
                required=True, group="Input"),
     )  # fmt: skip
 
@@ -57,7 +57,7 @@ class EvaluateCommand(Command):
         SCENES,
         LAYOUT,
         Option("protocol", str, "How to score, such as kitti-2015. Default: by data set.", "NAME"),
-        Option("maps", str, "Where maps lie: '{scene}/disparity.tiff'; of one run, NAME=...", "PATTERN",
+        Option("maps", str, "Path of a map: '{scene}/a.tiff', or NAME=PATTERN.", "PATTERN",
                repeatable=True, group="Input"),
         Option("scale", str, "Codes per unit of integer files; of one run, NAME=CODES.", "CODES", repeatable=True,
                group="Input"),
