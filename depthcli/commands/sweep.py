@@ -1,14 +1,17 @@
 """Run a config with many settings; compare the results.
 
-Every combination has a run folder of its own. Finished runs are kept when a sweep is repeated or extended.
+Every combination has a run folder of its own, and so have the config's own values where no combination has them.
+Finished runs are kept when a sweep is repeated or extended.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from depthcli.batch.command import SOME_FAILED, Command, Values
 from depthcli.batch.console import Reporter, aligned
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
     from depthcli.evaluation.comparison import EvaluationReport, Section
 
 _RUNS = "runs"  # the folder with one run folder per combination
+_OWN = "own-values"  # name of the run of the config as it is
 _TABLES = ("sweep.json", "sweep.csv")
 _MAX_SHOWN = 20  # runs in the printed table; files hold all
 
@@ -64,7 +68,7 @@ class SweepCommand(Command):
         """
         from depthcli.batch.combinations import combinations, folder_names, parse_axis
 
-        command = _command(values["command"])
+        command, own_run = _command(values["command"]), ""
         axes = [parse_axis(text) for text in values["over"]]
         chosen = combinations(axes, values["random"], values["seed"])
         names = folder_names(axes, chosen)
@@ -73,10 +77,18 @@ class SweepCommand(Command):
         given |= {"json": False, "quiet": True, "evaluate": False, "html": False, "name": None}
         each = {}
         for name, combination in zip(names, chosen, strict=True):
-            settings = [f"{axis.key}={value}" for axis, value in zip(axes, combination, strict=True)]
+            settings = [(f"--over {axis.key}", f"{axis.key}={v}") for axis, v in zip(axes, combination, strict=True)]
             folder = values["output"] / _RUNS / name
             each[name] = {**given, "set": [*(values["set"] or []), *settings], "output": folder}
         configs = {name: command.config(own) for name, own in each.items()}
+        tried = dict(zip(names, chosen, strict=True))
+        with contextlib.suppress(ConfigError):  # a config that needs the values of --over has none of its own
+            unchanged = {**given, "set": values["set"], "output": values["output"] / _RUNS / _OWN}
+            config = command.config(unchanged)
+            if config not in configs.values():
+                each, configs = {_OWN: unchanged, **each}, {_OWN: config, **configs}
+                tried[_OWN] = tuple(_value_text(config, axis.key) for axis in axes)
+            own_run = next(name for name, other in configs.items() if other == config)
         if values["dry_run"]:
             return _print_plan(command, each, configs, values, reporter)
         _check_output(values["output"])
@@ -86,9 +98,20 @@ class SweepCommand(Command):
             failed |= command.run(own, reporter) != 0
         report = _evaluate(self, values, list(each), reporter)
         if report is not None:
-            _print_result(axes, dict(zip(names, chosen, strict=True)), report, values, reporter)
+            _print_result(axes, tried, own_run, report, values, reporter)
             failed |= bool(report.failed)
         return SOME_FAILED if failed else 0
+
+
+def _value_text(config: BaseModel, key: str) -> str:
+    """Return a config's value of a key as the text that sets it; empty where the config has no such key."""
+    value: Any = config.model_dump(mode="json", by_alias=True)
+    for part in key.split("."):
+        try:
+            value = value[int(part) if isinstance(value, list) else part]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return ""
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
 
 
 def _check_output(output: Path) -> None:
@@ -151,12 +174,19 @@ def _evaluate(sweep: SweepCommand, values: Values, names: Sequence[str], reporte
 
 def _print_result(
     axes: Sequence[Axis],
-    chosen: Mapping[str, Combination],
+    tried: Mapping[str, Combination],
+    own_run: str,
     report: EvaluationReport,
     values: Values,
     reporter: Reporter,
 ) -> None:
-    """Print the runs by their figure and the effect of every key; write both to ``sweep.csv`` and ``sweep.json``."""
+    """Print the runs by their figure and the effect of every key; write both to ``sweep.csv`` and ``sweep.json``.
+
+    Parameters
+    ----------
+    tried : run -> its value of every key
+    own_run : the run that has the config's own values, or empty
+    """
     from depthcli.batch.combinations import document_of, effects
     from depthcli.data.formats.files import remove_temporaries, write_text
     from depthcli.evaluation.statistics import mean_of_known
@@ -167,17 +197,19 @@ def _print_result(
         headline = section.protocol.headline
         figures = {run: section.overall(run).value for run in report.runs}
         order = sorted(report.runs, key=lambda run: (math.isnan(figures[run]), headline.sign * figures[run]))
-        found = effects(axes, {chosen[run]: figures[run] for run in report.runs}, headline.larger_is_better)
+        combined = {tried[run]: figures[run] for run in report.runs if run != _OWN}
+        found = effects(axes, combined, headline.larger_is_better)
         for run in order:
-            settings = {axis.key: value for axis, value in zip(axes, chosen[run], strict=True)}
+            settings = {axis.key: value for axis, value in zip(axes, tried[run], strict=True)}
             seconds = mean_of_known(r.seconds for r in section.results_of(run))
             rows.append({"protocol": section.protocol.name, "run": run, **settings, headline.heading: figures[run],
-                         "seconds": seconds, "missing": section.n_missing(run)})  # fmt: skip
+                         "seconds": seconds, "missing": section.n_missing(run),
+                         "own_values": run == own_run})  # fmt: skip
         documents.append({"protocol": section.protocol.name, "headline": headline.heading, "unit": headline.unit,
                           "larger_is_better": headline.larger_is_better, "best": order[0],
                           "runs": [row for row in rows if row["protocol"] == section.protocol.name],
                           "sensitivity": [document_of(effect) for effect in found]})  # fmt: skip
-        texts.append(_text(section, order, figures, found))
+        texts.append(_text(section, order, own_run, figures, found))
     document = {"over": {axis.key: axis.values for axis in axes}, "results": documents}
     for name, text in zip(_TABLES, (to_json(document), to_csv(rows)), strict=True):
         if values["shard"] is None:  # shards write the same tables, perhaps at this moment
@@ -190,20 +222,26 @@ def _print_result(
     reporter.info(f"runs, evaluation, sweep.csv and sweep.json in {values['output']}")
 
 
-def _text(section: Section, order: Sequence[str], figures: Mapping[str, float], found: Sequence[Effect]) -> str:
+def _text(
+    section: Section, order: Sequence[str], own_run: str, figures: Mapping[str, float], found: Sequence[Effect]
+) -> str:
     from depthcli.evaluation.render import Number, Table
     from depthcli.evaluation.statistics import mean_of_known
 
     headline = section.protocol.headline
+    shown = [run for place, run in enumerate(order) if place < _MAX_SHOWN or run == own_run]
     rows = [
-        (run, Number(figures[run]), Number(mean_of_known(r.seconds for r in section.results_of(run)))) for run in order
-    ]
+        (f"{run} *" if run == own_run else run, Number(figures[run]),
+         Number(mean_of_known(r.seconds for r in section.results_of(run))))
+        for run in shown
+    ]  # fmt: skip
     what = headline.heading_with_unit
     more = f"; the first {_MAX_SHOWN} of {len(order)}" if len(order) > _MAX_SHOWN else ""
     runs = Table(
         f"{section.protocol.presentation.title}: the best first{more}",
         ("run", what, "seconds"),
-        tuple(rows[:_MAX_SHOWN]),
+        tuple(rows),
+        "*: the config's own values" if own_run else "",
     )
     lines = [
         (effect.key if first else "", value, str(effect.runs[value]), Number(mean_), Number(effect.best[value]),

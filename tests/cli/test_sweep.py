@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from depthcli.batch.presets import find_config
 from depthcli.cli import main
+from depthcli.core.config_file import read_config
+from depthcli.methods.stereo.config import StereoConfig
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +33,10 @@ def test_a_sweep_is_resumed_and_says_what_matters(scenes: Path, tmp_path: Path, 
     out = capsys.readouterr().out
     assert "Sensitivity, the strongest first" in out
     runs = sorted(path.name for path in (tmp_path / "runs").iterdir())
-    assert runs == ["p2=2,window=5-5", "p2=2,window=9-7", "p2=8,window=5-5", "p2=8,window=9-7"]
+    assert runs == ["own-values", "p2=2,window=5-5", "p2=2,window=9-7", "p2=8,window=5-5", "p2=8,window=9-7"]
+    runs.remove("own-values")
+    assert "own-values *" in out
+    assert "*: the config's own values" in out
     assert "window: [9, 7]" in (tmp_path / "runs" / runs[1] / "run.yaml").read_text()
     (result,) = json.loads((tmp_path / "sweep.json").read_text())["results"]
     scores = json.loads((tmp_path / "evaluation" / "scores.json").read_text())
@@ -38,6 +44,10 @@ def test_a_sweep_is_resumed_and_says_what_matters(scenes: Path, tmp_path: Path, 
     rows = {row["run"]: row for row in result["runs"]}
     assert {run: row[result["headline"]] for run, row in rows.items()} == figures
     assert rows[runs[0]]["optimization.p2"] == "2"
+    assert [run for run, row in rows.items() if row["own_values"]] == ["own-values"]
+    own = StereoConfig.model_validate(read_config(find_config("stereo", "fast")).data).pipeline
+    assert float(rows["own-values"]["optimization.p2"]) == own.optimization.p2
+    assert json.loads(rows["own-values"]["cost.window"]) == list(own.cost.window)
     assert result["best"] == min(figures, key=lambda run: figures[run])
     by_key = {each["key"]: each for each in result["sensitivity"]}
     means = {each["value"]: each["mean"] for each in by_key["optimization.p2"]["values"]}
@@ -49,9 +59,9 @@ def test_a_sweep_is_resumed_and_says_what_matters(scenes: Path, tmp_path: Path, 
     (tmp_path / ".sweep.json.1-1.partial~").touch()  # left by a sweep that was killed
     assert sweep(scenes, tmp_path, "--over", "optimization.p2=2,8,4", *over[2:], "--json") == 0
     captured = capsys.readouterr()
-    assert captured.err.count("2 of 2 scenes are done already") == 4
+    assert captured.err.count("2 of 2 scenes are done already") == 5
     assert not list(tmp_path.glob(".*"))
-    assert len(json.loads(captured.out)["results"][0]["runs"]) == 6
+    assert len(json.loads(captured.out)["results"][0]["runs"]) == 7
     assert {path: path.stat().st_mtime_ns for path in maps} == maps
 
 
@@ -59,8 +69,11 @@ def test_wrong_keys_are_told_before_anything_is_computed(
     scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     assert sweep(scenes, tmp_path / "a", "--over", "optimization.pp=2,8") == 2
-    assert "optimization.pp: no such key" in capsys.readouterr().err
+    assert "depthcli: --over optimization.pp: no such key" in capsys.readouterr().err
     assert sweep(scenes, tmp_path / "a", "--over", "optimization.p2=2,-8") == 2
+    assert "depthcli: --over optimization.p2: should be greater than 0 (got -8)" in capsys.readouterr().err
+    assert sweep(scenes, tmp_path / "a", "--over", "optimization.p1=1,2", "--set", "optimization.p2=-8") == 2
+    assert "depthcli: --set optimization.p2: should be greater than 0 (got -8)" in capsys.readouterr().err
     assert sweep(scenes, tmp_path / "a", "--over", "optimization.p2=2", "--command", "evaluate") == 2
     assert "--command: must be one of fuse, refine-kinect" in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
@@ -70,7 +83,7 @@ def test_draws_and_dry_runs(scenes: Path, tmp_path: Path, capsys: pytest.Capture
     over = ("--over", "optimization.p2=1:9:1", "--over", "optimization.p1=0.1:0.9:0.1", "--random", "3", "--seed", "2")
     assert sweep(scenes, tmp_path / "a", *over, "--dry-run", "--json") == 0
     rows = json.loads(capsys.readouterr().out)["runs"]
-    assert [(row["scenes"], row["done"]) for row in rows] == [(2, 0)] * 3
+    assert [(row["scenes"], row["done"]) for row in rows] == [(2, 0)] * 4
     assert sweep(scenes, tmp_path / "a", *over, "--dry-run") == 0
     assert rows[0]["run"] in capsys.readouterr().out
     assert not (tmp_path / "a").exists()
@@ -129,3 +142,18 @@ def test_completion(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtu
         with pytest.raises(SystemExit):
             main([])
         assert wanted in capsys.readouterr().out.split()
+
+
+@pytest.mark.slow
+def test_own_values_that_are_tried_anyway_are_marked(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    command = ["sweep", "opencv-bm", "-i", str(scenes), "-o", str(tmp_path), "--set", "block=7"]
+    assert main([*command, "--over", "block=5,7"]) == 0
+    out = capsys.readouterr().out
+    assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == ["block=5", "block=7"]
+    assert "block=7 *" in out
+    assert "block=5 *" not in out
+    with (tmp_path / "sweep.csv").open(newline="") as file:
+        assert {row["run"]: row["own_values"] for row in csv.DictReader(file)} == {
+            "block=5": "False",
+            "block=7": "True",
+        }
