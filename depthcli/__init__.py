@@ -9,12 +9,16 @@ __version__ = "0.1.0"
 
 _MODULES = {
     "api.config": ("load_config",),
-    "api.results": ("Depth", "Disparity", "PointCloud", "RefinedDepth"),
+    "api.depth": ("complete_transparent", "refine_depth"),
+    "api.points": ("PointCloud",),
+    "api.results": ("Depth", "Disparity", "RefinedDepth"),
     "api.stereo": ("Matcher", "fuse", "matcher", "stereo"),
     "core.errors": ("ConfigError", "DepthcliError", "InputError", "OutputError"),
     "core.maps": ("DepthStatus", "Status"),
     "methods.fusion.config": ("FuseConfig",),
+    "methods.kinect.config": ("RefineKinectConfig",),
     "methods.stereo.config": ("StereoConfig",),
+    "methods.transparent.config": ("TransparentConfig",),
 }
 _PLACES = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = ["__version__", *_PLACES]

@@ -1,7 +1,9 @@
 from depthcli.api.config import load_config as load_config
+from depthcli.api.depth import complete_transparent as complete_transparent
+from depthcli.api.depth import refine_depth as refine_depth
+from depthcli.api.points import PointCloud as PointCloud
 from depthcli.api.results import Depth as Depth
 from depthcli.api.results import Disparity as Disparity
-from depthcli.api.results import PointCloud as PointCloud
 from depthcli.api.results import RefinedDepth as RefinedDepth
 from depthcli.api.stereo import Matcher as Matcher
 from depthcli.api.stereo import fuse as fuse
@@ -14,6 +16,8 @@ from depthcli.core.errors import OutputError as OutputError
 from depthcli.core.maps import DepthStatus as DepthStatus
 from depthcli.core.maps import Status as Status
 from depthcli.methods.fusion.config import FuseConfig as FuseConfig
+from depthcli.methods.kinect.config import RefineKinectConfig as RefineKinectConfig
 from depthcli.methods.stereo.config import StereoConfig as StereoConfig
+from depthcli.methods.transparent.config import TransparentConfig as TransparentConfig
 
 __version__: str

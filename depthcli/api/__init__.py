@@ -9,7 +9,7 @@ users import are listed in ``depthcli/__init__.pyi``; all others may change.
 | ``depth`` | ``refine_depth``, ``complete_transparent``: color and a sensor's depth -> ``RefinedDepth`` |
 | ``registration`` | ``registration_confidence``: two volumes on one grid -> ``RegistrationConfidence`` |
 | ``scores`` | ``evaluate``: an estimate and the truth -> ``Scores`` |
-| ``results`` | what the first two return, depth and point clouds made of it |
+| ``results``, ``points`` | what the first two return, and point clouds made of it |
 | ``config`` | presets, files and overrides -> config |
 | ``matching`` | what the first of them shares with the commands that match pairs |
 | ``running`` | what every computation is wrapped in |

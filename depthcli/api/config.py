@@ -27,7 +27,7 @@ _COMMANDS = {
 
 
 def load_config(
-    model: type[ModelT], preset: str | Path | ModelT = "accurate", overrides: Overrides | None = None, **fields: object
+    model: type[ModelT], preset: str | Path | ModelT, overrides: Overrides | None = None, **fields: object
 ) -> ModelT:
     """Return a checked config of a problem.
 

@@ -1,4 +1,4 @@
-"""Results of Python functions: maps with what they know about themselves, depth and point clouds made of them."""
+"""Results of Python functions: disparity, depth that is made of it, and the refined depth of a sensor."""
 
 from __future__ import annotations
 
@@ -8,45 +8,22 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from depthcli.api import _save
+from depthcli.api.points import PointCloud, chosen_pixels, described, points_of, shown_range
 from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
-from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.frames import Image, color8
+from depthcli.core.errors import ConfigError
+from depthcli.core.frames import Image
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
 from depthcli.core.result import RefinedDepth as RefinedDepthDetails
-from depthcli.data.formats.depth import MILLIMETERS, write_points
+from depthcli.data.formats.depth import MILLIMETERS
 from depthcli.data.formats.images import png_bytes
 from depthcli.data.formats.pair_geometry import read_geometry
 from depthcli.data.formats.pictures import preview_depth
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PointCloud:
-    """Points in the frame of a camera: x right, y down, z forward.
-
-    Attributes
-    ----------
-    points : (N, 3) float32, meters
-    color : (N, 3) uint8, RGB
-    """
-
-    points: NDArray[np.float32]
-    color: NDArray[np.uint8]
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def __repr__(self) -> str:
-        return f"PointCloud({len(self)} points)"
-
-    def save(self, path: str | Path) -> None:
-        """Write the points as PLY, binary little endian; OutputError where that cannot be."""
-        write_points(path, self.points, self.color)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,8 +51,8 @@ class Depth(MatchedMap):
         mask : ``measured``, ``all``, or (H, W) bool: the pixels that become points
         near, far : nearest and farthest depth of points, meters
         """
-        chosen = _chosen(mask, {"measured": self.measured, "all": self.valid}) & self.valid
-        return _points(self.values, self.camera, self.left, chosen, near, far)
+        chosen = chosen_pixels(mask, {"measured": self.measured, "all": self.valid}) & self.valid
+        return points_of(self.values, self.camera, self.left, chosen, near, far)
 
     def save(self, folder: str | Path, scale: float = MILLIMETERS) -> None:
         """Write ``depth.pfm``, ``depth.png``, ``status.png`` and ``preview.png``, as ``depthcli depth`` does.
@@ -88,7 +65,7 @@ class Depth(MatchedMap):
         _save.save_metric_depth(self.values, self.status, _save.made(folder), scale)
 
     def __repr__(self) -> str:
-        return _described(self, _range(self.values, "m"))
+        return described(self, shown_range(self.values, "m"))
 
     def _repr_png_(self) -> bytes:
         return png_bytes(preview_depth(self.values))
@@ -169,7 +146,7 @@ class Disparity(DisparityMap):
             x, y = principal_point or ((width - 1) / 2, (height - 1) / 2)
             geometry = PairGeometry(Intrinsics(focal, focal, x, y), baseline, doffs)
         geometry = geometry.for_size(width, height)
-        kept = _chosen(mask, {"measured": self.measured, "all": self.valid})
+        kept = chosen_pixels(mask, {"measured": self.measured, "all": self.valid})
         depth = geometry.depth(np.where(kept, self.values, np.float32(np.nan)))
         return Depth(depth, self.status, geometry.left, self.left)
 
@@ -190,7 +167,7 @@ class Disparity(DisparityMap):
         _save.save_stereo(result, _save.made(folder), self.search.min_disparity, self.search.max_disparity)
 
     def __repr__(self) -> str:
-        return _described(self, f"searched {self.search.min_disparity} to {self.search.max_disparity} px")
+        return described(self, f"searched {self.search.min_disparity} to {self.search.max_disparity} px")
 
     def _repr_png_(self) -> bytes:
         return png_bytes(_save.stereo_preview(self.values, self.search.min_disparity, self.search.max_disparity))
@@ -230,16 +207,24 @@ class RefinedDepth(DepthMap):
         """Name of a measure -> (H, W) float32, higher is surer."""
         return self.details.confidence
 
-    def to_points(self, mask: str | NDArray[np.bool_] = "all", near: float = 0.0, far: float = math.inf) -> PointCloud:
-        """Return the colored points of the map; where the camera is not known, as a typical Kinect sees them.
+    def to_points(
+        self,
+        mask: str | NDArray[np.bool_] = "all",
+        near: float = 0.0,
+        far: float = math.inf,
+        intrinsics: tuple[float, float, float, float] | None = None,
+    ) -> PointCloud:
+        """Return the colored points of the map.
 
         Parameters
         ----------
         mask : ``all``, ``measured`` (not those that were filled in), or (H, W) bool: the pixels that become points
         near, far : nearest and farthest depth of points, meters
+        intrinsics : fx, fy, cx, cy, pixels; None: those of ``camera``, or of a typical Kinect where that is not known
         """
-        chosen = _chosen(mask, {"measured": ~self.filled, "all": self.valid}) & self.valid
-        return _points(self.values, self._camera, self.color, chosen, near, far)
+        camera = self._camera if intrinsics is None else Intrinsics(*intrinsics)
+        chosen = chosen_pixels(mask, {"measured": ~self.filled, "all": self.valid}) & self.valid
+        return points_of(self.values, camera, self.color, chosen, near, far)
 
     def save(self, folder: str | Path) -> None:
         """Write the files that ``depthcli refine-kinect`` and ``transparent`` write for a scene, with the same bytes.
@@ -256,40 +241,7 @@ class RefinedDepth(DepthMap):
         return self.camera or typical_intrinsics(self.values.shape[1], self.values.shape[0])
 
     def __repr__(self) -> str:
-        return _described(self, _range(self.values, "m"))
+        return described(self, shown_range(self.values, "m"))
 
     def _repr_png_(self) -> bytes:
         return png_bytes(preview_depth(self.values))
-
-
-def _chosen(mask: str | ArrayLike, named: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
-    if isinstance(mask, str):
-        if mask not in named:
-            raise ConfigError(f"mask: must be {', '.join(named)}, or an array of bool (got {mask!r})")
-        return named[mask]
-    pixels, shape = np.asarray(mask), next(iter(named.values())).shape
-    if pixels.shape != shape or pixels.dtype != np.bool_:
-        raise InputError(f"mask: want bool of shape {shape} (got {pixels.dtype} {pixels.shape})")
-    return pixels
-
-
-def _points(
-    depth: NDArray[np.float32],
-    camera: Intrinsics,
-    image: Image,
-    chosen: NDArray[np.bool_],
-    near: float,
-    far: float,
-) -> PointCloud:
-    chosen = chosen & (depth >= near) & (depth <= far)
-    return PointCloud(camera.points(depth, chosen), color8(image)[chosen])
-
-
-def _range(values: NDArray[np.float32], unit: str) -> str:
-    known = values[np.isfinite(values)]
-    return f"{known.min():.4g} to {known.max():.4g} {unit}" if known.size else "no value"
-
-
-def _described(found: DisparityMap | Depth | DepthMap, text: str) -> str:
-    height, width = found.values.shape
-    return f"{type(found).__name__}({width} x {height}, {text}, {100 * found.density:.1f} % with a value)"

@@ -130,16 +130,9 @@ def _first_frame(scene: Scene) -> RgbdScene | None:
 
 def _refine_sequence(config: RefineKinectConfig, scene: SequenceScene, folder: Path, memory: int) -> Outcome:
     """Refine the frames in order, each into a folder of its own; return means of their facts and sums of seconds."""
-    from depthcli.methods.kinect.pipeline import SequencePipeline
+    from depthcli.methods.kinect.pipeline import frame_by_frame
 
-    assert isinstance(config.pipeline, SequencePipeline)
-    pipeline, state = config.pipeline, None
-
-    def step(frame: RgbdFrame) -> RefinedDepth:
-        nonlocal state
-        result, state = pipeline.step(frame, state)
-        return result
-
+    step = frame_by_frame(config.pipeline)
     outcomes: list[Outcome] = []
     problems = []
     for frame in scene.frames:
@@ -170,9 +163,9 @@ def _refine_frame(
 ) -> Outcome:
     import numpy as np
 
-    from depthcli.api._save import save_depth, share
+    from depthcli.api._save import share
+    from depthcli.api.depth import refined_frame
     from depthcli.batch.resources import check_memory
-    from depthcli.core.cameras.camera import typical_intrinsics
     from depthcli.core.maps import DepthStatus
     from depthcli.core.result import Clock
 
@@ -185,34 +178,24 @@ def _refine_frame(
     frame = scene.load()
     height, width = frame.shape
     check_memory(config.pipeline.peak_bytes(frame.shape), memory, f"{width} x {height} pixels")
-    clock.start("other")
-    result = refine(frame)
-    clock.include(result.seconds)
+    found = refined_frame(config, frame, refine, clock, scene.depth_scale, 3 if scene.rotated else 0)
     clock.start("save")
-    status = result.depth.status
-    filled = DepthStatus.GAP_FILLED | DepthStatus.FALLBACK | DepthStatus.CARRIED
+    found.save(folder)
     facts = {
         "width": width,
         "height": height,
         "known": share(np.isfinite(frame.depth)),
-        "kept": share((status & (filled | DepthStatus.CORRECTED | DepthStatus.EMPTY)) == 0),
-        "filled": share((status & filled) != 0),
-        "corrected": share((status & DepthStatus.CORRECTED) != 0),
+        "kept": share(found.kept),
+        "filled": share(found.filled),
+        "corrected": share(found.corrected),
         **{
-            bit.name.lower(): share((status & bit) != 0)
+            bit.name.lower(): share((found.status & bit) != 0)
             for bit in DepthStatus
             if bit and bit.name and bit != DepthStatus.SAMPLED
         },
-        "density": round(result.depth.density, 6),
-        **{name: float(value) for name, value in result.figures.items()},
+        "density": round(found.density, 6),
+        **{name: float(value) for name, value in found.details.figures.items()},
     }
-    cloud = None
-    if config.ply:
-        in_cloud = (result.depth.values >= config.near) & (result.depth.values <= config.far)
-        if config.mask == "measured":
-            in_cloud &= (status & filled) == 0
-        cloud = (frame.intrinsics or typical_intrinsics(width, height), frame.color, in_cloud)
-    save_depth(result, folder, scene.depth_scale, 3 if scene.rotated else 0, cloud)
     return Outcome(facts, clock.seconds, [] if scene.raw else _scale_warnings(scene, frame))
 
 

@@ -15,7 +15,7 @@ from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
     from depthcli.core.frames import SparseFrame
-    from depthcli.core.result import Result
+    from depthcli.core.result import Clock, Result
     from depthcli.data.formats.pictures import Palette
     from depthcli.methods.transparent.config import TransparentConfig
 
@@ -78,7 +78,8 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         """
         import numpy as np
 
-        from depthcli.api._save import save_depth, share
+        from depthcli.api._save import share
+        from depthcli.api.depth import completed_frame
         from depthcli.core.maps import DepthStatus
         from depthcli.core.result import Clock
 
@@ -86,38 +87,30 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         clock.start("load")
         if config.depth_scale is not None:
             scene = replace(scene, depth_scale=config.depth_scale)
-        frame, stereo = _load_frame(config, scene, memory)
-        clock.include(stereo.seconds)
-        clock.start("other")
-        result = config.pipeline(frame)
-        clock.include(result.seconds)
+        frame, stereo = _load_frame(config, scene, memory, clock)
+        found = completed_frame(config, frame, stereo, clock, scene.depth_scale, 3 if scene.rotated else 0)
         clock.start("save")
-        result.figures |= stereo.figures
-        result.pictures |= stereo.pictures
-        result.confidence |= stereo.confidence
-        status = result.depth.status
+        found.save(folder)
         facts = {
             "width": frame.shape[1],
             "height": frame.shape[0],
             "known": share(np.isfinite(frame.depth)),
             "sparse": share(np.isfinite(frame.sparse)),
-            "kept": share(status == DepthStatus.KEPT),
-            "filled": share((status & DepthStatus.GAP_FILLED) != 0),
-            "replaced": share((status & DepthStatus.CORRECTED) != 0),
-            "from_stereo": share((status & DepthStatus.SAMPLED) != 0),
-            "density": round(result.depth.density, 6),
-            **{name: float(value) for name, value in result.figures.items()},
+            "kept": share(found.status == DepthStatus.KEPT),
+            "filled": share((found.status & DepthStatus.GAP_FILLED) != 0),
+            "replaced": share(found.corrected),
+            "from_stereo": share((found.status & DepthStatus.SAMPLED) != 0),
+            "density": round(found.density, 6),
+            **{name: float(value) for name, value in found.details.figures.items()},
         }
-        save_depth(result, folder, scene.depth_scale, 3 if scene.rotated else 0)
         return Outcome(facts, clock.seconds)
 
 
-def _load_frame(config: TransparentConfig, scene: RgbdScene, memory: int) -> tuple[SparseFrame, Result]:
-    """Return the frame with its sparse depth, and the by-products of the matching that this comes from, if any."""
-    import numpy as np
-
+def _load_frame(config: TransparentConfig, scene: RgbdScene, memory: int, clock: Clock) -> tuple[SparseFrame, Result]:
+    """Return the frame with its sparse depth, and what is written of the matching that this comes from, if any."""
+    from depthcli.api.depth import sparse_by_stereo
     from depthcli.batch.resources import check_memory
-    from depthcli.core.result import Clock, Result
+    from depthcli.core.result import Result
     from depthcli.data.scenes.rgb_ir import RgbIrScene
 
     if config.stereo is None:
@@ -134,13 +127,7 @@ def _load_frame(config: TransparentConfig, scene: RgbdScene, memory: int) -> tup
     height, width = pair.depth.shape
     need = max(config.pipeline.peak_bytes((height, width)), stereo.peak_bytes((height, width)))
     check_memory(need, memory, f"{width} x {height} pixels")
-    clock = Clock()
-    frame, figures = stereo(pair, clock)
-    with np.errstate(invalid="ignore"):
-        codes = np.nan_to_num(np.rint(frame.sparse * scene.depth_scale), nan=0.0)
-    pictures = {"stereo": np.where(codes <= 65535, codes, 0).astype(np.uint16)}
-    confidence = {} if frame.sparse_confidence is None else {"stereo": frame.sparse_confidence}
-    return frame, Result(seconds=clock.seconds, confidence=confidence, pictures=pictures, figures=figures)
+    return sparse_by_stereo(stereo, pair, scene.depth_scale, clock)
 
 
 COMMAND = TransparentCommand()

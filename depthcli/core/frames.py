@@ -114,6 +114,16 @@ def color8(image: Image) -> NDArray[np.uint8]:
     return np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
 
 
+def infrared_image(image: Image) -> NDArray[np.uint8]:
+    """Return the first channel as (H, W) uint8; 16-bit images, few of which use their range, up to their 99.9 %."""
+    if image.ndim == 3:
+        image = image[..., 0]
+    if image.dtype == np.uint8:
+        return np.ascontiguousarray(image, np.uint8)
+    top = max(float(np.quantile(image, 0.999)), 1.0)
+    return np.asarray(np.clip(np.rint(image * (255.0 / top)), 0, 255), np.uint8)
+
+
 @dataclass(frozen=True)
 class RgbdFrame:
     """A color image and the depth that a sensor measured for its pixels.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Camera
+from depthcli.core.cameras.camera import Camera, Intrinsics
 
 KINECT_BASELINE = 0.075
 """Distance of projector and depth camera in the first Kinect and in sensors of the same design, meters."""
@@ -19,6 +19,11 @@ UNKNOWN_CODE = 2047
 """Raw code of a pixel without depth, the largest of 11 bits."""
 
 _MAX_STEP = 0.03  # relative difference of two depths between which a pixel is filled; set by hand
+
+
+def sensor_fb(camera: Intrinsics | None) -> float:
+    """Return focal length x baseline of a Kinect whose depth is registered to ``camera``, or stays in its own one."""
+    return (camera.fx if camera else KINECT_FOCAL_LENGTH) * KINECT_BASELINE
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,6 @@ from depthcli.data.scenes import check_same_size
 from depthcli.data.scenes.rgbd import RgbdScene
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from depthcli.core.frames import RgbIrFrame
 
 
@@ -45,7 +42,7 @@ class RgbIrScene(RgbdScene):
         InputError
             As for :meth:`load`; no calibration, or one that does not fit the images.
         """
-        from depthcli.core.frames import RgbIrFrame
+        from depthcli.core.frames import RgbIrFrame, infrared_image
         from depthcli.data.formats.depth import check_fb
         from depthcli.data.formats.images import read_image
         from depthcli.data.formats.rigs import read_color_infrared_rig
@@ -53,7 +50,7 @@ class RgbIrScene(RgbdScene):
         frame = self.load()
         if self.calibration is None:
             raise InputError(f"{self.folder}: no calibration of the color and the infrared camera (calib.json)")
-        infrared = _eight_bit(read_image(self.infrared_plain or self.infrared))
+        infrared = infrared_image(read_image(self.infrared_plain or self.infrared))
         height, width = infrared.shape
         rig = read_color_infrared_rig(self.calibration, (frame.shape[1], frame.shape[0]), (width, height))
         if not isinstance(rig, float):
@@ -61,15 +58,3 @@ class RgbIrScene(RgbdScene):
         check_same_size(self.infrared, infrared.shape, self.color, frame.shape, "; a rectified pair has one size")
         check_fb(self.calibration, rig, frame.depth)
         return RgbIrFrame(frame.color, infrared, frame.depth, None, rig)
-
-
-def _eight_bit(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """One channel of 8 bits; 16-bit images, few of which use their range, up to their 99.9th percentile."""
-    import numpy as np
-
-    if image.ndim == 3:
-        image = image[..., 0]
-    if image.dtype == np.uint8:
-        return np.ascontiguousarray(image, np.uint8)
-    top = max(float(np.quantile(image, 0.999)), 1.0)
-    return np.asarray(np.clip(np.rint(image * (255.0 / top)), 0, 255), np.uint8)

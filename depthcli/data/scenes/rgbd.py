@@ -117,7 +117,7 @@ class RgbdScene(Scene):
         import numpy as np
 
         from depthcli.core.cameras.camera import Intrinsics
-        from depthcli.core.cameras.kinect import KINECT_BASELINE, KINECT_FOCAL_LENGTH
+        from depthcli.core.cameras.kinect import sensor_fb
         from depthcli.core.frames import RgbdFrame, color8
         from depthcli.data.formats.depth import check_fb
         from depthcli.data.formats.images import read_image
@@ -136,8 +136,7 @@ class RgbdScene(Scene):
             raise InputError(f"{self.depth}: no pixel has a depth")
         if self.fb:
             check_fb(self.folder / "meta.json", self.fb, depth)
-        fb = self.fb or (intrinsics.fx if intrinsics else KINECT_FOCAL_LENGTH) * KINECT_BASELINE
-        return RgbdFrame(color, depth, fb, intrinsics)
+        return RgbdFrame(color, depth, self.fb or sensor_fb(intrinsics), intrinsics)
 
     def load_sparse(self) -> SparseFrame:
         """Return the frame with its second, sparse depth.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -80,6 +81,20 @@ class SequencePipeline(KinectPipeline):
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
         """Refine a frame that belongs to no sequence."""
         return self.step(frame, None)[0]
+
+
+def frame_by_frame(pipeline: KinectPipeline) -> Callable[[RgbdFrame], RefinedDepth]:
+    """Return what refines the next frame of a sequence, with the state that a :class:`SequencePipeline` carries."""
+    if not isinstance(pipeline, SequencePipeline):
+        return pipeline
+    state = None
+
+    def step(frame: RgbdFrame) -> RefinedDepth:
+        nonlocal state
+        result, state = pipeline.step(frame, state)
+        return result
+
+    return step
 
 
 Pipeline = Annotated[KinectPipeline, *method_of("depthcli.methods.kinect.pipeline", key="pipeline")]

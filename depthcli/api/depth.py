@@ -1,0 +1,287 @@
+"""Depth maps of sensors: ``refine_depth`` cleans and completes them, ``complete_transparent`` where they see glass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.api.arrays import as_color8, as_depth, as_image, as_map
+from depthcli.api.config import Overrides, load_config
+from depthcli.api.results import RefinedDepth
+from depthcli.api.running import computing
+from depthcli.batch.resources import available_memory, check_memory
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.core.cameras.kinect import sensor_fb
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame, infrared_image
+from depthcli.core.result import Clock, Result
+from depthcli.core.result import RefinedDepth as RefinedDepthDetails
+from depthcli.data.formats.depth import MILLIMETERS
+from depthcli.data.formats.rigs import read_color_infrared_rig
+from depthcli.methods.kinect.config import RefineKinectConfig
+from depthcli.methods.kinect.pipeline import frame_by_frame
+from depthcli.methods.transparent.config import TransparentConfig
+from depthcli.methods.transparent.cross_modal import CrossModal
+
+Image = NDArray[Any]
+
+
+@overload
+def refine_depth(
+    color: Image,
+    depth: Image,
+    preset: str | Path | RefineKinectConfig = "accurate",
+    overrides: Overrides | None = None,
+    *,
+    fb: float | None = None,
+    **fields: object,
+) -> RefinedDepth: ...
+@overload
+def refine_depth(
+    color: Sequence[Image],
+    depth: Sequence[Image],
+    preset: str | Path | RefineKinectConfig = "accurate",
+    overrides: Overrides | None = None,
+    *,
+    fb: float | None = None,
+    **fields: object,
+) -> list[RefinedDepth]: ...
+def refine_depth(
+    color: Image | Sequence[Image],
+    depth: Image | Sequence[Image],
+    preset: str | Path | RefineKinectConfig = "accurate",
+    overrides: Overrides | None = None,
+    *,
+    fb: float | None = None,
+    **fields: object,
+) -> RefinedDepth | list[RefinedDepth]:
+    """Clean and complete the depth map of a Kinect or a sensor like it.
+
+    Parameters
+    ----------
+    color : (H, W, 3) RGB or (H, W) grey, as for :func:`depthcli.stereo`; or a list of the frames of a sequence
+    depth : (H, W), registered to the color image: floats are meters, integers ``depth_scale`` codes a meter; what is
+        not a positive number is unknown. Or a list of as many
+    preset : name of a preset of ``depthcli refine-kinect``, path of a YAML file, or a config. ``"sequence"`` carries
+        a state along a list; others refine each frame alone
+    overrides : config keys -> values, as ``--set`` has them
+    fb : focal length x baseline of the sensor, pixel meters; None: by the ``intrinsics``, else that of a Kinect
+    **fields : config keys that are Python names, such as ``intrinsics=(fx, fy, cx, cy)`` and ``depth_scale=5000``
+
+    Returns
+    -------
+    The refined map, or a list of them.
+
+    Raises
+    ------
+    ConfigError
+        No such preset, or keys and values that do not fit.
+    InputError
+        Arrays that are no images or maps, differ in size, or have no depth; or too little memory.
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> color = np.full((48, 64, 3), 128, np.uint8)
+    >>> measured = np.full((48, 64), 2.0, np.float32)  # a wall at 2 m
+    >>> measured[20:24, 20:30] = np.nan
+    >>> refined = depthcli.refine_depth(color, measured, preset="nearest")
+    >>> bool(np.isnan(refined.values).any()), int(refined.filled.sum())
+    (False, 40)
+    """
+    config = load_config(RefineKinectConfig, preset, overrides, **fields)
+    many = isinstance(color, list | tuple), isinstance(depth, list | tuple)
+    if many == (False, False):
+        frame = _frame(config, color, depth, fb, "")
+        with computing():
+            return refined_frame(config, frame, config.pipeline, Clock(), config.depth_scale or MILLIMETERS)
+    if many != (True, True) or len(color) != len(depth):
+        counts = (str(len(each)) if is_list else "no" for each, is_list in zip((color, depth), many, strict=True))
+        raise InputError("want lists of as many frames (got {} of color and {} of depth)".format(*counts))
+    refine = frame_by_frame(config.pipeline)
+    refined: list[RefinedDepth] = []
+    for number, (image, measured) in enumerate(zip(color, depth, strict=True)):
+        frame = _frame(config, image, measured, fb, f"frame {number}: ")
+        if refined and frame.shape != refined[0].values.shape:
+            (height, width), (first_height, first_width) = frame.shape, refined[0].values.shape
+            raise InputError(f"frame {number}: {width} x {height}, but frame 0 is {first_width} x {first_height}")
+        with computing():
+            refined.append(refined_frame(config, frame, refine, Clock(), config.depth_scale or MILLIMETERS))
+    return refined
+
+
+def complete_transparent(
+    color: Image,
+    depth: Image,
+    sparse: Image | None = None,
+    preset: str | Path | TransparentConfig | None = None,
+    overrides: Overrides | None = None,
+    *,
+    sparse_confidence: Image | None = None,
+    infrared: Image | None = None,
+    calibration: str | Path | None = None,
+    fb: float | None = None,
+    **fields: object,
+) -> RefinedDepth:
+    """Complete the depth of transparent objects, from sparse depth or by stereo of the color and an infrared image.
+
+    Parameters
+    ----------
+    color, depth : as for :func:`depthcli.refine_depth`
+    sparse : (H, W), a second measurement in the same unit, known at some pixels
+    preset : name of a preset of ``depthcli transparent``, path of a YAML file, or a config; None: ``"sparse"`` where
+        ``sparse`` is given, else ``"kinect"``
+    overrides : config keys -> values, as ``--set`` has them
+    sparse_confidence : (H, W) floats, higher is surer; None: all alike
+    infrared : (h, w) grey image of a second camera, for presets with stereo
+    calibration : file of both cameras, JSON or OpenCV's YAML; None: the images are a rectified pair
+    fb : focal length x baseline of the rectified pair, pixel meters; with ``sparse``, that of the sensor
+    **fields : config keys that are Python names, such as ``depth_scale=4000``
+
+    Returns
+    -------
+    The completed map.
+
+    Raises
+    ------
+    ConfigError
+        No such preset, or keys and values that do not fit.
+    InputError
+        Arrays that are no images or maps, or differ in size; what the preset needs is missing; too little memory.
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> color = np.full((48, 64, 3), 128, np.uint8)
+    >>> measured = np.full((48, 64), 1.0, np.float32)
+    >>> color[16:32, 16:32], measured[16:32, 16:32] = 90, np.nan  # glass that the sensor does not see
+    >>> sparse = np.full((48, 64), np.nan, np.float32)
+    >>> sparse[16:32:3, 16:32:3] = 0.8
+    >>> completed = depthcli.complete_transparent(color, measured, sparse)
+    >>> round(float(completed.values[24, 24]), 1)
+    0.8
+    """
+    chosen = preset if preset is not None else "sparse" if sparse is not None else "kinect"
+    config = load_config(TransparentConfig, chosen, overrides, **fields)
+    scale, clock = config.depth_scale or MILLIMETERS, Clock()
+    image = as_color8(color, "color")
+    height, width = image.shape[:2]
+    measured = as_depth(depth, "depth", scale, (height, width))
+    need = config.pipeline.peak_bytes((height, width))
+    if config.stereo is not None:
+        need = max(need, config.stereo.peak_bytes((height, width)))
+    check_memory(need, available_memory(), f"{width} x {height} pixels")
+    with computing():
+        if config.stereo is None:
+            if sparse is None:
+                raise InputError("this config wants sparse depth: give sparse, or a preset with stereo")
+            second = as_depth(sparse, "sparse", scale, measured.shape)
+            surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
+            frame = SparseFrame(image, measured, fb or sensor_fb(None), sparse=second, sparse_confidence=surer)
+            return completed_frame(config, frame, Result(), clock, scale)
+        pair = _pair(image, measured, infrared, calibration, fb)
+        return completed_frame(config, *sparse_by_stereo(config.stereo, pair, scale, clock), clock, scale)
+
+
+def refined_frame(
+    config: RefineKinectConfig,
+    frame: RgbdFrame,
+    refine: Callable[[RgbdFrame], RefinedDepthDetails],
+    clock: Clock,
+    scale: float,
+    rotate: int = 0,
+) -> RefinedDepth:
+    """Refine a frame; what :func:`refine_depth` and the command ``refine-kinect`` have in common.
+
+    Parameters
+    ----------
+    refine : the config's pipeline, or that for the next frame of a sequence
+    clock : books the stages, and ``other``
+    scale, rotate : of the codes that are written
+    """
+    clock.start("other")
+    result = refine(frame)
+    clock.include(result.seconds)
+    found, cloud = result.depth, None
+    if config.ply:
+        cloud = (found.values >= config.near) & (found.values <= config.far)
+        if config.mask == "measured":
+            cloud &= ~found.filled
+    return RefinedDepth(
+        found.values, found.status, frame.color, frame.intrinsics, result, dict(clock.seconds), scale, rotate, cloud
+    )
+
+
+def sparse_by_stereo(stereo: CrossModal, pair: RgbIrFrame, scale: float, clock: Clock) -> tuple[SparseFrame, Result]:
+    """Return the frame with sparse depth that is matched between color and infrared, and what is written of it.
+
+    Parameters
+    ----------
+    scale : codes per meter of the picture ``stereo``
+    clock : books the stages
+    """
+    frame, figures = stereo(pair, clock)
+    with np.errstate(invalid="ignore"):
+        codes = np.nan_to_num(np.rint(frame.sparse * scale), nan=0.0)
+    pictures = {"stereo": np.where(codes <= 65535, codes, 0).astype(np.uint16)}
+    confidence = {} if frame.sparse_confidence is None else {"stereo": frame.sparse_confidence}
+    return frame, Result(confidence=confidence, pictures=pictures, figures=figures)
+
+
+def completed_frame(
+    config: TransparentConfig, frame: SparseFrame, stereo: Result, clock: Clock, scale: float, rotate: int = 0
+) -> RefinedDepth:
+    """Complete a frame; what :func:`complete_transparent` and the command ``transparent`` have in common.
+
+    Parameters
+    ----------
+    stereo : what is written of the stereo that the sparse depth comes from, if it does
+    clock : books the stages, and ``other``
+    scale, rotate : of the codes that are written
+    """
+    clock.start("other")
+    result = config.pipeline(frame)
+    clock.include(result.seconds)
+    result.figures |= stereo.figures
+    result.pictures |= stereo.pictures
+    result.confidence |= stereo.confidence
+    found = result.depth
+    return RefinedDepth(
+        found.values, found.status, frame.color, frame.intrinsics, result, dict(clock.seconds), scale, rotate
+    )
+
+
+def _frame(config: RefineKinectConfig, color: Any, depth: Any, fb: float | None, where: str) -> RgbdFrame:
+    image = as_color8(color, f"{where}color")
+    shape = image.shape[0], image.shape[1]
+    measured = as_depth(depth, f"{where}depth", config.depth_scale or MILLIMETERS, shape)
+    check_memory(config.pipeline.peak_bytes(shape), available_memory(), f"{shape[1]} x {shape[0]} pixels")
+    camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+    return RgbdFrame(image, measured, fb or sensor_fb(camera), camera)
+
+
+def _pair(
+    color: NDArray[np.uint8],
+    depth: NDArray[np.float32],
+    infrared: Image | None,
+    calibration: str | Path | None,
+    fb: float | None,
+) -> RgbIrFrame:
+    if infrared is None:
+        raise InputError("this config wants an infrared image: give infrared, or sparse with another preset")
+    if (calibration is None) == (fb is None):
+        raise ConfigError("an infrared image wants either the calibration of both cameras, or fb of a rectified pair")
+    grey = infrared_image(as_image(infrared, "infrared"))
+    rig: Any = fb
+    if calibration is not None:
+        sizes = ((each.shape[1], each.shape[0]) for each in (color, grey))
+        rig = read_color_infrared_rig(Path(calibration), *sizes)
+    if not isinstance(rig, int | float):
+        return RgbIrFrame(color, grey, depth, rig)
+    if grey.shape != depth.shape:
+        raise InputError("infrared: a rectified pair has one size")
+    return RgbIrFrame(color, grey, depth, None, float(rig))
