@@ -127,6 +127,14 @@ def test_everything_is_in_the_file_and_nothing_else(made: Path):
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", text)
 
 
+def test_pictures_of_a_scene_come_before_the_tables(made: Path):
+    before = Reader()
+    before.feed((made / "report.html").read_text("utf-8").partition("<table")[0])
+    assert len(before.images) == 2 + 2 * 2  # image, truth, map and error of both runs
+    assert all(read(made).images.count(source) > 1 for source in before.images)  # as among all scenes
+    assert before.links.count("#scenes") == 2
+
+
 def test_hostile_names_are_escaped(made: Path):
     page = read(made)
     assert set(page.scripts) == {"page", "scores", "data-0", "data-1", "code-4", "code-5"}
