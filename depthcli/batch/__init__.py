@@ -12,9 +12,9 @@ The life of a scene, from :func:`depthcli.batch.runner.run_scenes`, which gets a
    folder ``.partial-<machine>-<process>-<time>/<number>`` in the run folder. Any failure becomes a row with its reason.
 6. *Written*: in the process that computed it ``install`` moves the files to ``<run folder>/<scene>``, the record last;
    it replaces what a record claims, and no other file.
-7. *Reported*: the row (facts, seconds by stage, memory) goes back to ``runner``, which shows progress (``console``) and
-   has ``reports`` write ``report.json`` and ``report.csv``; the last of several processes joins their reports
-   (``report_parts``).
+7. *Reported*: the row (facts, seconds by stage, memory) goes back to ``runner``, which shows progress (``console``,
+   ``progress_bar``; what workers do meanwhile comes through the memory of ``activities``) and has ``reports`` write
+   ``report.json`` and ``report.csv``; the last of several processes joins their reports (``report_parts``).
 
 A kill at any moment leaves files that one of these steps recognizes when the same command is started again.
 

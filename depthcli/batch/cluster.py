@@ -278,7 +278,7 @@ def _compute_chunk(chunk: list[Task], run: Run, folder: str) -> tuple[list[Row],
         return f"{platform.node()}, process {os.getpid()},"
     own = f"{platform.node()}-{os.getpid()}"
     rows: list[Row] = []
-    with _compute_lock, compile_watch(lambda: None) as watch:
+    with _compute_lock, compile_watch(lambda watch: None) as watch:
         os.chdir(folder)  # paths may be relative to where the run was started
         use_threads(run.options.threads or get_worker().state.nthreads)
         for task in chunk:
@@ -292,4 +292,4 @@ def _compute_chunk(chunk: list[Task], run: Run, folder: str) -> tuple[list[Row],
             mine = replace(task, workspace=task.workspace / own)
             shutil.rmtree(mine.hidden, ignore_errors=True)
             rows.append(run_task(mine, run, run.options.max_memory or resources.available_memory()))
-    return rows, watch.kernels, watch.seconds
+    return rows, watch.calls, watch.seconds

@@ -6,21 +6,20 @@ import contextlib
 import errno
 import os
 import sys
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from depthcli.batch.json_csv import Row
+from depthcli.batch.progress_bar import Progress
 from depthcli.core.errors import IncompleteError
 from depthcli.core.text import one_line, printable
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
+    from depthcli.batch.activities import Running
 
-_HEARTBEAT = 30.0  # seconds between lines of progress where there is no terminal
 _MAX_ROWS = 50  # of a table; of longer ones only the failed scenes and a summary are shown
 
 
@@ -42,9 +41,7 @@ class Reporter:
 
     def __init__(self, level: int = 0) -> None:
         self.level = level
-        self._bar: tqdm[Any] | None = None
-        self._what, self._total, self._done, self._failed = "", 0, 0, 0
-        self._start = self._said = 0.0
+        self._progress: Progress | None = None
         self._once: set[str] = set()
 
     def error(self, text: str) -> None:
@@ -83,45 +80,43 @@ class Reporter:
             if isinstance(error, OSError) and number not in (errno.EPIPE, errno.EBADF):
                 raise IncompleteError(f"stdout: cannot be written ({error.strerror or error})") from error
 
-    def start(self, total: int, done: int, what: str, unit: str = "scene") -> None:
-        """Begin to show progress: a bar on a terminal, otherwise a line every 30 seconds."""
-        self._what, self._total, self._done, self._failed = what, total, done, 0
-        self._start = self._said = time.monotonic()
-        if self.level >= 0 and _is_terminal():
-            from tqdm import tqdm
+    def start(
+        self,
+        total: int,
+        done: int,
+        what: str,
+        unit: str = "scene",
+        running: Callable[[], Sequence[Running]] | None = None,
+    ) -> None:
+        """Begin to show progress, unless quiet: a bar on a terminal, otherwise a line every 30 seconds.
 
-            self._bar = tqdm(total=total, initial=done, desc=what, unit=unit, file=sys.stderr, leave=False)
+        Parameters
+        ----------
+        total, done : number of scenes (or what ``unit`` says), and how many of them were done before
+        what : name of the command
+        running : returns the scenes that are being computed; None where that is not known
+        """
+        if self.level >= 0:
+            self._progress = Progress(what, total, done, unit, running, self.info, _is_terminal())
 
-    def step(self, failed: bool = False) -> None:
-        """Count one more scene."""
-        self._done += 1
-        self._failed += failed
-        if self._bar is not None:
-            self._bar.update()
-            return
-        now = time.monotonic()
-        if now - self._said >= _HEARTBEAT:
-            self._said = now
-            rate = self._done / (now - self._start)
-            left = (self._total - self._done) / rate
-            failures = f", {self._failed} failed" if self._failed else ""
-            self.info(
-                f"{self._what}: {self._done} of {self._total}{failures}, {60 * rate:.1f} a minute, {_time(left)} left"
-            )
+    def step(self, failed: bool = False, computed: bool = True) -> None:
+        """Count one more scene; one that was not ``computed`` by this run says nothing about the time of others."""
+        if self._progress is not None:
+            self._progress.step(failed, computed)
 
     def __enter__(self) -> Reporter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+        if self._progress is not None:
+            self._progress.close()
+            self._progress = None
 
     def _line(self, text: str) -> None:
         text = printable(text)
         with contextlib.suppress(OSError, ValueError):  # stderr was closed
-            if self._bar is not None:
-                self._bar.write(text, file=sys.stderr)
+            if self._progress is not None:
+                self._progress.write(text)
             else:
                 print(text, file=sys.stderr, flush=True)
 
@@ -137,12 +132,6 @@ def _is_terminal() -> bool:
         return sys.stderr.isatty()
     except ValueError:  # closed
         return False
-
-
-def _time(seconds: float) -> str:
-    if seconds >= 5400:
-        return f"{seconds / 3600:.1f} h"
-    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"
 
 
 @dataclass(frozen=True)

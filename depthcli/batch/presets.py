@@ -46,6 +46,12 @@ def find_preset(command: str, name: str) -> Path | None:
     return None
 
 
+def preset_of(command: str, config: str) -> str:
+    """Return the preset that a CONFIG argument names, as ``command/name``; "" where it names none."""
+    found = find_preset(command, config)
+    return "" if found is None else found.relative_to(preset_folder()).with_suffix("").as_posix()
+
+
 def find_config(command: str, config: str) -> Path:
     """Return the file that a CONFIG argument names: a path, or the name of a preset of ``command``.
 

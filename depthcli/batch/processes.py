@@ -15,6 +15,7 @@ from typing import Any
 
 import cv2
 
+from depthcli.batch.activities import Announcer, Board
 from depthcli.batch.console import Reporter, silence_warnings
 from depthcli.batch.json_csv import Row
 from depthcli.batch.task import Run, Task, run_task
@@ -32,10 +33,10 @@ def use_threads(count: int) -> None:
 
 
 @contextlib.contextmanager
-def compile_watch(started: Callable[[], None]) -> Iterator[CompileWatch]:
-    """Count compiled kernels and keep their compilation out of all measured times; the first one calls ``started``."""
+def compile_watch(changed: Callable[[CompileWatch], None]) -> Iterator[CompileWatch]:
+    """Count compiled kernels and keep their compilation out of all measured times; each calls ``changed`` twice."""
     Clock.untimed = staticmethod(compile_seconds)
-    with CompileWatch(started) as watch:
+    with CompileWatch(changed) as watch:
         yield watch
 
 
@@ -51,7 +52,14 @@ def report_compilation(reporter: Reporter, kernels: int, seconds: float) -> None
         reporter.info(f"compiled {kernels} kernels in {seconds:.1f} s{kept}")
 
 
-def compute(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Task], bool], jobs: int) -> Iterator[Row]:
+def shared_board(jobs: int) -> Board:
+    """Return a board for :func:`compute` with so many ``jobs``."""
+    return Board(multiprocessing.get_context("spawn").RawArray("B", Board.size(jobs + 1)))
+
+
+def compute(
+    tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Task], bool], jobs: int, board: Board
+) -> Iterator[Row]:
     """Yield the rows of the tasks, computed by ``jobs`` processes, in the order in which they are finished.
 
     The first scene is computed alone for a moment. If kernels have to be compiled for it, the other processes wait
@@ -60,9 +68,8 @@ def compute(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Ta
     import pebble  # with asyncio: 30 ms that a run in one process does without
 
     context = multiprocessing.get_context("spawn")  # threads of OpenMP do not survive a fork
-    begun, compiling = context.Event(), context.Event()
     waiting, tries = list(reversed(tasks)), dict[str, int]()
-    running: dict[Future[tuple[Row, int, float]], Task] = {}
+    running: dict[Future[tuple[Row, int, float]], tuple[Task, int]] = {}
     alone, since = True, float("inf")
     options = run.options
     with _environment("NUMBA_NUM_THREADS", str(options.threads_each())):
@@ -70,7 +77,7 @@ def compute(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Ta
             max_workers=jobs,
             context=context,
             initializer=_start_worker,
-            initargs=(run, options.memory_each(), begun, compiling),
+            initargs=(run, options.memory_each(), board.memory),
         )
         try:
             with _interrupts_blocked():
@@ -78,17 +85,20 @@ def compute(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Ta
             while waiting or running:
                 while waiting and len(running) < (1 if alone else jobs + 1):
                     if claim(task := waiting.pop()):
-                        running[pool.schedule(_run, args=[task])] = task
+                        slot = board.add(task.scene.name)
+                        running[pool.schedule(_run, args=[task, slot])] = task, slot
                 if not running:
                     continue
                 done, _ = wait(running, timeout=0.02 if alone else None, return_when=FIRST_COMPLETED)
-                if alone and compiling.is_set():
+                begun = board.running() if alone else []
+                if any(scene.kernels for scene in begun):
                     announce_compilation(reporter)
-                elif alone and begun.is_set():
+                elif begun:
                     since = min(since, time.monotonic())
                     alone = time.monotonic() < since + _HEAD_START
                 for future in done:
-                    task, alone = running.pop(future), False
+                    (task, slot), alone = running.pop(future), False
+                    board.remove(slot)
                     try:
                         row, kernels, seconds = future.result()
                     except pebble.ProcessExpired as error:
@@ -142,12 +152,12 @@ class _Worker:
 
     run: Run
     memory: int
-    begun: Any
+    announcer: Announcer
     watch: CompileWatch
     open = contextlib.ExitStack()  # never closed: the watch lasts as long as the process
 
 
-def _start_worker(run: Run, memory: int, begun: Any, compiling: Any) -> None:
+def _start_worker(run: Run, memory: int, board_memory: Any) -> None:
     silence_warnings()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what Ctrl-C does
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -156,17 +166,18 @@ def _start_worker(run: Run, memory: int, begun: Any, compiling: Any) -> None:
         # Workers of a parent that was killed must not go on writing.
         threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()
     use_threads(run.options.threads_each())
-    _Worker.run, _Worker.memory, _Worker.begun = run, memory, begun
-    _Worker.watch = _Worker.open.enter_context(compile_watch(compiling.set))
+    _Worker.run, _Worker.memory = run, memory
+    _Worker.announcer = Announcer(board_memory, run.options.preset)
+    _Worker.watch = _Worker.open.enter_context(compile_watch(_Worker.announcer.compiling))
 
 
-def _run(task: Task) -> tuple[Row, int, float]:
-    _Worker.begun.set()
+def _run(task: Task, slot: int) -> tuple[Row, int, float]:
     watch = _Worker.watch
-    kernels, seconds = watch.kernels, watch.seconds
-    shutil.rmtree(task.hidden, ignore_errors=True)  # left by a worker that died
-    row = run_task(task, _Worker.run, _Worker.memory)
-    return row, watch.kernels - kernels, watch.seconds - seconds
+    kernels, seconds = watch.calls, watch.seconds
+    with _Worker.announcer.scene(slot):
+        shutil.rmtree(task.hidden, ignore_errors=True)  # left by a worker that died
+        row = run_task(task, _Worker.run, _Worker.memory)
+    return row, watch.calls - kernels, watch.seconds - seconds
 
 
 def _exit_after(parent: Any) -> None:

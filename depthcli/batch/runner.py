@@ -13,6 +13,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 
 from depthcli.batch import cluster, processes, records
+from depthcli.batch.activities import Announcer, Board
 from depthcli.batch.command import ConfigT, SceneCommand, SceneT
 from depthcli.batch.console import Reporter
 from depthcli.batch.install import discard, hidden_folder, remove_leftovers, remove_results
@@ -26,6 +27,7 @@ from depthcli.batch.task import Run, RunOptions, Task, run_task
 from depthcli.core.errors import ConfigError, IncompleteError, OutputError
 from depthcli.data.formats.files import write_text
 from depthcli.data.scenes import Scene
+from depthcli.kernels.jit import CompileWatch
 
 _GOES_ON = "the same command goes on where it stopped"
 
@@ -171,10 +173,12 @@ class _Batch:
 
         OutputError where the disk is full: no further scene could be written.
         """
+        jobs = 1 if self.options.scheduler is not None else min(self.options.jobs, len(self.tasks))
+        board = processes.shared_board(jobs) if jobs > 1 else Board(bytearray(Board.size(1)))
         stopped = False
         try:
-            with self.reporter, contextlib.closing(self._computed_rows()) as computed:
-                self.reporter.start(len(self.scenes), len(self.rows), self.run.command.name)
+            with self.reporter, contextlib.closing(self._computed_rows(jobs, board)) as computed:
+                self.reporter.start(len(self.scenes), len(self.rows), self.run.command.name, running=board.running)
                 for row in map(_with_interned_keys, computed):
                     if "disk_full" in row:
                         self.disk_full = row["disk_full"]
@@ -197,16 +201,15 @@ class _Batch:
         left = len(self.scenes) - len(self.rows) - self.n_unclaimed
         return f"{len(self.rows) - failed} of {len(self.scenes)} scenes done, {failed} failed, {left} not computed"
 
-    def _computed_rows(self) -> Generator[Row, None, None]:
-        jobs = min(self.options.jobs, len(self.tasks))
+    def _computed_rows(self, jobs: int, board: Board) -> Generator[Row, None, None]:
         if not self.tasks:
             return
         if self.options.scheduler is not None:
             yield from cluster.compute(self.tasks, self.run, self.reporter, self._claim)
         elif jobs > 1:
-            yield from processes.compute(self.tasks, self.run, self.reporter, self._claim, jobs)
+            yield from processes.compute(self.tasks, self.run, self.reporter, self._claim, jobs, board)
         else:
-            yield from _compute_here(self.tasks, self.run, self.reporter, self._claim)
+            yield from _compute_here(self.tasks, self.run, self.reporter, self._claim, board)
 
     def _claim(self, task: Task) -> bool:
         """Reserve a scene for this process; False where another process computes it, or has done so since."""
@@ -219,7 +222,7 @@ class _Batch:
             self.lock.release(task.scene.name)
         else:
             self.n_unclaimed += 1
-        self.reporter.step()
+        self.reporter.step(computed=False)
         return False
 
     def _add(self, row: Row) -> None:
@@ -252,14 +255,26 @@ class _Batch:
             remove_leftovers(self.output)
 
 
-def _compute_here(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Task], bool]) -> Iterator[Row]:
+def _compute_here(
+    tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Task], bool], board: Board
+) -> Iterator[Row]:
     """Yield the rows of the tasks, computed one by one in this process."""
     processes.use_threads(run.options.threads_each())
-    with processes.compile_watch(lambda: processes.announce_compilation(reporter)) as watch:
+    announcer = Announcer(board.memory, run.options.preset)
+
+    def compiling(watch: CompileWatch) -> None:
+        processes.announce_compilation(reporter)
+        announcer.compiling(watch)
+
+    with processes.compile_watch(compiling) as watch:
         for task in filter(claim, tasks):
-            kernels, seconds = watch.kernels, watch.seconds
-            yield run_task(task, run, run.options.memory_each())
-            processes.report_compilation(reporter, watch.kernels - kernels, watch.seconds - seconds)
+            kernels, seconds = watch.calls, watch.seconds
+            slot = board.add(task.scene.name)
+            with announcer.scene(slot):
+                row = run_task(task, run, run.options.memory_each())
+            board.remove(slot)
+            yield row
+            processes.report_compilation(reporter, watch.calls - kernels, watch.seconds - seconds)
 
 
 def _with_interned_keys(row: Row) -> Row:

@@ -45,6 +45,7 @@ class RunOptions:
     fail_fast : stop at the first scene that fails
     keep : shell patterns of the files that are kept of a scene; none: all
     scheduler : address of the dask.distributed cluster that computes; None: this machine
+    preset : ``command/name`` of the config, whose kernels progress counts while they are compiled; "" where it is none
     """
 
     jobs: int = 1
@@ -55,6 +56,7 @@ class RunOptions:
     fail_fast: bool = False
     keep: tuple[str, ...] = ()
     scheduler: str | None = None
+    preset: str = ""
 
     def threads_each(self) -> int:
         """Return the number of threads of one worker."""

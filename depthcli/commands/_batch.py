@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Generic
 
@@ -69,6 +70,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         if values.get("dry_run") or values["list_scenes"]:
             self._list(config, scenes, values, options, reporter)
             return 0
+        from depthcli.batch.presets import preset_of
         from depthcli.batch.reports import report_document
         from depthcli.batch.run_folder import LEGEND_FILE
         from depthcli.batch.runner import run_scenes
@@ -77,6 +79,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
 
         if options.shard is not None:
             reporter.info(f"shard {options.shard} of {len(scenes)} scenes")
+        options = replace(options, preset=preset_of(self.name, values.get("config") or ""))
         rows = run_scenes(self, config, scenes, output, options, reporter)
         failed = [row for row in rows if row["status"] == "failed"]
         if (palette := self.palette()) is not None and len(failed) < len(rows):

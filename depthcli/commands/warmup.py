@@ -63,14 +63,13 @@ class WarmupCommand(Command):
 
 def _chosen(words: list[str], every: bool) -> list[str]:
     """Return the presets, as ``command/name``, that the words name."""
-    from depthcli.batch.presets import find_preset, list_presets, preset_folder
+    from depthcli.batch.presets import list_presets, preset_of
 
     chosen = [f"{command}/{name}" for command, name, _ in list_presets()] if every else []
     for word in words:
         command, _, name = word.partition("/")
-        file = find_preset(command, name)
         found = [f"{word}/{each}" for _, each, _ in list_presets(word)]
-        found += [file.relative_to(preset_folder()).with_suffix("").as_posix()] if file is not None else []
+        found += [preset] if (preset := preset_of(command, name)) else []
         if not found:
             raise ConfigError(f"no preset {word!r}; give COMMAND/NAME (see depthcli presets), COMMAND, or --all")
         chosen += found

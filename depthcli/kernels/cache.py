@@ -171,13 +171,25 @@ class KernelCache(FunctionCache):
             files.mark_as_used()
         return found
 
+    def holds(self, sig: Any, target_context: Any) -> bool:
+        """Return whether there is a kernel compiled for the types ``sig``, which may turn out to be damaged."""
+        files = self._prepare()
+        with contextlib.suppress(Exception):  # whatever damage makes of an index
+            if self._shipped(sig, target_context) is not None:
+                return True
+            return self._index_key(sig, target_context.codegen()) in files._load_index()
+        return False
+
     def _load_shipped(self, sig: Any, target_context: Any) -> Any:
+        data = self._shipped(sig, target_context)
+        return None if data is None else self._impl.rebuild(target_context, data)
+
+    def _shipped(self, sig: Any, target_context: Any) -> Any:
         shipped = shipped_kernels()
         if shipped is None:
             return None
         path, header, stamp = self._prepare().identity(self._kernel.py_func.__module__)
-        data = shipped.load(path, header, stamp, self._index_key(sig, target_context.codegen()))
-        return None if data is None else self._impl.rebuild(target_context, data)
+        return shipped.load(path, header, stamp, self._index_key(sig, target_context.codegen()))
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Write the compiled kernel to the folder; where that fails, warn once."""

@@ -118,6 +118,20 @@ def recorded_calls(presets: Iterable[str]) -> list[KernelCall]:
     return sorted(calls, key=lambda call: (-call.seconds, call.key))
 
 
+def missing_calls(preset: str) -> list[KernelCall]:
+    """Return the calls of a preset (``command/name``) whose kernels no folder holds: they have to be compiled."""
+    missing = []
+    for call in recorded_calls([preset]):
+        try:
+            kernel = getattr(importlib.import_module(call.module), call.kernel)
+            found = kernel._cache.holds(tuple(parse_type(text) for text in call.arguments), kernel.targetctx)
+        except (AttributeError, ImportError, ValueError):  # the list is of another version, or there is no folder
+            found = False
+        if not found:
+            missing.append(call)
+    return missing
+
+
 def write_calls(calls: Iterable[KernelCall], presets: Mapping[str, Iterable[KernelCall]]) -> None:
     """Write the list: one line for each call, in the order of their names, and one for each preset."""
     ordered = sorted(calls, key=lambda call: call.key)

@@ -138,28 +138,40 @@ class CompileWatch(numba.core.event.Listener):
 
     Parameters
     ----------
-    started : called once, when the first kernel is about to be compiled
+    changed : called with this watch when the compilation of a kernel that Python calls begins, and when it has ended
+
+    Attributes
+    ----------
+    kernels : number of kernels, those that other kernels call included
+    calls : number of kernels that Python calls, with all that they call themselves
+    seconds : of the finished compilations
+    busy : a kernel is being compiled
     """
 
-    def __init__(self, started: Callable[[], None] = lambda: None) -> None:
-        self.kernels = 0
+    def __init__(self, changed: Callable[[CompileWatch], None] = lambda watch: None) -> None:
+        self.kernels = self.calls = 0
         self.seconds = 0.0
-        self._started = started
+        self._changed = changed
         self._depth = 0
         self._begin = 0.0
 
+    @property
+    def busy(self) -> bool:
+        return self._depth > 0
+
     def on_start(self, event: Any) -> None:
-        if self.kernels == 0:
-            self._started()
         self.kernels += 1
-        if self._depth == 0:  # a kernel that calls another one compiles it inside its own compilation
-            self._begin = time.perf_counter()
         self._depth += 1
+        if self._depth == 1:  # a kernel that calls another one compiles it inside its own compilation
+            self.calls += 1
+            self._begin = time.perf_counter()
+            self._changed(self)
 
     def on_end(self, event: Any) -> None:
         self._depth -= 1
         if self._depth == 0:
             self.seconds += time.perf_counter() - self._begin
+            self._changed(self)
 
     def __enter__(self) -> CompileWatch:
         numba.core.event.register("numba:compile", self)

@@ -10,7 +10,7 @@ import pytest
 from numba import typeof
 
 from depthcli.batch.presets import list_presets
-from depthcli.kernels.calls import describe_type, parse_type, recorded_calls, recorded_presets
+from depthcli.kernels.calls import describe_type, missing_calls, parse_type, recorded_calls, recorded_presets
 
 
 class Parts(NamedTuple):
@@ -55,3 +55,10 @@ def test_every_kernel_of_the_list_is_there():
         assert [describe_type(kind) for kind in types] == [*call.arguments]
     assert len({call.key for call in calls}) == len(calls)
     assert [call.seconds for call in calls] == sorted((call.seconds for call in calls), reverse=True)
+
+
+def test_calls_are_missing_where_no_folder_holds_their_kernels(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("depthcli.kernels.cache.KernelCache.holds", lambda self, types, target: len(types) < 4)
+    calls = recorded_calls(["stereo/fast"])
+    assert missing_calls("stereo/fast") == [call for call in calls if len(call.arguments) >= 4] != []
+    assert missing_calls("no/preset") == []
