@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import shlex
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -34,7 +38,7 @@ def commands() -> list[str]:
     text = README + CONTRIBUTING
     found = [block for language in ("sh", "make") for block in blocks(text, language)]
     lines = [line.strip() for block in found for line in block.splitlines()]
-    calls = [re.split(r" \| | > |  # ", line)[0] for line in lines if line.startswith("depthcli ")]
+    calls = [re.split(r" \|\|? | > |  # ", line)[0] for line in lines if line.startswith("depthcli ")]
     return calls + re.findall(r"`(depthcli [^`]+)`", text)
 
 
@@ -99,3 +103,40 @@ def test_the_example_is_a_cost_measure(added_cost: str):
     assert volume.costs.shape == (20, 40, 60)
     np.testing.assert_array_equal(volume.costs[:, 3:, 3], 0)
     assert (volume.costs[np.broadcast_to(np.arange(60) > np.arange(40)[:, None], volume.costs.shape)] == 100).all()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("make") is None, reason="no make")
+def test_the_makefile_evaluates_although_a_scene_fails(made_scenes: Path, tmp_path: Path):
+    for name in ("planes_0", "planes_1"):
+        shutil.copytree(made_scenes / name, tmp_path / "data/middlebury_v2" / name)
+    damaged = tmp_path / "data/middlebury_v2/planes_0/left.png"
+    image = damaged.read_bytes()
+    damaged.write_bytes(b"damaged")
+    (tmp_path / "experiments").mkdir()
+    for name, block in (("small", 7), ("large", 11)):
+        (tmp_path / f"experiments/{name}.yaml").write_text(f"base: opencv-bm\nblock: {block}\n")
+    (tmp_path / "Makefile").write_text(README.partition("```make\n")[2].partition("```")[0])
+    program = tmp_path / "bin/depthcli"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m depthcli "$@"\n')
+    program.chmod(0o755)
+    environment = os.environ | {"PATH": f"{program.parent}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+
+    def make(*words: str) -> str:
+        command = ["make", *words]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert "depthcli evaluate" in make()
+    assert "planes_0" in (tmp_path / "results/report.md").read_text()
+    assert "up to date" in make()
+    assert json.loads((tmp_path / "runs/small/report.json").read_text())["failed"] == 1
+    damaged.write_bytes(image)
+    make("-B")
+    assert json.loads((tmp_path / "runs/small/report.json").read_text())["failed"] == 0
+    (tmp_path / "experiments/small.yaml").write_text("base: opencv-bm\nno_such_key: 1\n")
+    done = subprocess.run(["make"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2  # a wrong config stops make
+    assert "no_such_key" in done.stderr

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import json
 import math
 import random
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from typing import Any
 
 from depthcli.batch.json_csv import Row
 from depthcli.core.errors import ConfigError
@@ -129,6 +131,17 @@ def _shortest(key: str, keys: Sequence[str]) -> str:
 
 def _plain(value: str) -> str:
     return re.sub(r"[^\w.+-]+", "-", value).strip("-") or "empty"
+
+
+def value_text(config: Mapping[str, Any], key: str) -> str:
+    """Return a resolved config's value of a key as the text that sets it; empty where the config has no such key."""
+    value: Any = config
+    for part in key.split("."):
+        try:
+            value = value[int(part) if isinstance(value, list) else part]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return ""
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
 
 
 @dataclass(frozen=True)

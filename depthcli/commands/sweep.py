@@ -7,11 +7,10 @@ Finished runs are kept when a sweep is repeated or extended.
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from depthcli.batch.command import SOME_FAILED, Command, Values
 from depthcli.batch.console import Reporter, aligned
@@ -66,7 +65,7 @@ class SweepCommand(Command):
         ConfigError
             A config, key or value is wrong; nothing was computed.
         """
-        from depthcli.batch.combinations import combinations, folder_names, parse_axis
+        from depthcli.batch.combinations import combinations, folder_names, parse_axis, value_text
 
         command, own_run = _command(values["command"]), ""
         axes = [parse_axis(text) for text in values["over"]]
@@ -87,7 +86,9 @@ class SweepCommand(Command):
             config = command.config(unchanged)
             if config not in configs.values():
                 each, configs = {_OWN: unchanged, **each}, {_OWN: config, **configs}
-                tried[_OWN] = tuple(_value_text(config, axis.key) for axis in axes)
+                tried[_OWN] = tuple(
+                    value_text(config.model_dump(mode="json", by_alias=True), axis.key) for axis in axes
+                )
             own_run = next(name for name, other in configs.items() if other == config)
         if values["dry_run"]:
             return _print_plan(command, each, configs, values, reporter)
@@ -101,17 +102,6 @@ class SweepCommand(Command):
             _print_result(axes, tried, own_run, report, values, reporter)
             failed |= bool(report.failed)
         return SOME_FAILED if failed else 0
-
-
-def _value_text(config: BaseModel, key: str) -> str:
-    """Return a config's value of a key as the text that sets it; empty where the config has no such key."""
-    value: Any = config.model_dump(mode="json", by_alias=True)
-    for part in key.split("."):
-        try:
-            value = value[int(part) if isinstance(value, list) else part]
-        except (KeyError, IndexError, TypeError, ValueError):
-            return ""
-    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
 
 
 def _check_output(output: Path) -> None:

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from depthcli.batch.combinations import Axis, combinations, effects, folder_names, parse_axis
+from depthcli.batch.combinations import Axis, combinations, effects, folder_names, parse_axis, value_text
 from depthcli.core.errors import ConfigError
 
 
@@ -87,3 +87,10 @@ def test_effects_without_figures():
     first = next(effect for effect in effects(AXES, holes) if effect.key == "x")
     assert (first.means, first.spread) == ({"1": 3.0, "2": 3.0}, 0.0)
     assert math.isnan(first.share)
+
+
+def test_values_of_a_config_as_texts():
+    config = {"a": {"b": [9, 7], "c": None}, "d": 0.5, "e": "mean", "f": [{"g": True}]}
+    texts = {"a.b": "[9,7]", "a.b.1": "7", "a.c": "null", "d": "0.5", "e": "mean", "f.0.g": "true"}
+    assert {key: value_text(config, key) for key in texts} == texts
+    assert [value_text(config, key) for key in ("x", "a.b.2", "d.y", "a.b.c")] == [""] * 4
