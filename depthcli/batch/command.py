@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, TypeVar
 
 from depthcli.batch.console import Reporter
 from depthcli.core.option import Option
+from depthcli.core.registry import registered_name
 from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class Command(ABC):
     @property
     def name(self) -> str:
         """Name on the command line."""
-        return type(self).__module__.rpartition(".")[2].replace("_", "-")
+        return registered_name(type(self)).replace("_", "-")
 
     @property
     def arguments(self) -> tuple[Option, ...]:

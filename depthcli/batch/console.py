@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from depthcli.batch.json_csv import Row
 from depthcli.batch.progress_bar import Progress
 from depthcli.core.errors import IncompleteError
+from depthcli.core.registry import PluginWarning
 from depthcli.core.text import one_line, printable
 
 if TYPE_CHECKING:
@@ -26,7 +27,12 @@ _MAX_ROWS = 50  # of a table; of longer ones only the failed scenes and a summar
 def silence_warnings() -> None:
     """Hide warnings of libraries, which quote code that a user does not know; ``python -W`` shows them."""
     if not sys.warnoptions:
-        warnings.showwarning = lambda *arguments, **options: None
+        warnings.showwarning = _show_warning
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
+    if issubclass(category, PluginWarning):
+        Reporter(-1).error(f"warning: {message}")
 
 
 class Reporter:

@@ -137,5 +137,5 @@ def _family(metadata: Iterable[Any]) -> Family | None:
 
 def _method(family: Family, data: Any) -> list[type[BaseModel]]:
     name = data if isinstance(data, str) else data.get(family.key) if isinstance(data, dict) else None
-    known = family.named(name) if isinstance(name, str) else None
+    known = family.find(name) if isinstance(name, str) else None
     return [family.load(known)] if known is not None else []

@@ -3,7 +3,7 @@
 A *method* is one algorithm: one module with one frozen pydantic model, whose fields are its parameters and whose
 ``__call__`` runs it. A *family* is the package that the modules lie in. In a config a method is written as its module's
 name, ``census``, or with parameters, ``{method: census, window: [9, 7]}``. Adding a method is adding a file; nothing
-else is edited.
+else is edited. Installed packages and files of users add methods, too (see ``registry``).
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from __future__ import annotations
 import difflib
 import importlib
 import importlib.util
-import pkgutil
 from functools import cache
+from types import ModuleType
 from typing import Annotated, Any, ClassVar, Literal, LiteralString
 
 from pydantic import (
@@ -27,6 +27,8 @@ from pydantic import (
     model_validator,
 )
 from pydantic_core import PydanticCustomError
+
+from depthcli.core.registry import Registry, registered_name, registry_in, registry_of
 
 
 def _odd(side: int) -> int:
@@ -53,16 +55,17 @@ class Method(BaseModel):
     @classmethod
     def method_name(cls) -> str:
         """Return the name of the method in a config, that of its module."""
-        return cls.__module__.rpartition(".")[2]
+        return registered_name(cls)
 
     @model_serializer(mode="wrap")
     def _with_method_name(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        package = self.__class__.__module__.rpartition(".")[0]
-        return {Family.of(package).key: self.method_name(), **handler(self)}
+        family = registry_of(type(self))
+        key = family.key if isinstance(family, Family) else "method"
+        return {key: self.method_name(), **handler(self)}
 
 
-class Family:
-    """The methods found in one package.
+class Family(Registry[type[Method]]):
+    """The methods found in one package, and those that plug-ins add to it.
 
     Parameters
     ----------
@@ -70,39 +73,37 @@ class Family:
     key : the config key that names the method
     """
 
-    _known: ClassVar[dict[str, Family]] = {}
-
     def __init__(self, package: str, key: str = "method") -> None:
-        self.package = package
+        super().__init__(package, _method_in, self._checked)
         self.key = key
-        Family._known[package] = self
 
     @classmethod
     def of(cls, package: str) -> Family:
-        """Return the family declared for ``package``, with the default key if none was."""
-        return cls._known.get(package) or cls(package)
+        """Return the family that ``package`` declares."""
+        importlib.import_module(package)
+        registry = registry_in(package)
+        if not isinstance(registry, Family):
+            raise KeyError(f"{package} declares no family of methods")
+        return registry
 
-    def names(self) -> list[str]:
-        """Return the names of all methods, sorted."""
-        path = importlib.import_module(self.package).__path__
-        return sorted(m.name for m in pkgutil.iter_modules(path) if not m.name.startswith("_"))
+    def _checked(self, value: Any) -> type[Method]:
+        if not (isinstance(value, type) and issubclass(value, Method) and registry_of(value) is self):
+            raise TypeError(f"want a class derived from a method of {self.package}, got {value!r}")
+        return value
 
-    def named(self, name: str) -> str | None:
+    def find(self, name: str) -> str | None:
         """Return the name of the method that ``name`` stands for, None where there is none.
 
-        ``name`` may be in any case, with hyphens or underscores, or one of the method's ``aliases``.
+        ``name`` may be in any case, with hyphens or underscores, ``package:name``, or one of the method's ``aliases``.
         """
+        known = super().find(name) if name.lower().replace("-", "_") in self.own_names else None
+        if known is not None:
+            return known
         plain = name.lower().replace("-", "_").replace(" ", "_")
-        known = self.names()
-        if plain in known:
-            return plain
-        # Only now are all methods of the family imported.
-        fitting = [each for each in known if plain in (a.lower().replace("-", "_") for a in self.load(each).aliases)]
-        return fitting[0] if fitting else None
-
-    def load(self, name: str) -> type[Method]:
-        """Import the model class of method ``name``; KeyError where there is none."""
-        return _load(self.package, name)
+        for each in self.own_names:  # only now are all methods of the family imported
+            if plain in (alias.lower().replace("-", "_") for alias in self.load(each).aliases):
+                return each
+        return super().find(name)
 
     def parse(self, value: Any) -> Method:
         """Return the method that a config's ``value`` describes: a name, a mapping, or a method itself.
@@ -120,7 +121,7 @@ class Family:
         name = fields.pop(self.key, None)
         if name is None:
             raise self._error("method_name", "want '{key}' in this mapping")
-        own = self.named(name) if isinstance(name, str) else None
+        own = self.find(name) if isinstance(name, str) else None
         if own is None:
             near = difflib.get_close_matches(str(name), self.names(), 1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -132,14 +133,12 @@ class Family:
         return PydanticCustomError(kind, text + "; one of: {names}", values)
 
 
-@cache
-def _load(package: str, name: str) -> type[Method]:
-    module = importlib.import_module(f"{package}.{name}")
+def _method_in(module: ModuleType) -> type[Method]:
     own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
     found = [v for v in own if issubclass(v, Method) and any("__call__" in vars(base) for base in v.__mro__[:-1])]
     if len(found) != 1:
         what = " and ".join(v.__name__ for v in found) or "no method"
-        raise TypeError(f"{package}.{name} defines {what}; a file of a family holds one method")
+        raise TypeError(f"{module.__name__} defines {what}; a file of a family holds one method")
     return found[0]
 
 
@@ -149,7 +148,7 @@ def device_implementation_of(method: object) -> Any | None:
     It lies in the package ``_device`` of the method's family and has the method's name.
     """
     family, _, name = type(method).__module__.rpartition(".")
-    return getattr(_device_package(family), name, None)
+    return getattr(_device_package(family), name, None) if family else None
 
 
 @cache

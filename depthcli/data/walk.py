@@ -11,7 +11,7 @@ from pathlib import Path
 
 from depthcli.core.errors import InputError
 from depthcli.data.formats.files import read_bytes
-from depthcli.data.layouts import Folder, Layout, layouts
+from depthcli.data.layouts import Folder, Layout, layouts, own_layouts
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import with_first_frames
 
@@ -47,32 +47,38 @@ def discover_scenes(
         a broken meta.json or the like. A scene below it with such a problem is listed with its ``problem``.
     """
     folder = Path(folder)
-    wanted = _wanted(None if kinds is None else tuple(kinds), layout)
     if not os.path.isdir(folder):  # is_dir raises for names that are too long
         raise InputError(f"{folder}: no such folder")
-    requested = wanted[0].name if layout else ""
-    found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)
-    if not found:
-        for child in _subfolders(folder, warn):
-            found += _scenes_or_problem(child, child.name, wanted, requested) or _scenes_below(
-                child, wanted, requested, warn
-            )
+    fitting = tuple(kinds) if kinds is not None else (Scene,)
+    wanted = _wanted(own_layouts(), fitting, layout)
+    found = _find(folder, wanted, layout, warn) if wanted else []
+    if not found and layouts() != own_layouts():  # layouts of plug-ins are asked where no other fits
+        wanted = _wanted(layouts(), fitting, layout)
+        found = _find(folder, wanted, layout, warn) if wanted else []
+    if not wanted:
+        names = ", ".join(each.name for each in _wanted(layouts(), fitting, None))
+        raise InputError(f"no layout called {layout!r}; one of: {names}")
     if not found:
         files = "; ".join(f"{each.name}: {each.wants.replace('`', '').partition(';')[0]}" for each in wanted)
         raise InputError(f"{folder}: no scenes found in it or two levels below (looked for {files})")
     return chosen_scenes(found, patterns, folder)
 
 
-def _wanted(kinds: tuple[type[Scene], ...] | None, layout: str | None) -> tuple[Layout, ...]:
+def _wanted(known: Iterable[Layout], kinds: tuple[type[Scene], ...], layout: str | None) -> tuple[Layout, ...]:
     """The layouts that give scenes of these kinds; the named one alone, where one is named."""
-    fitting = tuple(each for each in layouts() if kinds is None or issubclass(each.kind, kinds))
-    if layout is None:
-        return fitting
-    name = layout.lower().replace("_", "-")
-    chosen = tuple(each for each in fitting if each.name == name)
-    if not chosen:
-        raise InputError(f"no layout called {layout!r}; one of: {', '.join(each.name for each in fitting)}")
-    return chosen
+    name = layout and layout.lower().replace("_", "-")
+    return tuple(each for each in known if issubclass(each.kind, kinds) and name in (None, each.name))
+
+
+def _find(folder: Path, wanted: tuple[Layout, ...], layout: str | None, warn: Callable[[str], None]) -> list[Scene]:
+    """Scenes in a folder or below it; ``layout`` is what the user named."""
+    requested = wanted[0].name if layout else ""
+    found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)
+    for child in () if found else _subfolders(folder, warn):
+        found += _scenes_or_problem(child, child.name, wanted, requested) or _scenes_below(
+            child, wanted, requested, warn
+        )
+    return found
 
 
 def _scenes_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Scene]:

@@ -1,17 +1,17 @@
-"""Layouts of data sets in folders, one module per layout; every module in this folder is registered."""
+"""Layouts of data sets in folders, one module per layout; the folder and plug-ins are the registry."""
 
 from __future__ import annotations
 
-import importlib
 import os
-import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from functools import cache, cached_property
 from pathlib import Path
+from types import ModuleType
 from typing import Any, ClassVar
 
 from depthcli.core.errors import InputError
+from depthcli.core.registry import Registry, registered_name
 from depthcli.core.yaml_source import short
 from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.formats.plain_text import json_object
@@ -139,8 +139,8 @@ class Layout(ABC):
 
     @property
     def name(self) -> str:
-        """Name on the command line: its module's, with dashes."""
-        return type(self).__module__.rpartition(".")[2].replace("_", "-")
+        """Name on the command line: its module's or its plug-in's, with dashes."""
+        return registered_name(type(self)).replace("_", "-")
 
     @abstractmethod
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -163,15 +163,27 @@ class Layout(ABC):
         return self.kind(**(own | values))
 
 
+def _layout_in(module: ModuleType) -> Layout:
+    own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
+    (layout,) = (v for v in own if issubclass(v, Layout))
+    return layout()
+
+
+def _checked(value: Any) -> Layout:
+    if not (isinstance(value, type) and issubclass(value, Layout)):
+        raise TypeError(f"want a class derived from depthcli.data.layouts.Layout, got {value!r}")
+    return value()
+
+
+_REGISTRY = Registry(__name__, _layout_in, _checked)
+
+
 @cache
+def own_layouts() -> tuple[Layout, ...]:
+    """Return the layouts of this package, sorted by name."""
+    return tuple(_REGISTRY.load(name) for name in _REGISTRY.own_names)
+
+
 def layouts() -> tuple[Layout, ...]:
-    """Return every layout, sorted by name."""
-    known = []
-    for module in sorted(pkgutil.iter_modules(__path__), key=lambda m: m.name):
-        if module.name.startswith("_"):
-            continue
-        loaded = importlib.import_module(f"{__name__}.{module.name}")
-        own = [v for v in vars(loaded).values() if isinstance(v, type) and v.__module__ == loaded.__name__]
-        (layout,) = (v for v in own if issubclass(v, Layout))
-        known.append(layout())
-    return tuple(known)
+    """Return every layout: those of this package, then those of plug-ins."""
+    return (*own_layouts(), *(_REGISTRY.load(name) for name in _REGISTRY.names()[len(own_layouts()) :]))

@@ -7,20 +7,20 @@ metrics are in ``_registration``. ``load`` returns the class of a name, :class:`
 
 from __future__ import annotations
 
-import importlib
 import math
-import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.registry import Registry, registered_name
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.scenes import Scene
 from depthcli.evaluation.curves import sparsifications
@@ -91,8 +91,8 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
 
     @property
     def name(self) -> str:
-        """Name of the protocol: its module's, with dashes."""
-        return type(self).__module__.rpartition(".")[2].replace("_", "-")
+        """Name of the protocol: its module's or its plug-in's, with dashes."""
+        return registered_name(type(self)).replace("_", "-")
 
     @property
     @abstractmethod
@@ -226,9 +226,24 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
 AnyProtocol: TypeAlias = Protocol[Any, Any]
 
 
+def _protocol_in(module: ModuleType) -> type[AnyProtocol]:
+    own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
+    (protocol,) = (v for v in own if issubclass(v, Protocol))
+    return protocol
+
+
+def _checked(value: Any) -> type[AnyProtocol]:
+    if not (isinstance(value, type) and issubclass(value, Protocol)):
+        raise TypeError(f"want a class derived from depthcli.evaluation.protocols.Protocol, got {value!r}")
+    return value
+
+
+_REGISTRY = Registry(__name__, _protocol_in, _checked)
+
+
 def names() -> list[str]:
-    """Return the names of all protocols, with dashes, sorted."""
-    return sorted(m.name.replace("_", "-") for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_"))
+    """Return the names of all protocols, with dashes, those of plug-ins last."""
+    return [name.replace("_", "-") for name in _REGISTRY.names()]
 
 
 @cache
@@ -240,9 +255,7 @@ def load(name: str) -> type[AnyProtocol]:
     InputError
         There is none; the message lists the names.
     """
-    if name.lower().replace("_", "-") not in names():
+    known = _REGISTRY.find(name)
+    if known is None:
         raise InputError(f"no protocol called {name!r}; one of: {', '.join(names())}")
-    module = importlib.import_module(f"{__name__}.{name.lower().replace('-', '_')}")
-    own = [v for v in vars(module).values() if isinstance(v, type) and v.__module__ == module.__name__]
-    (protocol,) = (v for v in own if issubclass(v, Protocol))
-    return protocol
+    return _REGISTRY.load(known)

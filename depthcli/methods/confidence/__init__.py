@@ -57,7 +57,7 @@ __all__ = ["ConfidenceMeasure", "CostCurves", "Map", "MeasureName", "confidence_
 Map = NDArray[np.float32]
 """One value per curve, in the shape of the curves."""
 
-_FAMILY = Family.of("depthcli.methods.confidence")
+_FAMILY = Family("depthcli.methods.confidence")
 
 
 class ConfidenceMeasure(Method):

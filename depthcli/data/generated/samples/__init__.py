@@ -5,17 +5,15 @@
 
 from __future__ import annotations
 
-import importlib
 import json
-import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
 from depthcli.core.option import Option
+from depthcli.core.registry import Registry, registered_name
 from depthcli.data.scenes import Scene
 
 
@@ -57,8 +55,8 @@ class Sample(ABC):
 
     @property
     def name(self) -> str:
-        """Name on the command line: its module's."""
-        return type(self).__module__.rpartition(".")[2]
+        """Name on the command line: its module's or its plug-in's."""
+        return registered_name(type(self))
 
     def check(self, values: Mapping[str, Any]) -> None:  # noqa: B027  # most have nothing to check
         """Raise ConfigError where options do not fit together."""
@@ -124,9 +122,16 @@ def write_meta(folder: Path, meta: Mapping[str, Any]) -> None:
     write_text(folder / "meta.json", json.dumps(meta, indent=1) + "\n")
 
 
-@cache
+def _checked(value: Any) -> Sample:
+    if not (isinstance(value, type) and issubclass(value, Sample)):
+        raise TypeError(f"want a class derived from depthcli.data.generated.samples.Sample, got {value!r}")
+    return value()
+
+
+_REGISTRY = Registry(__name__, lambda module: module.SAMPLE, _checked)
+
+
 def samples() -> dict[str, Sample]:
-    """Return name -> kind of sample, ``stereo`` first."""
-    names = [m.name for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_")]
-    names.sort(key=lambda name: (name != "stereo", name))
-    return {name: importlib.import_module(f"{__name__}.{name}").SAMPLE for name in names}
+    """Return name -> kind of sample, ``stereo`` first, those of plug-ins last."""
+    names = sorted(_REGISTRY.names(), key=lambda name: (name != "stereo", name not in _REGISTRY.own_names))
+    return {name: _REGISTRY.load(name) for name in names}
