@@ -22,6 +22,7 @@ from depthcli.batch.records import RECORD_FILE, RUN_FILE, digest, read_record, r
 from depthcli.batch.reports import REPORT_FILES, read_report
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.method import used_plugins
 
 LEGEND_FILE = "legend.png"
 # Packages whose versions decide what a run computes; part of the run's identity.
@@ -30,13 +31,16 @@ _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image"
 _TITLE = "# Written by depthcli: the resolved config of this run."
 
 
-def run_text(command: str, config: BaseModel | Mapping[str, object]) -> str:
-    """Return the text of ``run.yaml``: the resolved config, which can be used as CONFIG again, and all versions."""
+def run_text(command: str, config: BaseModel | Mapping[str, object], own: object = None) -> str:
+    """Return the text of ``run.yaml``: the resolved config, which can be used as CONFIG again, and all versions.
+
+    The versions of plug-ins that the config uses are among them, and that of ``own``, the object of the command.
+    """
     versions = {"depthcli": __version__, "python": platform.python_version()}
     for name in _LIBRARIES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
-    run = to_yaml({"run": {"command": command, "versions": versions}})
+    run = to_yaml({"run": {"command": command, "versions": versions | used_plugins(config) | used_plugins(own)}})
     if isinstance(config, BaseModel):
         return f"{_TITLE} Repeat it with: depthcli {command} run.yaml ...\n{dump_config(config)}{run}"
     return f"{_TITLE}\n{to_yaml(dict(config))}{run}"

@@ -78,7 +78,7 @@ class Run:
     @property
     def text(self) -> str:
         """The text of ``run.yaml``: config and versions of this process."""
-        return run_text(self.command.name, self.config)
+        return run_text(self.command.name, self.config, self.command)
 
     @property
     def identity(self) -> str:

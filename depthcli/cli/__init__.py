@@ -12,7 +12,9 @@ import inspect
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -22,11 +24,19 @@ from typer.main import get_command
 from depthcli.batch.command import SOME_FAILED, Command
 from depthcli.batch.console import Reporter, silence_warnings
 from depthcli.cli.help_text import write_command_help, write_main_help
-from depthcli.commands import command_names, help_of, load_command
+from depthcli.commands import REGISTRY, command_names, find_command, help_of, load_command
 from depthcli.core.errors import DepthcliError, IncompleteError
 from depthcli.core.option import Option
+from depthcli.core.registry import load_file
+
+PLUGIN = Option(
+    "plugin", Path, "Python file with methods, layouts, protocols or commands of your own; repeatable.", "FILE.py",
+    repeatable=True, group="Run",
+)  # fmt: skip
+"""Read before all else: the file may hold the command itself. Also in front of the command."""
 
 _COMMON = (
+    PLUGIN,
     Option("json", bool, "Print one JSON document instead of a table.", default=False, group="Run"),
     Option("verbose", bool, "Print details on stderr.", default=False, short="-v", group="Run"),
     Option("quiet", bool, "Print only errors, and no table.", default=False, short="-q", group="Run"),
@@ -65,13 +75,14 @@ class _Commands(TyperGroup):
         self.commands = dict.fromkeys(command_names())  # type: ignore[assignment]  # read for "did you mean" only
 
     def list_commands(self, ctx: Any) -> list[str]:
-        return command_names()
+        return [*command_names(), *(name.replace("_", "-") for name in REGISTRY.plugins())]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        if cmd_name not in command_names():
+        command = find_command(cmd_name)
+        if command is None:
             return None
         app = typer.Typer(**_SETTINGS)
-        app.command(cmd_name, cls=_Command, help=help_of(cmd_name))(_callback(load_command(cmd_name)))
+        app.command(cmd_name, cls=_Command, help=help_of(cmd_name))(_callback(command))
         return get_command(app)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -93,6 +104,7 @@ def _version(value: bool) -> None:
 @app.callback()
 def depthcli(
     version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+    plugin: list[Path] = typer.Option([], "--plugin", metavar="FILE.py", help=PLUGIN.help),  # typer's way
 ) -> None:
     """Depth from images and its evaluation, in batches: YAML configs and folders in, maps and reports out."""
 
@@ -130,6 +142,7 @@ def main(arguments: list[str] | None = None) -> int:
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGTERM, _terminate)
     try:
+        _load_plugins(sys.argv[1:] if arguments is None else arguments)
         return _run_typer(arguments)
     except IncompleteError as error:
         _print_error(f"depthcli: {error}")
@@ -152,6 +165,16 @@ def main(arguments: list[str] | None = None) -> int:
     finally:
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
+
+
+def _load_plugins(arguments: Sequence[str]) -> None:
+    """Read the files of all ``--plugin``; one without a value is left to typer."""
+    for option, value in pairwise([*arguments, ""]):
+        if option == "--":
+            return
+        name, equals, inside = option.partition("=")
+        if name == PLUGIN.flag and (inside or (not equals and value)):
+            load_file(Path(inside or value))
 
 
 def _run_typer(arguments: list[str] | None) -> int:

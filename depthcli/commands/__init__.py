@@ -39,9 +39,11 @@ The others:
 from __future__ import annotations
 
 import importlib.util
-import pkgutil
+import inspect
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from depthcli.core.registry import Registry
 
 if TYPE_CHECKING:
     from depthcli.batch.command import Command
@@ -56,14 +58,27 @@ _GROUPS = {
 """Headings of ``depthcli --help``; commands that are listed nowhere come last, under a heading of their own."""
 
 
+def _command_of(value: Any) -> Command:
+    from depthcli.batch.command import Command
+
+    command = value() if isinstance(value, type) else value
+    if not isinstance(command, Command):
+        raise TypeError(f"want a class derived from depthcli.batch.command.Command, got {value!r}")
+    return command
+
+
+REGISTRY = Registry[Any](__name__, lambda module: module.COMMAND, _command_of, ("depthcli.batch.command",))
+"""Our own commands, and those of plug-ins."""
+
+
 def command_names() -> list[str]:
-    """Return the names of all commands, as typed, sorted."""
-    return sorted(m.name.replace("_", "-") for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_"))
+    """Return the names of our own commands, as typed, sorted."""
+    return [name.replace("_", "-") for name in REGISTRY.own_names]
 
 
 def grouped_commands() -> dict[str, list[str]]:
     """Return heading -> names of its commands, in the order of ``depthcli --help``; every command is under one."""
-    names = command_names()
+    names = [*command_names(), *(name.replace("_", "-") for name in REGISTRY.plugins())]
     groups = {heading: [name for name in group if name in names] for heading, group in _GROUPS.items()}
     if more := [name for name in names if not any(name in group for group in groups.values())]:
         groups["More"] = more
@@ -71,15 +86,27 @@ def grouped_commands() -> dict[str, list[str]]:
 
 
 def load_command(name: str) -> Command:
-    """Return the command of that name; KeyError where there is none."""
-    if name not in command_names():
+    """Return the command of that name, ours or a plug-in's; KeyError where there is none."""
+    command = find_command(name)
+    if command is None:
         raise KeyError(name)
-    command: Command = importlib.import_module(f"{__name__}.{name.replace('-', '_')}").COMMAND
     return command
 
 
+def find_command(name: str) -> Command | None:
+    """Return the command of that name, ours or a plug-in's; None where there is none."""
+    known = REGISTRY.find(name)
+    return None if known is None else REGISTRY.load(known)
+
+
 def help_of(name: str) -> str:
-    """Return the first paragraph of its module's docstring, without importing it: ``--help`` shows all commands."""
+    """Return the first paragraph of its module's docstring, without importing it: ``--help`` shows all commands.
+
+    For a command of a plug-in it is that of its class.
+    """
+    if name not in command_names():
+        text = inspect.getdoc(type(load_command(name))) or ""
+        return " ".join(text.split("\n\n")[0].split())
     spec = importlib.util.find_spec(f"{__name__}.{name.replace('-', '_')}")
     source = "" if spec is None or spec.origin is None else Path(spec.origin).read_text("utf-8")
     doc = source.split('"""')[1] if source.startswith('"""') else ""

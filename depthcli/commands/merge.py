@@ -63,9 +63,9 @@ class MergeCommand(Command):
 
 def _columns(name: str) -> tuple[Column, ...]:
     """Return the columns of the table that the command ``name`` prints itself."""
-    from depthcli.commands import command_names, load_command
+    from depthcli.commands import find_command
 
-    command = load_command(name) if name in command_names() else None
+    command = find_command(name)
     return command.columns() if isinstance(command, BatchCommand) else ()
 
 

@@ -112,9 +112,9 @@ def _check_output(output: Path) -> None:
 
 
 def _command(name: str) -> ConfigCommand[BaseModel, Scene]:
-    from depthcli.commands import command_names, load_command
+    from depthcli.commands import command_names, find_command, load_command
 
-    found = load_command(name) if name in command_names() else None
+    found = find_command(name)
     if not isinstance(found, ConfigCommand):
         takes = [each for each in command_names() if isinstance(load_command(each), ConfigCommand)]
         raise ConfigError(f"--command: must be one of {', '.join(takes)} (got {name!r})")

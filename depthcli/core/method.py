@@ -11,6 +11,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import importlib.util
+from collections.abc import Iterator, Mapping
 from functools import cache
 from types import ModuleType
 from typing import Annotated, Any, ClassVar, Literal, LiteralString
@@ -28,7 +29,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from depthcli.core.registry import Registry, registered_name, registry_in, registry_of
+from depthcli.core.registry import Registry, plugin_of, plugins_in_use, registered_name, registry_in, registry_of
 
 
 def _odd(side: int) -> int:
@@ -203,3 +204,28 @@ class RootConfig(BaseModel):
         fields = handler(self)
         method = fields.pop(self.flattened)
         return {self.flattened: method.pop(self.flattened), **fields, **method}
+
+
+def used_plugins(value: Any) -> dict[str, str]:
+    """Return package -> version of the plug-ins that a config, or an object, is made of, sorted.
+
+    A word of the config counts as the name of a plug-in that is in use already (measures are written as names alone).
+    """
+    found = dict(_packages_in(value))
+    return {package: found[package] for package in sorted(found)}
+
+
+def _packages_in(value: Any) -> Iterator[tuple[str, str]]:
+    if isinstance(value, str):
+        if (named := plugins_in_use().get(value)) is not None:
+            yield named.package, named.version
+    elif isinstance(value, Mapping):
+        yield from (pair for each in value.values() for pair in _packages_in(each))
+    elif isinstance(value, list | tuple):
+        yield from (pair for each in value for pair in _packages_in(each))
+    else:
+        plugin = plugin_of(type(value))
+        if plugin is not None:
+            yield plugin.package, plugin.version
+        if isinstance(value, BaseModel):
+            yield from (pair for name in type(value).model_fields for pair in _packages_in(getattr(value, name)))

@@ -1,0 +1,211 @@
+"""Plug-ins: objects of installed packages and of files, beside our own."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from depthcli.cli import main
+from depthcli.core import registry
+from depthcli.core.config_file import dump_config, load_config, parse_config
+from depthcli.core.errors import ConfigError
+from depthcli.core.method import Family, used_plugins
+from depthcli.data import layouts
+from depthcli.data.walk import discover_scenes
+from depthcli.methods.stereo.config import StereoConfig
+
+COSTS = Family.of("depthcli.methods.stereo.cost")
+
+FILE = '''
+from pathlib import Path
+
+from pydantic import Field
+
+from depthcli.batch.command import Command
+from depthcli.data.layouts import Folder, Layout
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.evaluation.protocols.eth3d import Eth3dProtocol
+from depthcli.methods.stereo.cost.census import Census
+
+
+class WideCensus(Census):
+    """A census whose window is wide."""
+
+    window: tuple[int, int] = Field(default=(11, 3), description="Columns and rows.")
+
+
+class TopBottom(Layout):
+    kind = StereoScene
+    wants = "top.png, bottom.png"
+
+    def scenes(self, folder: Folder) -> list:
+        if not folder.has("top.png", "bottom.png"):
+            return []
+        return [self.scene(folder, left=folder.path / "top.png", right=folder.path / "bottom.png")]
+
+
+class Strict(Eth3dProtocol):
+    """ETH3D's protocol under another name."""
+
+
+class Greet(Command):
+    """Greet the user."""
+
+    def run(self, values, reporter):
+        reporter.data("good day")
+        return 0
+
+
+class _Hidden(Census):
+    """Not registered."""
+'''
+
+
+@pytest.fixture(autouse=True)
+def _forget(monkeypatch: pytest.MonkeyPatch):
+    """Leave no plug-in behind for other tests."""
+    for name in ("_file_plugins", "_read_files", "_plugin_by_class"):
+        monkeypatch.setattr(registry, name, {})
+    monkeypatch.setenv("DEPTHCLI_PLUGIN_FILES", "")
+    registry._installed.cache_clear()
+    registry._is_any_installed.cache_clear()
+    yield
+    registry._installed.cache_clear()
+    registry._is_any_installed.cache_clear()
+    for name in [name for name in sys.modules if name.startswith(("depthcli_plugin_", "strange_"))]:
+        del sys.modules[name]
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.py"
+    path.write_text(FILE)
+    return path
+
+
+def install(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, entries: str, source: str) -> None:
+    """Make a package that looks installed: a module and its metadata."""
+    (folder / f"{name.replace('-', '_')}.py").write_text(source)
+    info = folder / f"{name.replace('-', '_')}-1.2.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
+    (info / "entry_points.txt").write_text(entries)
+    monkeypatch.syspath_prepend(str(folder))
+    registry._installed.cache_clear()
+    registry._is_any_installed.cache_clear()
+
+
+def test_classes_of_a_file_are_found_by_their_names(file: Path, tmp_path: Path):
+    registry.load_file(file)
+    registry.load_file(file)  # again: nothing happens
+    assert COSTS.names()[-1] == "wide_census"
+    config = load_config(
+        StereoConfig, parse_config("pipeline: local\ncost: {method: Wide-Census, window: [5, 3]}\n", "x")
+    )
+    text = dump_config(config)
+    assert "method: wide_census" in text
+    assert load_config(StereoConfig, parse_config(text, "x")) == config
+    (version,) = used_plugins(config).items()
+    assert version[0] == "mine.py" and len(version[1]) == 12
+    (tmp_path / "scene").mkdir()
+    for name in ("top.png", "bottom.png"):
+        (tmp_path / "scene" / name).touch()
+    (scene,) = discover_scenes(tmp_path / "scene")
+    assert scene.layout == "top-bottom"
+    assert discover_scenes(tmp_path / "scene", layout="Top_Bottom") == [scene]
+
+
+def test_a_mistake_names_the_plugin_s_keys_and_methods(file: Path):
+    registry.load_file(file)
+    for text, said in (
+        ("cost: wide_censu", r"no method called 'wide_censu'; did you mean 'wide_census'"),
+        ("cost: {method: wide_census, windw: 3}", r"cost\.windw: no such key .*did you mean 'window'"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            load_config(StereoConfig, parse_config(f"pipeline: local\n{text}\n", "x"))
+
+
+def test_a_command_of_a_file(file: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["greet", "--plugin", str(file)]) == 0
+    assert capsys.readouterr().out.strip() == "good day"
+    assert main(["--plugin", str(file), "--help"]) == 0
+    assert "Greet the user." in capsys.readouterr().out
+    assert main(["greet", "--help"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("import nowhere_at_all", r"mine\.py:1: plug-in cannot be loaded: ModuleNotFoundError"),
+        ("x = 1\n1 / 0", r"mine\.py:2: plug-in cannot be loaded: ZeroDivisionError: division by zero"),
+        ("def f(:", r"mine\.py.*plug-in cannot be loaded: SyntaxError"),
+        ("x = 3", r"mine\.py: holds no method, layout"),
+    ],
+)
+def test_a_file_that_is_no_plugin(text: str, said: str, tmp_path: Path):
+    path = tmp_path / "mine.py"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        registry.load_file(path)
+    assert not os.environ["DEPTHCLI_PLUGIN_FILES"]
+    path.write_text(FILE)
+    registry.load_file(path)  # mended, in the same process
+    assert "wide_census" in COSTS.names()
+
+
+def test_a_file_that_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["presets", "--plugin", str(tmp_path / "none.py")]) == 2
+    assert "none.py: plug-in cannot be read" in capsys.readouterr().err
+
+
+def test_an_installed_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    source = "from depthcli.methods.stereo.cost.census import Census\nclass Far(Census):\n    '''Far.'''\n"
+    entries = "[depthcli.stereo.cost]\nfar-census = strange_cost:Far\ncensus = strange_cost:Far2\n"
+    install(tmp_path, monkeypatch, "strange-cost", entries, source + "class Far2(Census):\n    '''Another.'''\n")
+    assert set(COSTS.names()) >= {"census", "far_census", "strange-cost:census"}
+    assert COSTS.parse("far_census").model_dump()["method"] == "far_census"
+    assert type(COSTS.parse("census")).__module__.startswith("depthcli.")
+    other = COSTS.parse("strange-cost:census")
+    assert type(other).__name__ == "Far2" and other.model_dump()["method"] == "strange-cost:census"
+    assert used_plugins(other) == {"strange-cost": "1.2"}
+    assert used_plugins(COSTS.parse("census")) == {}
+
+
+def test_a_broken_package_costs_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    entries = "[depthcli.stereo.cost]\nfar = strange_broken:Far\n[depthcli.layouts]\nodd = strange_broken:Odd\n"
+    install(tmp_path, monkeypatch, "strange-broken", entries, "import nowhere_at_all\n")
+    with pytest.warns(registry.PluginWarning, match=r"far of strange-broken 1\.2 cannot be loaded: ModuleNotFound"):
+        assert "far" not in COSTS.names()
+    with pytest.raises(ConfigError, match="far of strange-broken"):
+        COSTS.parse("far")
+    with pytest.warns(registry.PluginWarning, match="odd of strange-broken"):
+        assert layouts.layouts() == layouts.own_layouts()
+
+
+def test_an_object_of_another_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    install(tmp_path, monkeypatch, "strange-int", "[depthcli.layouts]\nodd = strange_int:x\n", "x = 3\n")
+    with pytest.warns(registry.PluginWarning, match="want a class derived from depthcli.data.layouts.Layout, got 3"):
+        layouts.layouts()
+
+
+def test_a_run_records_its_plugins(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    config = tmp_path / "c.yaml"
+    config.write_text("pipeline: local\ncost: wide_census\n")
+    scenes, out = tmp_path / "scenes", tmp_path / "out"
+    assert (
+        main(["sample", "-n", "2", "-o", str(scenes), "--width", "64", "--height", "48", "--max-disparity", "16", "-q"])
+        == 0
+    )
+    run = ["stereo", str(config), "-i", str(scenes), "-o", str(out), "--plugin", str(file), "-q", "--jobs", "2"]
+    assert main(run) == 0
+    assert "\n    mine.py: " in (out / "run.yaml").read_text()
+    registry.load_file(file)
+    for name in ("_file_plugins", "_read_files", "_plugin_by_class"):
+        getattr(registry, name).clear()
+    del sys.modules["depthcli_plugin_mine"]
+    file.write_text(FILE + "# changed\n")
+    assert main(run) == 2
+    assert "another config (it says 'mine.py: " in capsys.readouterr().err
