@@ -30,7 +30,7 @@ def silence_warnings() -> None:
         warnings.showwarning = _show_warning
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
+def _show_warning(message: Warning | str, category: type[Warning], *place: object, **options: object) -> None:
     if issubclass(category, PluginWarning):
         Reporter(-1).error(f"warning: {message}")
 
