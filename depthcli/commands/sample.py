@@ -28,15 +28,14 @@ class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
 
     @property
     def options(self) -> tuple[Option, ...]:
-        """One flag per kind of sample, and the options of all kinds."""
-        flags = tuple(
-            Option(n, bool, each.about, default=False, group="Scenes") for n, each in samples().items() if n != "stereo"
-        )
+        """The options of stereo scenes, then for each other kind of sample its flag and the options that it adds."""
         own: dict[str, Option] = {}
-        for each in samples().values():
-            for option in each.options:
-                own.setdefault(option.name, replace(option, group="Scenes"))
-        return (OUTPUT, *flags, *own.values(), *RUN, DRY_RUN)
+        for name, sample in sorted(samples().items(), key=lambda item: item[0] != "stereo"):
+            if name != "stereo":
+                own[name] = Option(name, bool, sample.about, default=False)
+            for option in sample.options:
+                own.setdefault(option.name, option)
+        return (OUTPUT, *(replace(each, group="Scenes") for each in own.values()), *RUN, DRY_RUN)
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Generate the scenes of one kind; return the exit code."""

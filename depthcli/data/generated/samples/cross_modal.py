@@ -13,7 +13,7 @@ from depthcli.data.generated.samples.stereo import StereoSample, write_scene
 if TYPE_CHECKING:
     from depthcli.data.formats.images import Image
 
-SPECKLES = Option("speckles", float, "Share of the right image's pixels with a projected dot.", "SHARE", default=0.0,
+SPECKLES = Option("speckles", float, "Share of the right pixels with a dot.", "SHARE", default=0.0,
                   min_value=0, max_value=1)  # fmt: skip
 FROM = Option("from_", Path, "Make them from the scenes of this folder instead.", "DIR")
 

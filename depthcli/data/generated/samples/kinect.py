@@ -25,9 +25,7 @@ class KinectSampleKind(Sample):
         SEED,
         WIDTH,
         HEIGHT,
-        Option(
-            "frames", int, "Frames of each sequence; 0: no sequences.", "N", default=10, min_value=0, max_value=100_000
-        ),
+        Option("frames", int, "Frames of a sequence; 0: none.", "N", default=10, min_value=0, max_value=100_000),
         Option("fattening", int, "How far foreground is widened.", "PIXELS", default=4, min_value=0, max_value=64),
         FROM,
     )

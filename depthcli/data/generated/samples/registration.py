@@ -25,7 +25,7 @@ class RegistrationSample(Sample):
     options: ClassVar[tuple[Option, ...]] = (
         COUNT,
         SEED,
-        Option("noise", float, "Standard deviation of the noise, grey levels.", "LEVELS", default=0.0, min_value=0,
+        Option("noise", float, "Standard deviation of noise, in levels.", "LEVELS", default=0.0, min_value=0,
                max_value=100),
     )  # fmt: skip
 

@@ -38,10 +38,10 @@ class StereoSample(Sample):
         HEIGHT,
         Option("max_disparity", int, "Largest disparity, at most width / 2.", "N", default=48,
                min_value=4, max_value=4096),
-        Option("noise", float, "Standard deviation of the noise, grey levels.", "LEVELS", default=0.0, min_value=0,
+        Option("noise", float, "Standard deviation of noise, in levels.", "LEVELS", default=0.0, min_value=0,
                max_value=100),
         Option(
-            "radiometric", float, "How different the right image's light is, 0 to 1.", "SHARE", default=0.0,
+            "radiometric", float, "Change of light in the right image.", "SHARE", default=0.0,
             min_value=0, max_value=1,
         ),
         Option("wall_contrast", float, "Texture of the walls, 0 (bare) to 1.", "SHARE", default=1.0,

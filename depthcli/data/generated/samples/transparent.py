@@ -26,7 +26,7 @@ class TransparentSample(Sample):
     Sparse depth is emulated from the truth. The right view of a pair becomes infrared, a surface of it glass.
     """
 
-    about = "Transparent objects in color, infrared and sparse depth."
+    about = "Transparent objects, with sparse depth."
     options: ClassVar[tuple[Option, ...]] = (
         SEED,
         WIDTH,
