@@ -25,7 +25,7 @@ from depthcli.batch.sharing import FolderLock
 from depthcli.core.errors import ConfigError, OutputError
 from depthcli.data.formats.files import remove_temporaries
 
-OTHER_RUN = "holds a scene of another run; choose another --output or --name, or --overwrite it"
+OTHER_RUN = "holds a scene of another run; choose another --output, or --overwrite it"
 PARTIAL_PREFIX = ".partial-"
 """Start of the names of hidden folders in which results are made; one without a process is left by a killed run."""
 
@@ -196,5 +196,5 @@ def not_ours(names: Sequence[str]) -> str:
     return (
         f"{', '.join(names[:_MAX_NAMED])}{more} would be replaced, but no record says that depthcli wrote "
         f"{'it' if len(names) == 1 else 'them'}; move {'it' if len(names) == 1 else 'them'} away, or choose another "
-        "--output or --name (--overwrite replaces only results)"
+        "folder of results (only results are ever replaced)"
     )

@@ -44,7 +44,7 @@ def check_names(run: Run, scenes: Sequence[Scene], output: Path) -> None:
     """Raise ConfigError where a scene's name cannot name a folder, or its folder is a link or holds its own input."""
     for scene in scenes:
         if any(not part or part.startswith(".") or "\0" in part for part in scene.name.split("/")):
-            raise ConfigError(f"{scene.name!r} is no name for a folder of results; give one with --name")
+            raise ConfigError(f"{scene.name!r} is no name for a folder of results; choose another name for the scene")
         target = os.path.realpath(output / scene.name)  # Path.resolve() raises for loops of links, realpath does not
         files = () if scene.problem else run.command.files(run.config, scene).values()
         if any(target == os.path.dirname(os.path.realpath(file)) for file in files):

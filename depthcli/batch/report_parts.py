@@ -54,7 +54,7 @@ class Part:
         if others:
             raise ConfigError(
                 f"{output}: shard {' and '.join(sorted(others))} of this run computed other inputs than these; give "
-                "all shards the same --input and --scenes, or choose another --output, or --overwrite it"
+                "all shards the same scenes, or choose another --output, or --overwrite it"
             )
         if _listed(output, self.inputs) != list(self.names):
             write_text(output / PARTS_FOLDER / _SCENES_FILE, to_json_line({"inputs": self.inputs, "names": self.names}))
@@ -220,7 +220,7 @@ def joined_rows(output: Path, run: str, names: Iterable[str] = ()) -> list[Row]:
     if len(by_inputs) > 1:
         raise ConfigError(
             f"{output}: its shards {' and '.join(sorted(by_inputs.values()))} computed different inputs; compute all "
-            "again from the same --input and --scenes, with --overwrite"
+            "again from the same scenes, into another folder"
         )
     rows: dict[str, Row] = {name: {} for name in names} | read_report(output)
     found = []

@@ -154,7 +154,7 @@ class _Batch:
             if same_run and origin and origin != task.source and not self.options.overwrite:
                 raise ConfigError(
                     f"{self.output}: holds the result of another {scene.name!r}, made from {origin}; this one is "
-                    f"{task.source}; choose another --output or --name, or --overwrite it"
+                    f"{task.source}; choose another --output, or --overwrite it"
                 )
             self.tasks.append(task)
         if self.rows:

@@ -13,7 +13,9 @@ from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import ConfigCommand
-from depthcli.core.errors import InputError
+from depthcli.commands._rectified import UNIT, check_unit
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 
@@ -32,6 +34,20 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (StereoScene,)
     results: ClassVar[tuple[str, ...]] = ("disp_left.*", "status.png", "preview.png", "confidence_*")
+
+    @property
+    def options(self) -> tuple[Option, ...]:
+        return (*super().options, UNIT)
+
+    def config(self, values: Values) -> PairConfigT:
+        """Return the config, with the unit of its calibration where that is given."""
+        config, unit = super().config(values), values.get("unit")
+        if unit is None:
+            return config
+        check_unit(unit)
+        if config.calibration is None:
+            raise ConfigError("--unit: there is no calibration; give --calibration FILE, too")
+        return config.model_copy(update={"calibration": config.calibration.model_copy(update={"unit": unit})})
 
     @abstractmethod
     def matcher(self, config: PairConfigT, scene: StereoScene) -> Matcher:

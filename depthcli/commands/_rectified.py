@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from depthcli.batch.json_csv import Row
-from depthcli.core.errors import InputError
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.option import Option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,8 +23,16 @@ if TYPE_CHECKING:
     from depthcli.methods.stereo.rectification import Points, RectifyingHomographies
     from depthcli.methods.stereo.search_range import SearchRange
 
+UNIT = Option("unit", str, "Unit of the translation in an OpenCV calibration: m, cm or mm.", "UNIT", group="Input")
+
 _MAX_ROW_ERROR = 1.0  # median row error of a calibrated pair, pixels; with more a scene has a warning
 _MIN_SPREAD = 1.0  # of the disparities of a pair without calibration, pixels; with less a scene has a warning
+
+
+def check_unit(unit: str) -> None:
+    """Raise ConfigError where ``--unit`` names no unit of length that calibrations have."""
+    if unit not in ("m", "cm", "mm"):
+        raise ConfigError(f"--unit: must be m, cm or mm (got {unit!r})")
 
 
 def read_rig(calibration: Calibration) -> Rig:

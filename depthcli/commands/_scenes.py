@@ -93,7 +93,9 @@ def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
     sources = {name: Path(source) for name in names if (source := rows.get(name, {}).get("source"))}
     inputs: dict[str, Scene]
     if values["input"] is not None:
-        inputs = {scene.name: scene for scene in scenes_at(values["input"], (StereoScene,), None, ["*"], reporter)}
+        inputs = {
+            scene.name: scene for scene in scenes_at(values["input"], (StereoScene,), values["layout"], ["*"], reporter)
+        }
     else:
         known = scenes_with_files(sources.values())
         inputs = {name: known[source] for name, source in sources.items() if source in known}

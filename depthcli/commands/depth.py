@@ -14,7 +14,7 @@ from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import DEPTH_RESULTS, BatchCommand
-from depthcli.commands._options import DRY_RUN, OUTPUT, RUN, SCENES
+from depthcli.commands._options import DRY_RUN, LAYOUT, OUTPUT, RUN, SCENES
 from depthcli.commands._scenes import find_maps
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
@@ -57,6 +57,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         OUTPUT,
         SCENES,
         Option("input", Path, "Folder of the run's scenes, if it has moved.", "DIR", short="-i", group="Input"),
+        LAYOUT,
         Option("left", Path, "Left image of a single map, for the point cloud.", "FILE", group="Input"),
         Option("calibration", Path, "Calibration of all scenes: calib.txt, or KITTI's.", "FILE", group="Input"),
         Option("focal", float, "Focal length, instead of a calibration file.", "PIXELS", min_value=1e-6,

@@ -7,6 +7,7 @@ points suggest.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal, TypedDict
 
@@ -15,6 +16,7 @@ from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import BatchCommand
 from depthcli.commands._options import DRY_RUN, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
+from depthcli.commands._rectified import UNIT, check_unit
 from depthcli.commands._scenes import find_scenes
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
@@ -54,8 +56,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         Option("calibration", Path, "Calibration: OpenCV (YAML, XML), ROS camera_info (left, then right), Kalibr "
                "camchain or KITTI calib_cam_to_cam; repeatable.", "FILE", repeatable=True, group="Input"),
         Option("uncalibrated", bool, "Rectify by matched key points alone; depths stay unknown.", default=False),
-        Option("unit", str, "Unit of the translation in an OpenCV file: m, cm or mm.", "UNIT", default="m",
-               group="Input"),
+        replace(UNIT, default="m"),
         Option("fisheye", bool, "The lenses of an OpenCV file are fisheye.", default=False, group="Input"),
         Option("cameras", str, "Numbers of the left and right camera in a KITTI file.", "L,R", default="2,3",
                group="Input"),
@@ -77,8 +78,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
             raise ConfigError("give --calibration FILE, or --uncalibrated")
         if len(files) > 2:
             raise ConfigError("--calibration: at most two files belong together")
-        if values["unit"] not in ("m", "cm", "mm"):
-            raise ConfigError(f"--unit: must be m, cm or mm (got {values['unit']!r})")
+        check_unit(values["unit"])
         first, _, second = values["cameras"].partition(",")
         if not (first.isdigit() and second.isdigit() and len(first + second) == 2 and first != second):
             raise ConfigError(f"--cameras: must be two numbers such as 2,3 (got {values['cameras']!r})")

@@ -317,7 +317,7 @@ def test_inputs_are_never_written_over(folder: Folder):
 @pytest.mark.parametrize("name", ["", ".hidden", "..", "a/../b", "a//b"])
 def test_names_that_lead_astray_are_refused(folder: Folder, name: str):
     scene = Text(name=name, folder=folder.root, file=folder.root / "in" / "x")
-    with pytest.raises(ConfigError, match="--name"):
+    with pytest.raises(ConfigError, match="choose another name"):
         run_scenes(Repeat(), Config(), [scene], folder.output, RunOptions(), Reporter(-1))
 
 

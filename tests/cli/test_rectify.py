@@ -276,6 +276,19 @@ def test_a_config_rectifies_on_the_fly(pinhole: Shot, tmp_path: Path, capsys: py
     assert (one / "disp_left.pfm").read_bytes() != (two / "disp_left.pfm").read_bytes()
 
 
+def test_stereo_takes_the_unit_that_it_asks_for(pinhole: Shot, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room", "--max-disparity", "30", "-q")
+    run_it = ("stereo", "opencv-bm", *images, "--calibration", opencv(tmp_path / "mm.yml", pinhole.rig, unit=0.001))
+    assert run(*run_it, "-o", tmp_path / "run") == 2
+    assert "then say --unit mm" in capsys.readouterr().err
+    assert run(*run_it, "-o", tmp_path / "run", "--unit", "mm") == 0
+    baseline = read_geometry(tmp_path / "run/room/calib.txt").baseline
+    assert baseline == pytest.approx(np.linalg.norm(pinhole.rig.translation))
+    assert run(*run_it, "-o", tmp_path / "run", "--unit", "inch") == 2
+    assert run("stereo", "opencv-bm", *images, "-o", tmp_path / "run", "--unit", "mm") == 2
+    assert "give --calibration FILE" in capsys.readouterr().err
+
+
 @pytest.fixture
 def video(pinhole: Shot, tmp_path: Path) -> list[str | Path]:
     """Four frames, the later ones of other content, and the command that matches them; two images in one folder."""

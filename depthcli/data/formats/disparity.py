@@ -51,8 +51,8 @@ def read_disparity(
         scale = scale_8bit if values.dtype.itemsize == 1 else KITTI_SCALE
         if scale is None:
             raise InputError(
-                f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale, "
-                "or by --scale"
+                f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale "
+                "(of maps: evaluate --scale)"
             )
     with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
         if codes:

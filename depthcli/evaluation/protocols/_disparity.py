@@ -135,7 +135,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
                 estimate[marked] = np.nan
                 warn(
                     f"{shown(path)}: {100 * np.mean(marked):.3g} % of the pixels are {invalid:g}, which the truth "
-                    f"never is: taken as no value (--invalid {invalid * (scale or 1):g}; --invalid nan keeps them)"
+                    f"never is: taken as no value (evaluate --invalid nan keeps them)"
                 )
         return estimate
 

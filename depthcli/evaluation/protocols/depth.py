@@ -110,7 +110,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         estimate = self._resized(read_depth(path, scale))
         if estimate.shape != truth.depth.shape:
             have, want = (f"{a.shape[1]} x {a.shape[0]}" for a in (estimate, truth.depth))
-            raise InputError(f"{path}: the map is {have}, the truth {want}; --resize brings both to one size")
+            raise InputError(f"{path}: the map is {have}, the truth {want}; evaluate --resize brings both to one size")
         return estimate
 
     def _resized(self, array: NDArray[Any]) -> NDArray[Any]:

@@ -118,8 +118,8 @@ def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:
     found = consistent(match_rectified(left, right, largest, _MAX_ROW_DIFFERENCE, min_disparity=smallest))
     if len(found) < _MIN_MATCHES:
         raise InputError(
-            f"only {len(found)} key points match, too few to find the search range; say it with --max-disparity PIXELS "
-            "(views swapped, or not rectified?)"
+            f"only {len(found)} key points match, too few to find the search range; say max_disparity (views "
+            "swapped, or not rectified?)"
         )
     low, high = np.quantile(found.disparity.astype(np.float64), (_TAIL, 1 - _TAIL)) * (width / size[0])
     below, above = (max(_MIN_MARGIN_PX, share * (high - low)) for share in (_MARGIN_BELOW, _MARGIN_ABOVE))
