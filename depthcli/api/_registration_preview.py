@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.resampling import resample
 from depthcli.core.volumes import ENDS, PLANES, side_and_distance
 from depthcli.data.formats.pictures import draw_text, preview
-from depthcli.data.scenes.volume_pair import LoadedPair
+from depthcli.data.registered_volumes import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
 _TITLES = ("fixed", "moving, registered", "expected error")

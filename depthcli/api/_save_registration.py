@@ -12,8 +12,8 @@ from depthcli.api._registration_preview import registration_preview
 from depthcli.batch.json_csv import Row, to_csv
 from depthcli.data.formats.files import write_text
 from depthcli.data.formats.images import write_png
-from depthcli.data.formats.volumes import write_volume
-from depthcli.data.scenes.volume_pair import LoadedPair
+from depthcli.data.formats.volumes import Slab, write_volume
+from depthcli.data.registered_volumes import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
 _POINTS = {"x": 4, "y": 4, "z": 4, "confidence": 5, "expected_error": 4, "shift_x": 4, "shift_y": 4, "shift_z": 4}
@@ -37,27 +37,44 @@ def save_registration(
     neurological : the preview has the patient's right on the right
     """
     grid = loaded.grid
-    starts, steps = loaded.on_grid(result.start, result.step)
-    back = [1 / step for step in steps]
-    first_place = [-start / step for start, step in zip(starts, steps, strict=True)]
 
-    def slab(values: NDArray[np.float32], first: int, last: int) -> NDArray[np.float32]:
-        start = (first_place[0] + first * back[0], first_place[1], first_place[2])
-        return resample(values, (last - first, grid.shape[1], grid.shape[2]), back, start)
+    def slabs(values: NDArray[np.float32]) -> Slab:
+        return lambda first, last: on_fixed_grid(result, loaded, values, first, last)
 
-    def vectors(first: int, last: int) -> NDArray[np.float32]:
-        along_axes = np.stack([slab(result.shift[axis], first, last) for axis in (2, 1, 0)], axis=-1)
-        return np.asarray(along_axes @ grid.axes.T, np.float32)
-
-    write_volume(folder / f"confidence{suffix}", grid, lambda a, b: slab(result.certainty, a, b))
-    write_volume(folder / f"expected_error{suffix}", grid, lambda a, b: slab(result.expected_error, a, b))
-    write_volume(folder / f"shift{suffix}", grid, vectors, vector=True)
+    write_volume(folder / f"confidence{suffix}", grid, slabs(result.certainty))
+    write_volume(folder / f"expected_error{suffix}", grid, slabs(result.expected_error))
+    write_volume(folder / f"shift{suffix}", grid, lambda a, b: shift_on_fixed_grid(result, loaded, a, b), vector=True)
     write_png(folder / "preview.png", registration_preview(result, loaded, neurological))
     if points is not None:
-        write_text(folder / "points.csv", to_csv(_rows(result, loaded, points)))
+        write_text(folder / "points.csv", to_csv(rows_at(result, loaded, points)))
 
 
-def _rows(result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.float64]) -> list[Row]:
+def on_fixed_grid(
+    result: RegistrationResult,
+    loaded: LoadedPair,
+    values: NDArray[np.float32],
+    first: int = 0,
+    last: int | None = None,
+) -> NDArray[np.float32]:
+    """Return slices ``first`` .. ``last`` of a (z, y, x) map of the result on the fixed volume's grid; None: all."""
+    shape = loaded.grid.shape
+    starts, steps = loaded.on_grid(result.start, result.step)
+    back = [1 / step for step in steps]
+    place = [-start / step for start, step in zip(starts, steps, strict=True)]
+    wanted = ((shape[0] if last is None else last) - first, shape[1], shape[2])
+    return resample(values, wanted, back, (place[0] + first * back[0], place[1], place[2]))
+
+
+def shift_on_fixed_grid(
+    result: RegistrationResult, loaded: LoadedPair, first: int = 0, last: int | None = None
+) -> NDArray[np.float32]:
+    """Return slices of the shift on the fixed volume's grid, (Z, Y, X, 3) x, y, z, mm."""
+    parts = [on_fixed_grid(result, loaded, result.shift[axis], first, last) for axis in (2, 1, 0)]
+    return np.asarray(np.stack(parts, axis=-1) @ loaded.grid.axes.T, np.float32)
+
+
+def rows_at(result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.float64]) -> list[Row]:
+    """Return position, confidence, expected error and shift at points (N, 3) x, y, z, mm."""
     starts, steps = loaded.on_grid(result.start, result.step)
     places = (loaded.grid.to_index(points) - np.array(starts)) / np.array(steps)
     shift = np.stack([trilinear(result.shift[axis], places) for axis in (2, 1, 0)], axis=-1) @ loaded.grid.axes.T

@@ -13,10 +13,7 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import VolumePairScene
 
 if TYPE_CHECKING:
-    from depthcli.core.volumes import Grid
     from depthcli.methods.registration.config import RegisterConfidenceConfig
-
-_MAX_BORDER_SHARE = 0.2  # of best matches on the border of the search; above it errors exceed its range
 
 
 class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", VolumePairScene]):
@@ -47,7 +44,9 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         return RegisterConfidenceConfig
 
     def memory_of(self, config: RegisterConfidenceConfig, scene: VolumePairScene) -> int:
-        return _peak_bytes(config, *scene.size(config.max_voxels))
+        from depthcli.api.registration import peak_bytes
+
+        return peak_bytes(config, *scene.size(config.max_voxels))
 
     def columns(self) -> tuple[Column, ...]:
         """Return size, side of a working voxel, mean expected error, and share of best matches on the border."""
@@ -67,8 +66,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         InputError
             The files cannot be used, or ``memory`` bytes do not suffice.
         """
-        from depthcli.api._save_registration import save_registration
-        from depthcli.batch.resources import check_memory
+        from depthcli.api.registration import check_voxels, measured_pair
         from depthcli.core.result import Clock
         from depthcli.data.formats.volumes import written_suffix
 
@@ -76,33 +74,13 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         clock.start("load")
         loaded = scene.load(config.field, config.max_voxels)
         points = scene.landmarks(loaded.grid)
-        need = _peak_bytes(config, loaded.grid, loaded.pair.shape, loaded.pair.spacing)
-        size = f"{' x '.join(map(str, loaded.grid.size))} voxels"
-        check_memory(need, memory, size, "--max-memory, --jobs, max_voxels, iso")
-        clock.start("other")
-        result = config(loaded.pair)
-        clock.include(result.seconds)
+        check_voxels(config, loaded, memory)
+        found = measured_pair(config, loaded, clock)
         clock.start("save")
-        save_registration(result, loaded, points, folder, written_suffix(scene.fixed), config.neurological)
+        found.save(folder, written_suffix(scene.fixed), points)
         width, height, slices = loaded.grid.size
-        facts = {"width": width, "height": height, "slices": slices, **result.figures}
-        warnings = []
-        if result.figures["border"] > _MAX_BORDER_SHARE:
-            warnings.append(
-                f"{100 * result.figures['border']:.0f} % of the best matches lie on the border of the search: the "
-                "registration is off by more than its range; raise levels, radius or iso"
-            )
-        return Outcome(facts, clock.seconds, warnings)
-
-
-def _peak_bytes(
-    config: RegisterConfidenceConfig, grid: Grid, shape: tuple[int, int, int], spacing: tuple[float, float, float]
-) -> int:
-    """Return an estimate of the peak memory of a pair that is loaded as ``shape`` voxels, bytes."""
-    voxels = shape[0] * shape[1] * shape[2]
-    search = config.peak_bytes(shape, spacing) + 8 * voxels  # beside the search two volumes of 4 bytes per voxel
-    reading = 6 * grid.size[0] * grid.size[1] * grid.size[2]  # one whole volume, 2 bytes as stored and 4 converted
-    return max(search, reading)
+        facts = {"width": width, "height": height, "slices": slices, **found.details.figures}
+        return Outcome(facts, clock.seconds, list(found.warnings))
 
 
 COMMAND = RegisterConfidenceCommand()

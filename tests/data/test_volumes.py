@@ -14,7 +14,7 @@ from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.data.formats.volumes import read_volume, write_array, written_suffix
-from depthcli.data.scenes.volume_pair import LoadedPair
+from depthcli.data.registered_volumes import LoadedPair
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

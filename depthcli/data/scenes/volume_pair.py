@@ -2,45 +2,26 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
+from depthcli.data.registered_volumes import blocks_of, joined, spacing_of, usable
 from depthcli.data.scenes import Scene, name_of
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.core.volumes import Grid, RegisteredPair, Volume
+    from depthcli.core.volumes import Grid, Volume
+    from depthcli.data.registered_volumes import LoadedPair
 
 _GENERIC_NAMES = ("fixed", "fixed.nii")
 LEFT_OUT = {"displacement": "transform", "transform": "displacement", "both": ""}
 """What counts of a displacement field and a transform -> what does not; both: the field first, as ANTs chains them."""
-
-
-@dataclass(frozen=True)
-class LoadedPair:
-    """A registered pair in memory.
-
-    Attributes
-    ----------
-    grid : the fixed volume's
-    blocks : how many of its voxels (z, y, x) a voxel of ``pair`` is the mean of
-    """
-
-    pair: RegisteredPair
-    grid: Grid
-    blocks: tuple[int, int, int] = (1, 1, 1)
-
-    def on_grid(self, start: Sequence[float], step: Sequence[float]) -> tuple[list[float], list[float]]:
-        """``start`` and ``step`` of maps in voxels of ``pair`` as those in voxels of the fixed volume."""
-        begin = [(n - 1) / 2 + n * a for n, a in zip(self.blocks, start, strict=True)]
-        return begin, [n * a for n, a in zip(self.blocks, step, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -151,17 +132,16 @@ class VolumePairScene(Scene):
             Files that cannot be used, grids that differ, values that are no numbers inside the mask.
         """
         from depthcli.algorithms.resampling import block_means
-        from depthcli.core.volumes import RegisteredPair
         from depthcli.data.formats.volumes import read_volume
 
         self.check()
         fixed = read_volume(self.fixed)
         grid = fixed.grid
-        blocks = _blocks(grid, max_voxels)
+        blocks = blocks_of(grid, max_voxels)
         inside = None if self.mask is None else self._read_like(self.mask, grid) > 0
         if inside is not None and not inside.any():
             raise InputError(f"{self.mask}: no voxel is set")
-        first = block_means(self._usable(fixed.values, inside, self.fixed), blocks)
+        first = block_means(usable(fixed.values, inside, self.fixed), blocks)
         if self.moving_warped is not None:
             del fixed
             moved, source = self._read_like(self.moving_warped, grid), self.moving_warped
@@ -170,10 +150,8 @@ class VolumePairScene(Scene):
             del fixed
         else:
             raise InputError(f"{self.folder}: neither moving_warped.* nor moving.* with its transform")
-        second = block_means(self._usable(moved, inside, source), blocks)
-        if inside is not None and max(blocks) > 1:
-            inside = block_means(inside, blocks) >= 0.5
-        return LoadedPair(RegisteredPair(first, second, _spacing(grid, blocks), inside), grid, blocks)
+        second = block_means(usable(moved, inside, source), blocks)
+        return joined(first, second, inside, grid, blocks)
 
     def size(self, max_voxels: int | None = None) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
         """Return the fixed volume's grid, and shape and spacing (z, y, x) of what :meth:`load` gives, by its header."""
@@ -181,9 +159,9 @@ class VolumePairScene(Scene):
 
         self.check()
         grid = read_grid(self.fixed)
-        blocks = _blocks(grid, max_voxels)
+        blocks = blocks_of(grid, max_voxels)
         z, y, x = (-(-n // b) for n, b in zip(grid.shape, blocks, strict=True))
-        return grid, (z, y, x), _spacing(grid, blocks)
+        return grid, (z, y, x), spacing_of(grid, blocks)
 
     def truth(self, convention: str = "auto") -> RegistrationTruth:
         """Return the true errors: dense where there is such a file, or at the landmarks |T(p) - q|.
@@ -267,35 +245,3 @@ class VolumePairScene(Scene):
         values: NDArray[np.float32] = sitk.GetArrayFromImage(sitk.Resample(image, *placed, low))
         through = self.displacement or self.transform or self.moving
         return values, through if np.isfinite(moving.values).all() else self.moving
-
-    @staticmethod
-    def _usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, file: Path) -> NDArray[np.float32]:
-        import numpy as np
-
-        if not all(np.isfinite(one_slice).all() for one_slice in values):  # a mask of the whole would take memory
-            bad = ~np.isfinite(values)
-            count = int(np.count_nonzero(bad if inside is None else bad & inside))
-            if count:
-                raise InputError(f"{file}: {count} voxels are no numbers; leave them out with a mask")
-            values = np.where(bad, values[~bad].min(), values)
-        if values.min() == values.max():
-            raise InputError(f"{file}: all voxels are {values.flat[0]:g}; nothing to compare")
-        return values
-
-
-def _spacing(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:
-    z, y, x = (s * n for s, n in zip(grid.spacing[::-1], blocks, strict=True))
-    return z, y, x
-
-
-def _blocks(grid: Grid, max_voxels: int | None) -> tuple[int, int, int]:
-    """Voxels (z, y, x) that are taken together so that about ``max_voxels`` cubes are left."""
-    count = grid.size[0] * grid.size[1] * grid.size[2]
-    if max_voxels is None or count <= max_voxels:
-        return (1, 1, 1)
-    axes = [a for a in range(3) if grid.shape[a] > 1]
-    spacing = grid.spacing[::-1]
-    extent = math.prod(grid.shape[a] * spacing[a] for a in axes)
-    side = float((extent / max_voxels) ** (1 / len(axes)))
-    z, y, x = (max(1, int(side / spacing[a] + 1e-6)) if a in axes else 1 for a in range(3))
-    return z, y, x

@@ -1,0 +1,92 @@
+"""Two volumes on one grid, checked and made small enough to be searched."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from depthcli.core.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.core.volumes import Grid, RegisteredPair
+
+
+@dataclass(frozen=True)
+class LoadedPair:
+    """A registered pair in memory.
+
+    Attributes
+    ----------
+    grid : the fixed volume's
+    blocks : how many of its voxels (z, y, x) a voxel of ``pair`` is the mean of
+    """
+
+    pair: RegisteredPair
+    grid: Grid
+    blocks: tuple[int, int, int] = (1, 1, 1)
+
+    def on_grid(self, start: Sequence[float], step: Sequence[float]) -> tuple[list[float], list[float]]:
+        """``start`` and ``step`` of maps in voxels of ``pair`` as those in voxels of the fixed volume."""
+        begin = [(n - 1) / 2 + n * a for n, a in zip(self.blocks, start, strict=True)]
+        return begin, [n * a for n, a in zip(self.blocks, step, strict=True)]
+
+
+def joined(
+    fixed: NDArray[np.float32],
+    warped: NDArray[np.float32],
+    inside: NDArray[np.bool_] | None,
+    grid: Grid,
+    blocks: tuple[int, int, int],
+) -> LoadedPair:
+    """Return block means of two volumes as a pair, with the mask of the whole volume reduced likewise."""
+    from depthcli.algorithms.resampling import block_means
+    from depthcli.core.volumes import RegisteredPair
+
+    if inside is not None and max(blocks) > 1:
+        inside = block_means(inside, blocks) >= 0.5
+    return LoadedPair(RegisteredPair(fixed, warped, spacing_of(grid, blocks), inside), grid, blocks)
+
+
+def usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, name: Path | str) -> NDArray[np.float32]:
+    """Return a volume without NaN and infinite values outside the mask; InputError where they are inside, or all equal.
+
+    Parameters
+    ----------
+    name : of the volume, for messages
+    """
+    import numpy as np
+
+    if not all(np.isfinite(one_slice).all() for one_slice in values):  # a mask of the whole would take memory
+        bad = ~np.isfinite(values)
+        count = int(np.count_nonzero(bad if inside is None else bad & inside))
+        if count:
+            raise InputError(f"{name}: {count} voxels are no numbers; leave them out with a mask")
+        values = np.where(bad, values[~bad].min(), values)
+    if values.min() == values.max():
+        raise InputError(f"{name}: all voxels are {values.flat[0]:g}; nothing to compare")
+    return values
+
+
+def spacing_of(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:
+    """Return the distances (z, y, x) of the centers of blocks of voxels, mm."""
+    z, y, x = (s * n for s, n in zip(grid.spacing[::-1], blocks, strict=True))
+    return z, y, x
+
+
+def blocks_of(grid: Grid, max_voxels: int | None) -> tuple[int, int, int]:
+    """Voxels (z, y, x) that are taken together so that about ``max_voxels`` cubes are left."""
+    count = grid.size[0] * grid.size[1] * grid.size[2]
+    if max_voxels is None or count <= max_voxels:
+        return (1, 1, 1)
+    axes = [a for a in range(3) if grid.shape[a] > 1]
+    spacing = grid.spacing[::-1]
+    extent = math.prod(grid.shape[a] * spacing[a] for a in axes)
+    side = float((extent / max_voxels) ** (1 / len(axes)))
+    z, y, x = (max(1, int(side / spacing[a] + 1e-6)) if a in axes else 1 for a in range(3))
+    return z, y, x
