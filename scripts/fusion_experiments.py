@@ -102,7 +102,7 @@ class Experiments:
                 cells += [f"{against.wins}/{against.scenes}", Number(against.mean_difference)]
                 cells += [Number(against.worst_ratio, 3), Number(against.p_value, 4)]
             rows.append(tuple(cells))
-        header = ("config", "mean bad") + (("wins", "difference", "worst", "p (sign)") if base is not None else ())
+        header = ("config", "mean bad") + (("wins", "difference", "worst", "p (Wilcoxon)") if base is not None else ())
         return Table(title, header, tuple(rows), f"{len(scenes)} scenes" + (f"; against {base}" if base else ""))
 
 

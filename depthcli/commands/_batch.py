@@ -12,6 +12,7 @@ from depthcli.batch.command import SOME_FAILED, Command, ConfigT, ModelT, Outcom
 from depthcli.batch.console import Column, Reporter, run_table
 from depthcli.batch.json_csv import to_json
 from depthcli.commands._options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
+from depthcli.commands._tables import print_place, print_tables
 from depthcli.commands.evaluate import evaluate, new_page
 from depthcli.core.option import Option
 from depthcli.core.text import one_line
@@ -90,10 +91,10 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
             reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
         elif evaluation is None and not values["quiet"]:
             reporter.data(run_table(rows, self.columns()))
-        elif evaluation is not None and not values["quiet"]:
-            from depthcli.evaluation.tables import report_text
-
-            reporter.data(report_text(evaluation))
+        elif evaluation is not None:
+            print_tables(evaluation, values, reporter)
+        if evaluation is not None:
+            print_place(output / "evaluation", values["html"], reporter)
         total = len(scenes) if options.shard is None else len(rows)
         reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {output}")
         if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):

@@ -43,6 +43,7 @@ class Scoring:
     map_options : run -> how its maps are named and coded, of those that it was given for, or that were recognized
     protocols : name -> protocol, of those that were used
     hints : what was assumed, one line each
+    _misfits : name of a protocol -> scenes that it scored, with what they look like instead
     """
 
     runs: dict[str, Path]
@@ -54,6 +55,7 @@ class Scoring:
     map_options: dict[str, MapOptions] = field(default_factory=dict)
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)
     hints: list[str] = field(default_factory=list)
+    _misfits: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
 
     @cached_property
     def reports(self) -> dict[str, dict[str, Row]]:
@@ -118,12 +120,23 @@ class Scoring:
                 truth: object = protocol.truth(scene)
         except DepthcliError as error:
             return [replace(start, run=run, error=str(error)) for run in self.runs]
+        if self.protocol is None and (better := protocol.better_protocols(truth)):
+            self._misfits.setdefault(protocol.name, []).append((scene.name, better))
         if self.page is not None:
             self.page.begin_scene(protocol, scene, truth)
         if self.output is not None and protocol.presentation.error_pictures and not self.sheet.is_full:
             self.sheet.begin_scene(scene.name, protocol.presentation.image(scene))
         start = replace(start, warning="; ".join(lines))
         return [self._result(replace(start, run=run), protocol, scene, truth, names) for run in self.runs]
+
+    @property
+    def misfits(self) -> tuple[str, ...]:
+        """Which scenes look as if another protocol was meant, one line for each protocol that scored such scenes."""
+        return tuple(
+            f"{found[0][0]}{f' and {len(found) - 1} more' * (len(found) > 1)}: look like {found[0][1]}, but scored as "
+            f"{protocol}: name the protocol with evaluate --protocol, in meta.json, or by --layout"
+            for protocol, found in self._misfits.items()
+        )
 
     def _protocol_of(self, scene: Scene) -> AnyProtocol:
         scene.check()

@@ -17,6 +17,7 @@ from depthcli.batch.command import SOME_FAILED, Command, Values
 from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import to_csv, to_json
 from depthcli.commands._options import LAYOUT, SCENES
+from depthcli.commands._tables import TABLES, check_tables, print_place, print_tables
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 
@@ -66,7 +67,7 @@ class EvaluateCommand(Command):
         Option("resolution", str, "Size of Middlebury v3's truth. Default: by the width.", "F|H|Q"),
         Option("resize", str, "Bring depth maps and truth to this size.", "WxH"),
         Option("threshold", float, "Threshold of wrong pixels. Default: the benchmark's.", "T", min_value=1e-6),
-        Option("format", str, "Print wide tables: latex, markdown or csv.", "FORMAT", group="Report"),
+        *TABLES,
         *HTML,
     )  # fmt: skip
 
@@ -78,15 +79,11 @@ class EvaluateCommand(Command):
     def run(self, values: Values, reporter: Reporter) -> int:
         """Evaluate and print the tables; return the exit code."""
         from depthcli.evaluation.protocols import Settings
-        from depthcli.evaluation.render import FORMATS
-        from depthcli.evaluation.tables import report_text, wide_tables
 
         resolution, resize = (values["resolution"] or "").upper() or None, _size(values["resize"])
         scale, invalid, map_options = _map_options(values)
         settings = Settings(scale, resolution, values["threshold"], resize, invalid)
-        form = values["format"]
-        if form is not None and form not in FORMATS:
-            raise ConfigError(f"--format: want {', '.join(FORMATS)} (got {form!r})")
+        check_tables(values)
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
             values["protocol"], settings, reporter, page=new_page(self, values, values["output"]),
@@ -94,12 +91,10 @@ class EvaluateCommand(Command):
         )  # fmt: skip
         if values["json"]:
             reporter.data(to_json(report.to_dict()))
-        elif form is not None:
-            reporter.data("\n".join(FORMATS[form](table) for table in wide_tables(report)))
-        elif not values["quiet"]:
-            reporter.data(report_text(report))
+        else:
+            print_tables(report, values, reporter)
         if values["output"] is not None:
-            reporter.info(f"report and error pictures in {values['output']}")
+            print_place(values["output"], values["html"], reporter)
         return SOME_FAILED if report.failed else 0
 
 
@@ -190,9 +185,8 @@ def _scored(scoring: Scoring, scenes: Sequence[Scene], reporter: Reporter) -> Ev
             taken = any(name in each.takes for each in scoring.protocols.values())
             if value not in (None, False) and scoring.protocols and not taken:
                 reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
-        report = EvaluationReport(
-            tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth, tuple(scoring.hints)
-        )
+        hints = (*scoring.hints, *scoring.misfits)
+        report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth, hints)
         _write(report, scoring)
     return report
 
@@ -260,7 +254,7 @@ def _find_truth(
 def _write(report: EvaluationReport, scoring: Scoring) -> None:
     from depthcli.batch.run_folder import saved_config
     from depthcli.data.formats.files import write_text
-    from depthcli.evaluation.tables import report_markdown
+    from depthcli.evaluation.printing import report_markdown
 
     scores = to_json(report.to_dict())
     if scoring.output is not None:

@@ -183,8 +183,8 @@ def _print_result(
 
     rows: list[Row] = []
     documents, texts = [], []
-    for section in report.by_protocol:
-        headline = section.protocol.headline
+    for section in report.sections:
+        headline, where = section.protocol.headline, {"data_set": section.data_set, "protocol": section.protocol.name}
         figures = {run: section.overall(run).value for run in report.runs}
         order = sorted(report.runs, key=lambda run: (math.isnan(figures[run]), headline.sign * figures[run]))
         combined = {tried[run]: figures[run] for run in report.runs if run != _OWN}
@@ -192,12 +192,11 @@ def _print_result(
         for run in order:
             settings = {axis.key: value for axis, value in zip(axes, tried[run], strict=True)}
             seconds = mean_of_known(r.seconds for r in section.results_of(run))
-            rows.append({"protocol": section.protocol.name, "run": run, **settings, headline.heading: figures[run],
-                         "seconds": seconds, "missing": section.n_missing(run),
-                         "own_values": run == own_run})  # fmt: skip
-        documents.append({"protocol": section.protocol.name, "headline": headline.heading, "unit": headline.unit,
+            rows.append({**where, "run": run, **settings, headline.heading: figures[run], "seconds": seconds,
+                         "missing": section.n_missing(run), "own_values": run == own_run})  # fmt: skip
+        documents.append({**where, "headline": headline.heading, "unit": headline.unit,
                           "larger_is_better": headline.larger_is_better, "best": order[0],
-                          "runs": [row for row in rows if row["protocol"] == section.protocol.name],
+                          "runs": rows[-len(order):],
                           "sensitivity": [document_of(effect) for effect in found]})  # fmt: skip
         texts.append(_text(section, order, own_run, figures, found))
     document = {"over": {axis.key: axis.values for axis in axes}, "results": documents}
@@ -228,7 +227,8 @@ def _text(
     what = headline.heading_with_unit
     more = f"; the first {_MAX_SHOWN} of {len(order)}" if len(order) > _MAX_SHOWN else ""
     runs = Table(
-        f"{section.protocol.presentation.title}: the best first{more}",
+        f"{section.data_set} - {section.protocol.presentation.title}, mean of {len(section.scenes)} scenes: the best "
+        f"first{more}",
         ("run", what, "seconds"),
         tuple(rows),
         "*: the config's own values" if own_run else "",

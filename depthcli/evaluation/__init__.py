@@ -11,9 +11,11 @@ no value:
    sparsification ``curves`` of the confidence maps. All that is known of one map is a ``MapResult`` (``results``).
 4. ``pooling``: several scenes' scores become one, by the protocol's rule.
 5. ``comparison``: a ``Section`` holds the results of one data set under one protocol, with means and ranks; an
-   ``EvaluationReport`` all sections. ``statistics``: ranks, correlation, the sign test.
-6. ``tables`` arranges the numbers, ``render`` writes any table as text, Markdown, LaTeX, CSV or HTML, ``plots`` draws.
-   A protocol's words, units and colors are its ``presentation``. The commands write the files.
+   ``EvaluationReport`` all sections. ``ranking``: every run tested against the best, by the
+   tests of ``statistics``.
+6. ``tables`` and ``wide_tables`` arrange the numbers, ``render`` writes any table as text, Markdown, LaTeX, CSV or
+   HTML, ``printing`` chooses what a terminal shows, ``plots`` draws. A protocol's words, units and colors are its
+   ``presentation``. The commands write the files.
 
 ``benchmarks`` stands apart: which files a submission to a benchmark holds. Begin with
 ``protocols/middlebury_v2.py``, the shortest protocol.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,9 +13,10 @@ import numpy as np
 
 from depthcli.core.errors import InputError
 from depthcli.evaluation.protocols import AnyProtocol
+from depthcli.evaluation.ranking import Ranking
 from depthcli.evaluation.results import COMMON_MEAN, MEAN, MapResult, Record
 from depthcli.evaluation.scores import Key, Score
-from depthcli.evaluation.statistics import PairedTest, average_ranks, compare
+from depthcli.evaluation.statistics import average_ranks
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,8 @@ class Section:
     """The results of one data set under one protocol; every run has a result for every scene.
 
     A run's mean over **all** scenes counts a scene without a map as wholly wrong. The mean over the **common** scenes,
-    of which every run has a map, compares what was computed. Ranks are taken over the common scenes alone.
+    of which every run has a map, compares what was computed. Ranks are taken over the common scenes alone. A mean in
+    one region is over those of the scenes that have truth in it (``scenes_with``).
     """
 
     data_set: str
@@ -56,13 +58,34 @@ class Section:
         """True where some run has no map of some scene."""
         return len(self.common) < len(self.scenes)
 
+    @cached_property
+    def _scenes_by_region(self) -> dict[str, frozenset[str]]:
+        known = [(s.region, r.scene) for r in self.results for s in r.scores if not math.isnan(s.density)]
+        return {region: frozenset(scene for name, scene in known if name == region) for region in self.regions}
+
+    def scenes_with(self, region: str, common: bool = False) -> frozenset[str]:
+        """Return the names of the scenes, or common scenes, whose truth is known somewhere in a region."""
+        found = self._scenes_by_region[region]
+        return found & self.common if common else found
+
+    @cached_property
+    def figure_regions(self) -> list[str]:
+        """Names of the regions that the single figure of a run is taken over.
+
+        They are the protocol's, without those that some scene lacks, so that every scene counts alike; or else the
+        main region.
+        """
+        named = self.protocol.figure_regions(self.regions)
+        return [name for name in named if len(self.scenes_with(name)) == len(self.scenes)] or named[:1]
+
     def results_of(self, run: str, common: bool = False) -> list[MapResult]:
         """Return one run's results of all scenes, or of the common ones."""
         return [r for r in self.results if r.run == run and (not common or r.scene in self.common)]
 
-    def n_missing(self, run: str) -> int:
-        """Return the number of scenes of which a run has no map."""
-        return sum(bool(result.error) for result in self.results_of(run))
+    def n_missing(self, run: str, region: str | None = None) -> int:
+        """Return the number of scenes, or of those with truth in a region, of which a run has no map."""
+        missing = {result.scene for result in self.results_of(run) if result.error}
+        return len(missing if region is None else missing & self.scenes_with(region))
 
     @cached_property
     def _means(self) -> dict[tuple[str, bool], dict[Key, Score]]:
@@ -81,9 +104,9 @@ class Section:
     def overall(self, run: str, common: bool = False) -> Score:
         """Return the single figure of a run over all scenes or the common ones; NaN where there is none.
 
-        It is the headline over the protocol's regions for it.
+        It is the headline over ``figure_regions``.
         """
-        keys = [(self.protocol.headline, region) for region in self.protocol.figure_regions(self.regions)]
+        keys = [(self.protocol.headline, region) for region in self.figure_regions]
         if len(keys) == 1:  # the mean of that region, which a protocol may compute in its own way
             return self.mean(run, keys[0], common)
         pairs = [
@@ -98,11 +121,12 @@ class Section:
         """Return the means of every run, metric and region, over all scenes (``MEAN``) and common ones."""
         made = []
         for run in self.runs:
-            n_missing = self.n_missing(run)
-            missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
-            note = f"over {len(self.scenes)} scenes{missing}"
-            both = ((MEAN, False, note), (COMMON_MEAN, True, f"over the {len(self.common)} scenes that all runs have"))
             for key in self._means[run, False]:
+                n_scenes, n_common = (len(self.scenes_with(key[1], common)) for common in (False, True))
+                n_missing = self.n_missing(run, key[1])
+                missing = f", {n_missing} missing ones counted as wholly wrong" if n_missing else ""
+                note = f"over {n_scenes} scenes{missing}"
+                both = ((MEAN, False, note), (COMMON_MEAN, True, f"over the {n_common} scenes that all runs have"))
                 for scene, common, about in both:
                     score = self.mean(run, key, common)
                     made.append(Record(run, self.data_set, scene, self.protocol.name, score, note=about))
@@ -118,7 +142,7 @@ class Section:
 
     def overall_rows(self) -> list[dict[str, Any]]:
         """Return the single figure of every run as plain values."""
-        regions = "+".join(self.protocol.figure_regions(self.regions))
+        regions = "+".join(self.figure_regions)
         return [
             self._row(run, self.overall(run), self.overall(run, common=True)) | {"mask": regions} for run in self.runs
         ]
@@ -126,19 +150,30 @@ class Section:
     def _row(self, run: str, score: Score, common: Score) -> dict[str, Any]:
         return {
             "run": run, "data_set": self.data_set, "protocol": self.protocol.name, **score.row(),
-            "scenes": len(self.scenes), "missing": self.n_missing(run), "common": len(self.common),
-            "value_common": common.value,
+            "scenes": len(self.scenes_with(score.region)), "missing": self.n_missing(run, score.region),
+            "common": len(self.scenes_with(score.region, common=True)), "value_common": common.value,
         }  # fmt: skip
 
     def threshold_curve(self, run: str) -> list[Score]:
         """Return the means over all scenes of one metric at many thresholds."""
         return self.protocol.pooled((r.dense, r.scene) for r in self.results_of(run))
 
-    def signed_headlines(self, run: str) -> list[float]:
-        """Return one run's headline in the main region by scene, signed so that lower is better; NaN without a map."""
-        headline = self.protocol.headline
-        scores = [None if r.error else r.by_key.get((headline, self.regions[0])) for r in self.results_of(run)]
-        return [math.nan if score is None else headline.sign * score.value for score in scores]
+    def by_scene(self, run: str) -> list[float]:
+        """Return one run's single figure of every scene, lower is better: signed; NaN where there is no map."""
+        keys = [(self.protocol.headline, region) for region in self.figure_regions]
+        made = []
+        for result in self.results_of(run):
+            values = [result.by_key[key].value for key in keys if key in result.by_key and not result.error]
+            made.append(keys[0][0].sign * math.fsum(values) / len(keys) if len(values) == len(keys) else math.nan)
+        return made
+
+    @cached_property
+    def ranking(self) -> Ranking:
+        """The runs from the best single figure to the worst; those without one last, by that of the common scenes."""
+        sign = self.protocol.headline.sign
+        both = {run: [sign * self.overall(run, common).value for common in (False, True)] for run in self.runs}
+        order = sorted(self.runs, key=lambda run: [(math.isnan(v), 0.0 if math.isnan(v) else v) for v in both[run]])
+        return Ranking.of(order, {run: self.by_scene(run) for run in self.runs})
 
     def average_rank(self, keys: Sequence[Key]) -> dict[str, float]:
         """Return run -> mean rank over the common scenes and (metric, region) pairs; equal values share a rank."""
@@ -171,7 +206,7 @@ class EvaluationReport:
     results : one for every scene and run
     protocols : name -> protocol, of all that the results name
     truth : folder or file of the ground truth
-    hints : what was assumed of runs and scenes, one line each
+    hints : what was assumed of runs and scenes, and what looks wrong with the way they are scored, one line each
     """
 
     runs: tuple[str, ...]
@@ -187,7 +222,7 @@ class EvaluationReport:
 
     @property
     def warnings(self) -> list[str]:
-        """What looks wrong with the maps, one line each."""
+        """What looks wrong with the scenes and maps, one line each."""
         return [*self.hints, *(f"{r.run}: {r.scene}: {r.warning}" for r in self.results if r.warning)]
 
     @property
@@ -197,28 +232,12 @@ class EvaluationReport:
 
     @cached_property
     def sections(self) -> list[Section]:
-        """Sections of all data sets and protocols that have scores."""
-        return self._sections(lambda result: result.data_set)
-
-    @cached_property
-    def by_protocol(self) -> list[Section]:
-        """Sections of all protocols, each with the scenes of all data sets."""
-        return self._sections(lambda result: "all scenes")
-
-    def _sections(self, name: Callable[[MapResult], str]) -> list[Section]:
+        """Sections of all data sets and protocols that have scores; no mean is taken over several of them."""
         groups: dict[tuple[str, str], list[MapResult]] = {}
         for result in self.results:
             if result.scores:
-                groups.setdefault((name(result), result.protocol), []).append(result)
+                groups.setdefault((result.data_set, result.protocol), []).append(result)
         return [Section(d, self.protocols[p], self.runs, tuple(results)) for (d, p), results in groups.items()]
-
-    def comparisons(self) -> list[tuple[Section, str, PairedTest]]:
-        """Compare every further run with the first, by protocol: the headline in the main region of common scenes."""
-        made = []
-        for section in self.by_protocol:
-            values = [section.signed_headlines(run) for run in self.runs]
-            made += [(section, run, compare(values[0], v)) for run, v in zip(self.runs[1:], values[1:], strict=True)]
-        return made
 
     def records(self) -> list[Record]:
         """Return every number of the evaluation: of all results, then the means of every section."""
@@ -236,13 +255,16 @@ class EvaluationReport:
             "by_threshold": [row for section in self.sections for row in section.threshold_rows()],
             "comparisons": [
                 {
+                    "data_set": section.data_set,
                     "protocol": section.protocol.name,
                     "run": run,
-                    "against": self.runs[0],
-                    "better": run if c.wins > c.losses else self.runs[0] if c.losses > c.wins else None,
-                    **vars(c),
+                    "against": section.ranking.runs[0],
+                    **vars(test),
+                    "p_holm": section.ranking.p_values[run],
+                    "significant": section.ranking.is_significant(run),
                 }
-                for section, run, c in self.comparisons()
+                for section in self.sections
+                for run, test in section.ranking.tests.items()
             ],
             "failed": [{"run": r.run, "scene": r.scene, "reason": r.error} for r in self.failed],
             "warnings": self.warnings,

@@ -8,9 +8,10 @@ import io
 import math
 import os
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Self
+import textwrap
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
 from urllib.parse import quote
 
 from depthcli.core.text import csv_cell, one_line
@@ -50,6 +51,7 @@ class Table:
     note : explanation below, or empty
     better : for every column whether larger numbers are better; None: its numbers are not ranked. Empty: none are
     scenes : full name of the scene that a column speaks of, or empty; one a column, or no entry at all
+    name : by which it is chosen, and its label in LaTeX
     """
 
     title: str
@@ -58,6 +60,42 @@ class Table:
     note: str = ""
     better: tuple[bool | None, ...] = ()
     scenes: tuple[str, ...] = ()
+    name: str = ""
+
+    def only(self, headings: Collection[str]) -> Table:
+        """Return the table with its first column and those of the headings."""
+        chosen = [j for j, heading in enumerate(self.header) if j == 0 or heading in headings]
+
+        def part(cells: tuple[Any, ...]) -> tuple[Any, ...]:
+            return tuple(cells[j] for j in chosen) if cells else ()
+
+        return replace(self, header=part(self.header), rows=tuple(map(part, self.rows)), better=part(self.better),
+                       scenes=part(self.scenes))  # fmt: skip
+
+    def fitted(self, width: int, spare: Sequence[str] = (), names: Sequence[str] = ()) -> Table:
+        """Return the table with lines of at most ``width`` characters, where that is possible.
+
+        Columns of ``spare`` are left out in that order; if it is too wide still, the texts of the columns ``names`` are
+        shortened, the longest ones first.
+        """
+        table = self
+        for heading in spare:
+            if table._width() <= width:
+                break
+            table = table.only(set(table.header) - {heading})
+        places = [table.header.index(name) for name in names]
+        longest = max((len(row[j]) for row in table.rows for j in places), default=0)
+        while table._width() > width and longest > _MIN_NAME:
+            longest -= 1
+            rows = [
+                tuple(_shortened(cell, longest) if j in places else cell for j, cell in enumerate(row))
+                for row in self.only(table.header).rows
+            ]
+            table = replace(table, rows=tuple(rows))
+        return table
+
+    def _width(self) -> int:
+        return max(map(len, replace(self, title="", note="").text().splitlines()))
 
     def column(self, j: int) -> list[str]:
         """Return the cells of a column."""
@@ -82,16 +120,16 @@ class Table:
         worse = [0.0 if math.isnan(v) else abs(v - best) / max(abs(best), 1e-9) for v in values]
         return [round(min(share, 1.0), 2) for share in worse]
 
-    def text(self) -> str:
-        """Return aligned columns for a terminal, those of numbers set to the right."""
+    def text(self, width: int = 10_000) -> str:
+        """Return aligned columns for a terminal, those of numbers set to the right; title and note wrapped at width."""
         lines = [tuple(map(one_line, line)) for line in (self.header, *self.rows)]
         widths = [max(len(line[j]) for line in lines) for j in range(len(self.header))]
         right = self._numeric()
-        out = [one_line(self.title)] if self.title else []
+        out = textwrap.wrap(one_line(self.title), width)
         for line in lines:
             cells = [c.rjust(w) if r else c.ljust(w) for c, w, r in zip(line, widths, right, strict=True)]
             out.append("  ".join(cells).rstrip())
-        return "\n".join([*out, *filter(None, [one_line(self.note)])]) + "\n"
+        return "\n".join([*out, *textwrap.wrap(one_line(self.note), width)]) + "\n"
 
     def markdown(self) -> str:
         """Return a Markdown section: of ranked columns the best bold, the second best underlined."""
@@ -102,7 +140,10 @@ class Table:
         return "\n".join([*out, *(["", markdown_text(self.note)] if self.note else [])]) + "\n"
 
     def latex(self) -> str:
-        r"""Return a ``table`` with booktabs' rules: the best ``\textbf``, the second best ``\underline``."""
+        r"""Return a ``table`` with booktabs' rules: the best ``\textbf``, the second best ``\underline``.
+
+        Its label is ``tab:`` and the table's name.
+        """
         header, *rows = [
             " & ".join(row) + " \\\\" for row in self._formatted(r"\textbf{{{}}}", r"\underline{{{}}}", _latex)
         ]
@@ -111,6 +152,7 @@ class Table:
             "\\begin{table}",
             "\\centering",
             f"\\caption{{{_latex(self.title)}}}",
+            *([f"\\label{{tab:{_NO_LABEL.sub('-', self.name)}}}"] if self.name else []),
             f"\\begin{{tabular}}{{{''.join('r' if right else 'l' for right in self._numeric())}}}",
             "\\toprule",
             header,
@@ -169,6 +211,9 @@ _LATEX = {
     "[": "{[}", "]": "{]}",  # behind the end of a row they would be its distance to the next
 }  # fmt: skip
 
+_NO_LABEL = re.compile(r"[^A-Za-z0-9_.:-]+")
+_MIN_NAME = 12  # characters of a name that is shortened
+
 _MARKDOWN = re.compile(r"[\\`|<\[\]]|&(?=#?\w+;)")
 
 
@@ -189,6 +234,12 @@ def markdown_code(name: str) -> str:
 def markdown_link(path: str) -> str:
     """Return a relative path as the target of a link, whatever bytes it holds."""
     return quote(os.fsencode(path))
+
+
+def _shortened(name: str, length: int) -> str:
+    """The name, or its beginning and end."""
+    name, half = one_line(name), (length - 3) // 2
+    return name if len(name) <= length else f"{name[: length - 3 - half]}...{name[len(name) - half :]}"
 
 
 def _plain(cell: str) -> object:

@@ -1,4 +1,4 @@
-"""Statistics over scenes, runs and points: means, ranks, correlation, ROC area, paired comparisons."""
+"""Statistics over scenes, runs and points: means, ranks, correlation, ROC area, paired tests and their correction."""
 
 from __future__ import annotations
 
@@ -70,7 +70,9 @@ class PairedTest:
     wins, losses, ties : number of scenes where b is lower, higher, equal
     mean_difference : mean of b - a (negative: b is better)
     worst_ratio : largest b / a over the scenes (NaN where a is 0 everywhere)
-    p_value : two-sided exact sign test; ties are left out
+    rank_difference : rank-biserial correlation, -1 to 1: the sum of the ranks of b's losses less that of its wins, as
+        a share of all ranks; the sign says which of the two the test speaks for (negative: b). 0 where all are ties
+    p_value : two-sided Wilcoxon signed-rank test; ties are left out. NaN where no scene is compared
     """
 
     scenes: int
@@ -79,6 +81,7 @@ class PairedTest:
     ties: int
     mean_difference: float
     worst_ratio: float
+    rank_difference: float
     p_value: float
 
 
@@ -93,21 +96,55 @@ def compare(a: Sequence[float], b: Sequence[float]) -> PairedTest:
     if len(a) != len(b):
         raise ValueError(f"want two sequences of one length, got {len(a)} and {len(b)}")
     pairs = [(x, y) for x, y in zip(a, b, strict=True) if not (math.isnan(x) or math.isnan(y))]
-    wins = sum(y < x for x, y in pairs)
-    losses = sum(y > x for x, y in pairs)
+    differences = np.array([y - x for x, y in pairs if y != x], np.float64)
+    weights = ranks(np.abs(differences))
+    losses = int(np.count_nonzero(differences > 0))
     return PairedTest(
         scenes=len(pairs),
-        wins=wins,
+        wins=len(differences) - losses,
         losses=losses,
-        ties=len(pairs) - wins - losses,
+        ties=len(pairs) - len(differences),
         mean_difference=math.fsum(y - x for x, y in pairs) / len(pairs) if pairs else math.nan,
         worst_ratio=max((y / x for x, y in pairs if x > 0), default=math.nan),
-        p_value=sign_test(wins, losses),
+        rank_difference=float((np.sign(differences) * weights).sum() / weights.sum()) if len(differences) else 0.0,
+        p_value=signed_rank_test(differences) if pairs else math.nan,
     )
 
 
-def sign_test(wins: int, losses: int) -> float:
-    """Return the two-sided exact p value of the sign test: the chance of a split at least so uneven."""
-    n = wins + losses
-    tail = sum(math.comb(n, k) for k in range(min(wins, losses) + 1))
-    return min(1.0, float(2 * tail / 2**n))
+_MAX_ENUMERATED = 10  # differences, some of one size, whose 2^n signs are all tried: a few tenths of a second
+_MAX_EXACT = 50  # of more the normal approximation, as in scipy
+
+
+def signed_rank_test(differences: NDArray[np.float64]) -> float:
+    """Return the two-sided p value of the Wilcoxon signed-rank test; 1 below two differences.
+
+    It is exact up to 50 differences, or 10 where some are of one size; else a normal approximation.
+
+    Parameters
+    ----------
+    differences : (n,), none of them 0
+    """
+    if len(differences) < 2:
+        return 1.0
+    from scipy.stats import PermutationMethod, wilcoxon  # takes a second to import
+
+    tied = len(np.unique(np.abs(differences))) < len(differences)
+    method: Any = "asymptotic" if tied or len(differences) > _MAX_EXACT else "exact"
+    if tied and len(differences) <= _MAX_ENUMERATED:
+        method = PermutationMethod(n_resamples=2**_MAX_ENUMERATED)
+    return float(wilcoxon(differences, method=method).pvalue)
+
+
+def smallest_p(n_scenes: int, n_tests: int) -> float:
+    """Return the smallest p value that :func:`holm` can give for that many tests over that many scenes."""
+    return min(1.0, n_tests * 2.0 ** (1 - n_scenes))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p values corrected for their number after Holm; NaN stays NaN and does not count."""
+    corrected = [math.nan] * len(p_values)
+    order = sorted((p, i) for i, p in enumerate(p_values) if not math.isnan(p))
+    largest = 0.0
+    for k, (p, i) in enumerate(order):
+        largest = corrected[i] = max(largest, min(1.0, (len(order) - k) * p))
+    return corrected

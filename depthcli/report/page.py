@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -20,7 +20,7 @@ from depthcli.evaluation.plots import plots
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.render import Number
 from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.statistics import compare
+from depthcli.evaluation.wide_tables import wide_by_scene
 from depthcli.report import colors
 from depthcli.report.scene_view import SceneView, smaller
 
@@ -152,13 +152,11 @@ def _embedded(saved: _SavedScene, factor: int) -> str:
 
 def _section_data(section: Section) -> dict[str, Any]:
     """What the template shows of a section: runs from the best to the worst, tables, plots, comparisons."""
-    headline, runs = section.protocol.headline, section.runs
+    headline, runs, order = section.protocol.headline, section.runs, section.ranking.runs
     figures = {run: section.overall(run).value for run in runs}
-    known = [run for run in runs if not math.isnan(figures[run])]
-    best = sorted(known, key=lambda run: headline.sign * figures[run])
-    order = best + [run for run in runs if run not in known]
+    known = [run for run in order if not math.isnan(figures[run])]
     longest = max((figures[run] for run in known), default=0.0) or 1.0
-    signed = {run: section.signed_headlines(run) for run in runs}
+    by_scene = {run: section.by_scene(run) for run in runs}
     keys = dict.fromkeys([*((headline, region) for region in section.regions), *section.keys])
     n_keys = max(1, _MAX_CELLS // max(1, len(section.scenes) * len(runs)), len(section.regions))
     narrow = tables.section_tables(section)
@@ -170,9 +168,9 @@ def _section_data(section: Section) -> dict[str, Any]:
         "order": order,
         "rows": [runs.index(run) for run in order],
         "bars": {run: 100 * figures[run] / longest if run in known else 0.0 for run in runs},
-        "verdict": _verdict(section, best, signed),
-        "pairs": {a: {b: compare(signed[b], signed[a]) for b in runs if b != a} for a in runs},
-        "wide": [(*key, tables.wide_by_scene(section, key)) for key in list(keys)[:n_keys]],
+        "verdict": _verdict(section, known),
+        "wins": {a: {b: _n_better(by_scene[a], by_scene[b]) for b in runs} for a in runs},
+        "wide": [(*key, wide_by_scene(section, key)) for key in list(keys)[:n_keys]],
         "plots": {
             caption: f"data:image/svg+xml;base64,{base64.b64encode(svg.encode()).decode('ascii')}"
             for caption, svg in plots(section).items()
@@ -180,7 +178,12 @@ def _section_data(section: Section) -> dict[str, Any]:
     }
 
 
-def _verdict(section: Section, best: list[str], signed: Mapping[str, list[float]]) -> dict[str, Any] | None:
+def _n_better(a: Sequence[float], b: Sequence[float]) -> int:
+    """Number of scenes on which ``a`` is lower."""
+    return sum(x < y for x, y in zip(a, b, strict=True))
+
+
+def _verdict(section: Section, best: list[str]) -> dict[str, Any] | None:
     """The best run against the second: by how much, on how many scenes, where it gains and loses most."""
     if len(best) < 2:
         return None
@@ -188,14 +191,15 @@ def _verdict(section: Section, best: list[str], signed: Mapping[str, list[float]
     gains = sorted(
         (
             (b - a, abs(a), abs(b), scene)
-            for a, b, scene in zip(signed[best[0]], signed[best[1]], section.scenes, strict=True)
+            for a, b, scene in zip(section.by_scene(best[0]), section.by_scene(best[1]), section.scenes, strict=True)
             if not math.isnan(a + b)
         ),
         reverse=True,
     )
     return {
         "best": best[0], "second": best[1], "values": [Number(first), Number(second)],
-        "gap": Number(abs(first - second)), "compared": compare(signed[best[1]], signed[best[0]]),
+        "gap": Number(abs(first - second)), "compared": section.ranking.tests[best[1]],
+        "tested": section.ranking.verdict(),
         "gains": [g for g in gains[:2] if g[0] > 0], "losses": [g for g in gains[::-1][:2] if g[0] < 0],
     }  # fmt: skip
 

@@ -24,10 +24,12 @@ from depthcli.data.formats.disparity import read_disparity, write_disparity_png,
 from depthcli.data.formats.images import read_image, write_png
 from depthcli.data.walk import discover_scenes
 from depthcli.evaluation import protocols
+from depthcli.evaluation.comparison import EvaluationReport
+from depthcli.evaluation.printing import chosen_text
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.protocols._disparity import DisparityProtocol
 from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.tables import report_tables, report_text
+from depthcli.evaluation.tables import report_tables
 from tests.scenes import DATA, needs_data
 
 SHAPE = (24, 32)
@@ -80,6 +82,11 @@ def test_negative_constants_of_other_programs_are_no_values(truth: Path, tmp_pat
     assert (bad(scored()), scored().warning) == (25, "")
 
 
+def text_of(report: EvaluationReport) -> str:
+    """All tables, as ``--tables all`` prints them."""
+    return chosen_text(report, ["all"])
+
+
 def bad(result: MapResult, mask: str = "all", threshold: float = 1.0) -> float:
     return result.value("bad", mask, threshold)
 
@@ -99,9 +106,9 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     report = evaluate([perfect, wrong], truth, tmp_path / "out")
     assert report.failed == []
     assert report.warnings == []
-    text = report_text(report)
+    text = text_of(report)
     assert "perfect" in text
-    assert "mean of all figures" in text
+    assert "mean of 6" in text
     for row in rows(tmp_path / "out"):
         if row["run"] == "perfect" and row["metric"] == "bad":
             assert float(row["value"]) == 0
@@ -123,7 +130,8 @@ def test_two_runs_side_by_side(tmp_path: Path, truth: Path):
     (comparison,) = document["comparisons"]
     assert (comparison["run"], comparison["against"]) == ("half", "perfect")
     assert (comparison["scenes"], comparison["wins"], comparison["losses"]) == (2, 0, 2)
-    assert "Paired comparison" in (tmp_path / "out" / "report.md").read_text()
+    assert comparison["significant"] is False
+    assert "With 2 scenes no difference can be significant" in (tmp_path / "out" / "report.md").read_text()
     picture = read_image(tmp_path / "out" / "errors" / "half" / "a.png")
     assert tuple(picture[0, 10]) == (0, 0, 0)
     assert tuple(picture[20, 10]) == (170, 170, 170)
@@ -163,7 +171,7 @@ def test_what_is_missing_or_broken_has_a_reason(tmp_path: Path, truth: Path):
     assert "32 x 10" in reasons["run", "b"]
     assert "damaged PFM" in reasons["broken", "a"]
     assert "too dark" in reasons["told", "a"]
-    assert "Not evaluated" in report_text(report)
+    assert "Not evaluated" in text_of(report)
     assert sum(row["metric"] == "failed" for row in rows(tmp_path / "out")) == 4
     assert {r["run"] for r in json.loads((tmp_path / "out" / "scores.json").read_text())["failed"]} == {
         "run", "broken", "told",
@@ -213,7 +221,7 @@ def test_names_in_reports_are_texts(tmp_path: Path, truth: Path):
     assert lines
     assert not any("\x1b" in line or line.startswith("## <") for line in text.splitlines())
     assert all("\\<b>" in line for line in lines if "`" not in line)
-    assert "\x1b" not in report_text(report)
+    assert "\x1b" not in text_of(report)
     for row in rows(tmp_path / "out"):
         assert row["scene"][0] in "'*b" and row["run"].startswith("'=1+1\\n##")
 
@@ -238,7 +246,7 @@ def test_wrong_scale_is_said(tmp_path: Path, truth: Path):
     report = evaluate([run], truth, tmp_path / "out")
     assert len(report.warnings) == 1
     assert "run: a: the values are about 16 times the truth" in report.warnings[0]
-    assert report.warnings[0] in report_text(report)
+    assert "16 times the truth" in (tmp_path / "out" / "report.md").read_text()
 
 
 def test_scale_of_the_maps_can_be_said(tmp_path: Path, truth: Path):
@@ -272,8 +280,8 @@ def test_confidence_gives_curves(tmp_path: Path, truth: Path):
     assert curves["all", "oracle", "bad"].pixels == 24 * 32
     # Negative numbers are confidences, not missing codes.
     assert {c.confidence for c in report.results[1].curves} == {"levels"}
-    assert "AUC/optimal" in report_text(report)
-    assert "AUSE" in report_text(report)
+    assert "AUC/optimal" in text_of(report)
+    assert "AUSE" in text_of(report)
     plot = (tmp_path / "out" / "curves" / "run" / "a_nonocc_bad.svg").read_text()
     assert all(f"{name} {curves['nonocc', name, 'bad'].auc:.4f}" in plot for name in ("blind", "oracle"))
     assert "confidence_small.pfm" in report.warnings[0]
@@ -415,7 +423,7 @@ def test_kitti_pairs_end_to_end(tmp_path: Path):
     report = evaluate([run], DATA / "kitti_eval_pairs", tmp_path / "out", protocol="kitti-2015")
     found = [round(r.value("D1", "occ", 3.0, "estimated pixels only"), 2) for r in report.results]
     assert found == [4.19, 3.54, 8.30]
-    assert "4.19" in report_text(report)
+    assert "4.19" in text_of(report)
     assert read_disparity(run / "pair_01.png").shape == (375, 1242)
 
 
@@ -471,7 +479,7 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     assert means["both", "avgerr", "all", None]["value"] == pytest.approx(0.75)
     assert math.isnan(means["easy", "avgerr", "all", None]["value"])
     assert means["easy", "avgerr", "all", None]["value_common"] == 0
-    text, markdown = report_text(report), (tmp_path / "out" / "report.md").read_text()
+    text, markdown = text_of(report), (tmp_path / "out" / "report.md").read_text()
     for said in ("2, 1 missing*", "50.00*", "1 common", "*: scenes without a map count as wholly wrong"):
         assert said in text
         assert said in markdown
@@ -489,13 +497,13 @@ def test_a_missing_scene_never_makes_a_run_look_better(tmp_path: Path, truth: Pa
     (summary, *_) = report_tables(report)
     column = summary.header.index("avg rank")
     assert [row[column] for row in summary.rows] == ["", "1.5", "", "1.5"]
-    ((_, _, comparison),) = report.comparisons()
+    (comparison,) = report.sections[0].ranking.tests.values()
     assert (comparison.scenes, comparison.wins, comparison.losses, comparison.ties) == (1, 0, 0, 1)
 
 
 def test_a_complete_set_has_one_mean(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth) + 3, "b": exact(truth)})
-    text = report_text(evaluate([run], truth, None))
+    text = text_of(evaluate([run], truth, None))
     assert "*" not in text
     assert "common" not in text
     assert not (tmp_path / "out").exists()
@@ -520,10 +528,14 @@ def test_two_protocols_side_by_side(tmp_path: Path, truth: Path):
     runs = [run_of(tmp_path / name, {"a": exact(truth) + d, "b": exact(truth)}) for name, d in (("x", 0), ("y", 5))]
     report = evaluate(runs, truth, tmp_path / "out")
     assert [(s.data_set, s.protocol.name) for s in report.sections] == [("set", "kitti-2015"), ("set", "middlebury-v2")]
-    assert [section.protocol.name for section, _, _ in report.comparisons()] == ["kitti-2015", "middlebury-v2"]
+    assert [c["protocol"] for c in report.to_dict()["comparisons"]] == ["kitti-2015", "middlebury-v2"]
     overview = next(table for table in report_tables(report) if table.title == "Headline by data set")
-    assert overview.header == ("run", "set (kitti-2015)", "set (middlebury-v2)")
-    assert [row[1:] for row in overview.rows] == [("0.00", "0.00"), ("100.00", "0.00")]
+    assert [row[:7] for row in overview.rows] == [
+        ("set", "kitti-2015", "D1, %", "occ", "x", "1", "0.00"),
+        ("set", "kitti-2015", "D1, %", "occ", "y", "1", "100.00"),
+        ("set", "middlebury-v2", "bad 1, %", "nonocc, all, disc", "x", "1", "0.00"),
+        ("set", "middlebury-v2", "bad 1, %", "nonocc, all, disc", "y", "1", "0.00"),
+    ]
 
 
 def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
@@ -544,7 +556,7 @@ def test_a_single_map_against_a_single_file(tmp_path: Path, truth: Path, capsys:
         ("output", "maps", "scenes", "layout", "protocol", "scale", "resolution", "threshold", "resize", "invalid")
     )
     values |= {"runs": [tmp_path / "m.pfm"], "truth": truth / "a" / "disp_left.png", "json": True, "quiet": False}
-    values |= {"html": False, "format": None}
+    values |= dict.fromkeys(("format", "tables", "columns", "caption"), None) | {"html": False}
     assert COMMAND.run(values, Reporter(-1)) == 0
     assert json.loads(capsys.readouterr().out)["headlines"][0]["value"] == 100
 
@@ -595,7 +607,7 @@ def test_formats_settings_and_comparison(tmp_path: Path, truth: Path, capsys: py
     assert main([*command, "--format", "word"]) == 2
     assert "latex, markdown, csv" in capsys.readouterr().err
     (comparison,) = evaluate([one, two], truth, None).to_dict()["comparisons"]
-    assert (comparison["run"], comparison["better"], comparison["losses"]) == ("two", "one", 1)
+    assert (comparison["run"], comparison["against"], comparison["losses"]) == ("two", "one", 1)
     report = evaluate([one, two], truth, None)
     assert [r.size for r in report.results] == [SHAPE[0] * SHAPE[1]] * 4
 
@@ -713,3 +725,108 @@ def test_two_runs_of_one_name(tmp_path: Path, truth: Path):
     folder = others(tmp_path / "x", truth, "{scene}.pfm")
     with pytest.raises(InputError, match="two runs are called x: give one of them another name"):
         evaluate([folder, f"x={folder}"], truth, None)
+
+
+def kitti_like(folder: Path, name: str, rng: np.random.Generator) -> np.ndarray:
+    """Write a frame of KITTI's size with truth at a fifth of the pixels, and return the truth without gaps."""
+    disparity = np.broadcast_to(np.linspace(5, 60, 1242, dtype=np.float32), (375, 1242)).copy()
+    for side in ("left", "right"):
+        write_png(folder / name / f"{side}.png", np.zeros((375, 1242), np.uint8))
+    write_disparity_png(folder / name / "disp_left.png", np.where(rng.random(disparity.shape) < 0.2, disparity, np.nan))
+    return disparity
+
+
+def test_frames_that_look_like_kitti_are_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    rng = np.random.default_rng(0)
+    maps = {name: kitti_like(tmp_path / "set", name, rng) for name in ("f0", "f1")}
+    runs = [str(run_of(tmp_path / name, maps)) for name in ("x", "y")]
+    command = ["evaluate", *runs, "--truth", str(tmp_path / "set")]
+    assert main([*command, "-o", str(tmp_path / "out")]) == 0
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "KITTI" in line.upper() and "warning" in line]
+    for said in ("f0 and 1 more", "1242 x 375", "kitti-2015 or kitti-2012", "scored as middlebury-v2", "--protocol"):
+        assert said in line
+    assert "scored as middlebury-v2" in (tmp_path / "out" / "report.md").read_text()
+    for protocol in ("kitti-2015", "kitti-2012", "eth3d"):  # named: no doubt about it
+        assert main([*command, "--protocol", protocol]) == 0
+        assert "look like" not in capsys.readouterr().err
+
+
+def test_no_mean_is_over_several_data_sets(tmp_path: Path, truth: Path):
+    """Two sets of one protocol: a figure and a test for each, with the number of its scenes."""
+    shutil.copytree(truth, tmp_path / "all" / "one")
+    shutil.copytree(truth / "a", tmp_path / "all" / "two" / "a")
+    good = exact(truth)
+    maps = {"one/a": good, "one/b": good + 2, "two/a": good + 2}
+    runs = [run_of(tmp_path / "x", maps), run_of(tmp_path / "y", {**maps, "two/a": good})]
+    report = evaluate(runs, tmp_path / "all", tmp_path / "out")
+    (overview,) = [table for table in report_tables(report) if table.name == "overview"]
+    assert [(row[0], *row[4:7], row[-1]) for row in overview.rows] == [
+        ("one", "x", "2", "50.00", "best"), ("one", "y", "2", "50.00", "too few scenes"),
+        ("two", "y", "1", "0.00", "best"), ("two", "x", "1", "100.00", "too few scenes"),
+    ]  # fmt: skip
+    assert "all scenes" not in (tmp_path / "out" / "report.md").read_text()
+    assert {h["scenes"] for h in report.to_dict()["headlines"] if h["data_set"] == "one"} == {2}
+
+
+def test_a_mean_says_how_many_scenes_have_that_truth(tmp_path: Path, truth: Path):
+    (truth / "b" / "mask_disc.png").unlink()
+    run = run_of(tmp_path / "run", {"a": exact(truth) + 2, "b": exact(truth)})
+    report = evaluate([run], truth, tmp_path / "out")
+    (section,) = report.sections
+    (summary, *_) = report_tables(report)
+    # The figure is over the regions that all scenes have; the region of one scene says so.
+    assert summary.header[:6] == ("run", "scenes", "nonocc", "all", "disc (1 of 2)", "mean of 4")
+    assert summary.rows[0][4:6] == ("100.00", "50.00")
+    assert section.overall("run").value == 50
+    details = {t.name: t for t in report_tables(report)}
+    assert details["metrics-disc"].rows[-1][1] == "mean of 1"
+    assert details["metrics-all"].rows[-1][1] == "mean of 2"
+    notes = {r["mask"]: r["note"] for r in rows(tmp_path / "out") if r["scene"] == "*mean" and r["metric"] == "rms"}
+    assert (notes["disc"], notes["all"]) == ("over 1 scenes", "over 2 scenes")
+
+
+def test_the_terminal_shows_the_headline_within_100_columns(
+    tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]
+):
+    rng = np.random.default_rng(0)
+    for name in "cdefgh":
+        shutil.copytree(truth / "a", truth / name)
+    scenes = "abcdefgh"
+    runs = []
+    for k, spread in enumerate((0.3, 3.0, 0.3)):
+        name = f"aggregation.window={k},optimization.p1=0.5,optimization.p2=2.0,cost.name=census"
+        maps = {s: exact(truth) + rng.normal(0, spread, SHAPE).astype(np.float32) for s in scenes}
+        runs.append(str(run_of(tmp_path / name, maps)))
+    command = ["evaluate", *runs, "--truth", str(truth)]
+    assert main([*command, "-o", str(tmp_path / "out")]) == 0
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert max(map(len, lines)) <= 100
+    assert len(lines) <= 12
+    assert [line.split()[-1] for line in lines[3:6]] == ["best", "significant", "worse"]
+    assert f"{tmp_path / 'out' / 'report.md'}" in err
+    assert "every metric" in (tmp_path / "out" / "report.md").read_text()
+    assert main([*command, "--tables", "all"]) == 0
+    everything = capsys.readouterr().out
+    assert all(title in everything for title in ("every metric, nonocc", "every metric, disc", "by scene"))
+    assert main([*command, "--tables", "metrics-all,scenes"]) == 0
+    chosen = capsys.readouterr().out
+    assert "every metric, all" in chosen and "by scene" in chosen and "every metric, disc" not in chosen
+    assert main([*command, "--tables", "metric"]) == 2
+    assert "want all, headline, overview, metrics" in capsys.readouterr().err
+    assert main([*command, "--tables", "metrics-edges"]) == 2
+    assert "no table metrics-edges; there are headline, metrics-nonocc" in capsys.readouterr().err
+
+
+def test_a_table_for_a_paper(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
+    runs = [str(run_of(tmp_path / n, {"a": exact(truth) + d, "b": exact(truth)})) for n, d in (("one", 0), ("two", 2))]
+    command = ["evaluate", *runs, "--truth", str(truth), "--format", "latex", "--tables", "scenes-nonocc"]
+    assert main([*command, "--columns", "b, mean of 2", "--caption", "Bad pixels, 1 % off"]) == 0
+    out = capsys.readouterr().out
+    assert r"\caption{Bad pixels, 1 \% off}" in out and r"\label{tab:scenes-nonocc}" in out
+    assert r"run & b & mean of 2 \\" in out and r"\begin{tabular}{lrr}" in out
+    assert out.count(r"\begin{table}") == 1
+    assert main([*command[:-1], "scenes", "--caption", "x"]) == 2
+    assert "--caption: is for one table, these are 3" in capsys.readouterr().err
+    assert main([*command, "--columns", "z"]) == 2
+    assert "no z in these tables, which have a, b, mean of 2" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from depthcli.evaluation.curves import PERCENTAGES, sparsification
 from depthcli.evaluation.presentation import Presentation, error_picture, pixel_kinds
-from depthcli.evaluation.statistics import average_ranks, compare, sign_test
+from depthcli.evaluation.statistics import average_ranks, compare, holm, smallest_p
 from tests.naive import metrics as naive
 
 
@@ -97,9 +98,35 @@ def test_paired_comparison():
     assert (result.scenes, result.wins, result.losses, result.ties) == (4, 2, 1, 1)
     assert result.mean_difference == pytest.approx(0)
     assert result.worst_ratio == pytest.approx(1.1)
-    assert sign_test(17, 3) == pytest.approx(2 * (1 + 20 + 190 + 1140) / 2**20)
-    assert sign_test(5, 5) == 1
-    assert sign_test(0, 0) == 1
+    # |differences| 1, 2, 3 are ranks 1, 2, 3; a sum of wins of 3 or less, or of 3 or more, is all there is.
+    assert (result.p_value, result.rank_difference) == (pytest.approx(1), pytest.approx(0))
+
+
+@pytest.mark.parametrize("differences", [(1, 2, 3, 4), (1, 2, 3, -4, 5, 6), (2, 2, -2, 3, 3, 5, 8), (1,) * 9, (5,)])
+def test_wilcoxon_counts_the_signs_that_are_at_least_so_uneven(differences: tuple[int, ...]):
+    sizes = np.abs(differences)
+    ranked = np.array([np.sum(sizes < s) + (np.sum(sizes == s) + 1) / 2 for s in sizes])
+    sums = [abs(np.dot(signs, ranked)) for signs in itertools.product((-1, 1), repeat=len(ranked))]
+    found = abs(np.dot(np.sign(differences), ranked))
+    test = compare([0] * (len(differences) + 1), [*differences, 0])
+    assert (test.scenes, test.ties) == (len(differences) + 1, 1)
+    assert test.p_value == pytest.approx(np.mean(np.array(sums) >= found - 1e-9))
+    assert test.rank_difference == pytest.approx(np.dot(np.sign(differences), ranked) / ranked.sum())
+
+
+def test_many_scenes_and_none():
+    rng = np.random.default_rng(0)
+    for n in (14, 40, 200):
+        assert compare([0.0] * n, list(1 + rng.uniform(0, 1, n))).p_value < 1e-3
+    assert compare([0.0] * 20, [1.0] * 20).p_value < 1e-3  # all of one size
+    assert compare([1, 2], [1, 2]).p_value == 1
+    assert math.isnan(compare([math.nan], [1]).p_value)
+
+
+def test_holm():
+    assert holm([0.01, 0.04, 0.03, math.nan]) == pytest.approx([0.03, 0.06, 0.06, math.nan], nan_ok=True)
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+    assert (smallest_p(4, 1), smallest_p(4, 2), smallest_p(6, 1), smallest_p(1, 3)) == (0.125, 0.25, 0.03125, 1.0)
 
 
 def test_error_picture_colors():

@@ -190,6 +190,10 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
         """Return what looks wrong with the estimate, one line each."""
         return []
 
+    def better_protocols(self, truth: Truth) -> str:
+        """Return what of other protocols a scene's truth looks like, and why; empty where this protocol fits."""
+        return ""
+
     def missing(self, truth: Truth, dense: bool = False) -> list[Score]:
         """Return the scores (or ``dense``) of a scene without a map: the worst value, NaN where there is no bound."""
         scores = (self.threshold_curve if dense else self.scores)(self.empty_estimate(truth), truth)

@@ -189,6 +189,15 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         warning = scale_warning(self.resized(estimate, truth), truth.disparity)
         return [] if warning is None else [warning]
 
+    def better_protocols(self, truth: DisparityTruth) -> str:
+        """Name those of KITTI where the truth has the size of its frames and is sparse."""
+        known = float(np.mean(~np.isnan(truth.disparity)))
+        if not (_is_kitti_size(*truth.disparity.shape) and known < _MAX_KITTI_KNOWN):
+            return ""
+        return (
+            f"frames of kitti-2015 or kitti-2012 ({size(truth.disparity)}, truth at {100 * known:.0f} % of the pixels)"
+        )
+
 
 def difference(estimate: Disparity, truth: Disparity) -> Disparity:
     """Return the absolute difference in single precision; NaN where one of the two has no value."""
@@ -199,6 +208,14 @@ def difference(estimate: Disparity, truth: Disparity) -> Disparity:
 def size(array: NDArray[Any]) -> str:
     """Return the size of an (H, W) array as text: width x height."""
     return f"{array.shape[1]} x {array.shape[0]}"
+
+
+_MAX_KITTI_KNOWN = 0.5  # of a laser scanner's truth, which has about 20 %, with the models of cars more
+
+
+def _is_kitti_size(height: int, width: int) -> bool:
+    """Return True for the sizes of rectified KITTI frames: 370 x 1224 to 376 x 1242."""
+    return 370 <= height <= 376 and 1224 <= width <= 1242
 
 
 _MIN_INVALID_SHARE = 0.005  # of the pixels; a constant that fewer have may be measured

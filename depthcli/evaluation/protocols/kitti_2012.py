@@ -96,6 +96,10 @@ class Kitti2012Protocol(DisparityProtocol):
         average = Metric("avgerr", "px", convention=convention, label=f"{est}avgerr")
         return [*scores, tally.number(average, value, error.size)]
 
+    def better_protocols(self, truth: DisparityTruth) -> str:
+        """Return nothing: this is the one for such frames."""
+        return ""
+
     def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
         """Compute the mean over the frames, summed in single precision as by the kit."""
         mean = super().pool(scores, weights)

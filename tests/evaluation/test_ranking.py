@@ -1,0 +1,56 @@
+"""What is said of the runs: never more than the test over the scenes shows."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from depthcli.evaluation.ranking import Ranking
+
+NINE = [float(k) for k in range(1, 10)]
+
+
+@pytest.mark.parametrize(
+    ("others", "said", "words"),
+    [
+        ({"b": [v + 1 + v / 99 for v in NINE]}, "a is significantly better than b.", ["best", "worse"]),
+        ({"b": [v + (-1) ** k * k for k, v in enumerate(NINE, 1)]}, "No significant difference", ["best", "not sig"]),
+        # One scene decides the mean; on all others b is better.
+        (
+            {"b": [1 - 0.1, *(v - 0.1 * v for v in NINE[1:8]), 99.0], "c": NINE},
+            "No significant",
+            ["best", "not", "not"],
+        ),
+        ({"b": [v - 0.1 * v for v in NINE]}, "In most scenes b is significantly better", ["best", "better in most"]),
+        (
+            {name: [v + 1 + k / 7 + v / 99 for v in NINE] for k, name in enumerate("bc")},
+            "a is significantly better than every other run.",
+            ["best", "worse", "worse"],
+        ),
+        ({"b": [math.nan] * 9}, "No scene has a map of two runs", ["best", "no common scene"]),
+    ],
+)
+def test_verdicts(others: dict[str, list[float]], said: str, words: list[str]):
+    ranking = Ranking.of(["a", *others], {"a": NINE, **others})
+    assert ranking.verdict().startswith(said)
+    assert all(ranking.word(run).startswith(word) for run, word in zip(["a", *others], words, strict=True))
+    for run in others:
+        assert ranking.is_significant(run) == (ranking.word(run) in ("worse", "better in most"))
+
+
+@pytest.mark.parametrize(("scenes", "runs", "enough"), [(4, 1, 6), (1, 1, 6), (6, 2, 7), (6, 9, 9)])
+def test_few_scenes_are_said_to_be_too_few(scenes: int, runs: int, enough: int):
+    others = {f"r{k}": [v + 1 + k + v / 99 for v in NINE[:scenes]] for k in range(runs)}
+    ranking = Ranking.of(["a", *others], {"a": NINE[:scenes], **others})
+    assert "no difference can be significant" in ranking.verdict()
+    assert ranking.verdict().endswith(f"that takes {enough}.")
+    assert ranking.word("r0") == "too few scenes"
+    full = Ranking.of(["a", *others], {r: [v + 9 * k + k * v / 99 for v in NINE[:enough]] for k, r in
+                                       enumerate(["a", *others])})  # fmt: skip
+    assert full.is_significant("r0")
+
+
+def test_one_run_has_no_verdict():
+    ranking = Ranking.of(["a"], {"a": NINE})
+    assert (ranking.verdict(), ranking.word("a")) == ("", "best")
