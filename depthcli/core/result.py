@@ -59,11 +59,16 @@ class Clock:
 
     ``untimed`` returns seconds that are left out. A runner sets it to the time spent on compiling kernels, which
     happens once per machine and is not the method's time.
+
+    Parameters
+    ----------
+    within : what the names of the stages begin with where they are announced: the stage of another clock
     """
 
     untimed: ClassVar[Callable[[], float]] = staticmethod(lambda: 0.0)
 
-    def __init__(self) -> None:
+    def __init__(self, within: str = "") -> None:
+        self._within = f"{within} " if within else ""
         self._seconds: dict[str, float] = {}
         self._stage: str | None = None
         self._last = 0.0
@@ -72,7 +77,7 @@ class Clock:
         """End the current stage and begin another one; a stage that was begun before goes on."""
         self._book()
         self._stage = stage
-        progress.announce_stage(stage)
+        progress.announce_stage(self._within + stage)
 
     def include(self, stages: Mapping[str, float]) -> None:
         """Book ``stages``, which another clock timed during the current one, instead of that part of it."""

@@ -19,13 +19,13 @@ def test_stages_and_things_within_them_are_announced_when_they_begin():
         clock.start("cost")
         for _ in counted("ab", "tile"):
             clock.start("cost")
-            Clock().start("inner")
+            Clock("coarse").start("inner")
         clock.start("refinement")
     announce_stage("later")
     assert heard == [
         Activity("cost"), Activity("cost", "tile", 1, 2), Activity("cost", "tile", 1, 2),
-        Activity("inner", "tile", 1, 2), Activity("inner", "tile", 2, 2), Activity("cost", "tile", 2, 2),
-        Activity("inner", "tile", 2, 2), Activity("inner"), Activity("refinement"),
+        Activity("coarse inner", "tile", 1, 2), Activity("coarse inner", "tile", 2, 2), Activity("cost", "tile", 2, 2),
+        Activity("coarse inner", "tile", 2, 2), Activity("coarse inner"), Activity("refinement"),
     ]  # fmt: skip
 
 
