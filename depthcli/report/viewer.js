@@ -176,11 +176,13 @@ function ramp(colors, width = 90) {
   return canvas;
 }
 
+const trueQuantity = () => `true ${scene.quantity.replace(/^expected /, "")}`;  // of an expected error the true one
+
 function setLegend() {
   const shown = (value) => `${+value.toPrecision(4)}`, parts = [];
   const entry = (...nodes) => { const span = make("span"); span.append(...nodes); parts.push(span); };
   if (state.layer === "map") {
-    entry(`${scene.quantity} ${shown(scene.low)}`, ramp(page.scale, 200), `${shown(scene.high)} ${scene.unit}`);
+    entry(`${state.source === "truth" && state.mode !== "all" ? trueQuantity() : scene.quantity} ${shown(scene.low)}`, ramp(page.scale, 200), `${shown(scene.high)} ${scene.unit}`);
     entry(ramp([page.none], 16), "no value");
   } else if (state.layer === "error") {
     scene.words.forEach((words, kind) => {
@@ -209,7 +211,7 @@ function setReadout() {
   const i = pointer.y * view.width + pointer.x;
   const known = view.region[i] & 1;
   const where = known ? (view.region[i] & 2 ? ", occluded" : "") : ", truth unknown or not evaluated";
-  const truth = view.truth ? ` · true ${scene.quantity} ${text(view.truth[i])} ${scene.unit}` : "";
+  const truth = view.truth ? ` · ${trueQuantity()} ${text(view.truth[i])} ${scene.unit}` : "";
   const place = view.axes.map((along, axis) => {
     const index = (axis ? pointer.y : pointer.x) * view.factor;
     if (!along) return `${"xy"[axis]} ${index}`;

@@ -135,7 +135,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
     presentation = RegistrationPresentation(
         title="Registration confidence: expected against true error",
         unit="mm",
-        quantity="registration error",
+        quantity="expected error",
         note=(
             "Spearman: rank correlation of expected and true errors; AUC: share of the pairs of points, one with a "
             "true error above 3 mm and one below, in the right order; accuracy: of the classes < 3, 3-6, >= 6 mm; "
