@@ -23,7 +23,7 @@ import _env  # noqa: F401  (first: continues in the checkout's environment)
 
 from depthcli.batch.presets import list_presets
 from depthcli.commands import command_names, help_of
-from depthcli.core.maps import DepthStatus, Status
+from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP, DepthStatus, Status
 from depthcli.core.method import Family
 from depthcli.data.layouts import layouts
 from depthcli.evaluation import protocols
@@ -35,27 +35,6 @@ README, CONTRIBUTING = ROOT / "README.md", ROOT / "CONTRIBUTING.md"
 TABLE = re.compile(r"(<!-- table: ([\w/-]+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 FILE_NAME = re.compile(r"\b((?:scripts|depthcli|tests|configs)/[\w./-]*[\w/])")
 NOT_THERE_YET = {"depthcli/methods/stereo/cost/squared_difference.py"}  # CONTRIBUTING.md adds it as its example
-
-STATUS = {
-    Status.MEASURED: "measured",
-    Status.OCCLUDED: "occluded",
-    Status.MISMATCH: "mismatch: the two views disagree, or the region was too small to be trusted",
-    Status.OUT_OF_RANGE: "out of the search range",
-    Status.NO_DATA: "no data",
-    Status.FILLED: "filled: the value was put in from around; the reason's bit stays set",
-    Status.SMOOTHED: "smoothed: a filter changed the value",
-}
-DEPTH_STATUS = {
-    DepthStatus.KEPT: "kept: the sensor's value",
-    DepthStatus.GAP_FILLED: "gap filled: the sensor has no value here",
-    DepthStatus.CORRECTED: "corrected: the sensor's value was judged wrong and replaced",
-    DepthStatus.FALLBACK: "filled from around: the model has no value either",
-    DepthStatus.CARRIED: "carried over from earlier frames",
-    DepthStatus.EMPTY: "no value",
-    DepthStatus.SMOOTHED: "smoothed: a filter changed the value",
-    DepthStatus.SAMPLED: "from stereo (`transparent`): filled or corrected, and stereo of the pixel itself gives the "
-    "same value; without it the value is inferred from the pixels around",
-}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -118,9 +97,9 @@ def table(name: str) -> str:
     if name == "thesis-presets":
         return _rows(("preset", "what it is"), _presets(thesis=True))
     if name == "status":
-        return _rows(("bit of `status.png`", "meaning"), _bits(Status, STATUS))
+        return _rows(("bit of `status.png`", "meaning"), _bits(Status, STATUS_HELP))
     if name == "depth-status":
-        return _rows(("bit of a depth map's `status.png`", "meaning"), _bits(DepthStatus, DEPTH_STATUS))
+        return _rows(("bit of a depth map's `status.png`", "meaning"), _bits(DepthStatus, DEPTH_STATUS_HELP))
     if (ROOT / "depthcli" / name).is_dir():
         return _methods(name)
     raise KeyError(name)

@@ -27,6 +27,16 @@ Values: TypeAlias = Mapping[str, Any]
 SOME_FAILED = 3
 """Exit code of a command that finished, but not for every scene."""
 
+EXIT_CODES = {
+    0: "all done",
+    1: "a bug in depthcli; the traceback is printed",
+    2: "wrong usage, config or folder; nothing was computed",
+    SOME_FAILED: "finished, but something failed or could not be written; the report says what",
+    130: "ended by Ctrl-C; the same command goes on where it stopped",
+    143: "ended by SIGTERM; the same command goes on where it stopped",
+}
+"""Exit code -> what it means."""
+
 
 class Command(ABC):
     """One sub-command: a module of ``commands/`` holds one, in ``COMMAND``.

@@ -189,7 +189,7 @@ def _run_typer(arguments: list[str] | None) -> int:
     | shell completion (``_DEPTHCLI_COMPLETE`` is set) | exits with its own code | leaves it so |
     """
     try:
-        code = int(app(arguments, prog_name="depthcli", standalone_mode=False) or 0)
+        code = int(app(_help_option(arguments), prog_name="depthcli", standalone_mode=False) or 0)
     except typer.Abort:
         code = 130
     except SystemExit as error:
@@ -209,6 +209,16 @@ def _run_typer(arguments: list[str] | None) -> int:
     if code == 130:
         raise KeyboardInterrupt
     return code
+
+
+def _help_option(arguments: list[str] | None) -> list[str]:
+    """Return the arguments; of ``help COMMAND``, those that show the help of the command."""
+    words = sys.argv[1:] if arguments is None else arguments
+    if len(words) == 2 and words[0] == "help" and words[1] in command_names():
+        from depthcli.commands.help import TOPICS
+
+        return words if words[1] in TOPICS else [words[1], "--help"]
+    return words
 
 
 def _repair_streams() -> None:

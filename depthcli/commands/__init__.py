@@ -30,6 +30,7 @@ The others:
 ``sweep``     makes a config of every combination; runs each as its command does; evaluates all; writes the tables
 ``export``    finds the maps of a benchmark's scenes; checks all; writes the archive as its server takes it
 ``merge``     joins the reports of the processes that shared a run
+``help``      explains columns, layouts, files and other topics, from the code
 ``presets``   lists the configs that are shipped, or prints one with its fields
 ``devices``   lists what stereo can run on, and measures the bandwidth
 ``warmup``    compiles the kernels that presets call, or lists them
@@ -53,7 +54,7 @@ _GROUPS = {
     "Match and refine": ("stereo", "fuse", "refine-kinect", "transparent", "register-confidence"),
     "Prepare and convert": ("sample", "rectify", "depth"),
     "Evaluate and report": ("evaluate", "sweep", "export", "merge"),
-    "Inspect and set up": ("presets", "devices", "warmup"),
+    "Inspect and set up": ("help", "presets", "devices", "warmup"),
 }
 """Headings of ``depthcli --help``; commands that are listed nowhere come last, under a heading of their own."""
 

@@ -35,10 +35,11 @@ HTML = (
     Option("html_budget", str, "Size of its pictures beyond which they are scaled down.", "SIZE", default="50MB",
            group="Report"),
 )  # fmt: skip
-_RESULTS = (
+RESULTS = (
     "scores.*", "report.md", "report.html", "contact_sheet.png", "errors/**/*", "curves/**/*", "points/**/*",
     "assets/*",
 )  # fmt: skip
+"""Shell patterns of the files that an evaluation writes."""
 _DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's folder, without --protocol
 
 
@@ -152,7 +153,7 @@ def evaluate(
     found = _find_truth(truth, scored_by, kinds, layout, scenes, settings, reporter)
     if len(found) > 1 and any(map(os.path.isfile, places.values())):
         raise InputError(f"a single map wants a single scene, {truth} has {len(found)}: give a file, or --scenes")
-    writing = staging_folder(Path(output), "evaluate", _RESULTS, reporter.info) if output is not None else None
+    writing = staging_folder(Path(output), "evaluate", RESULTS, reporter.info) if output is not None else None
     with writing or contextlib.nullcontext() as folder:
         if page is not None and folder is not None:
             page.folder = folder

@@ -49,6 +49,31 @@ class DepthStatus(_Flags):
     SAMPLED = 64  # filled or replaced, and a second measurement of the same pixel (stereo) agrees
 
 
+STATUS_HELP = {
+    Status.MEASURED: "measured",
+    Status.OCCLUDED: "occluded",
+    Status.MISMATCH: "mismatch: the two views disagree, or the region was too small to be trusted",
+    Status.OUT_OF_RANGE: "out of the search range",
+    Status.NO_DATA: "no data",
+    Status.FILLED: "filled: the value was put in from around; the reason's bit stays set",
+    Status.SMOOTHED: "smoothed: a filter changed the value",
+}
+"""Bit -> what it says of a pixel of a disparity map."""
+
+DEPTH_STATUS_HELP = {
+    DepthStatus.KEPT: "kept: the sensor's value",
+    DepthStatus.GAP_FILLED: "gap filled: the sensor has no value here",
+    DepthStatus.CORRECTED: "corrected: the sensor's value was judged wrong and replaced",
+    DepthStatus.FALLBACK: "filled from around: the model has no value either",
+    DepthStatus.CARRIED: "carried over from earlier frames",
+    DepthStatus.EMPTY: "no value",
+    DepthStatus.SMOOTHED: "smoothed: a filter changed the value",
+    DepthStatus.SAMPLED: "from stereo (transparent): filled or corrected, and stereo of the pixel itself gives the "
+    "same value; without it the value is inferred from the pixels around",
+}
+"""Bit -> what it says of a pixel of a depth map."""
+
+
 @dataclass(frozen=True)
 class _Map:
     values: NDArray[np.float32]

@@ -15,6 +15,7 @@ from typing import Any, Self
 from urllib.parse import quote
 
 from depthcli.core.text import csv_cell, one_line
+from depthcli.evaluation.columns import heading_help
 
 BEST, SECOND = 1, 2
 
@@ -176,14 +177,16 @@ class Table:
     def html(self) -> str:
         """Return a table of the page, its columns sortable."""
 
-        def row(cells: tuple[str, ...], tag: str) -> str:
-            return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>\n"
+        def row(cells: tuple[str, ...]) -> str:
+            return "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>\n"
 
+        helps = [(html.escape(heading), html.escape(heading_help(heading))) for heading in self.header]
+        head = "".join(f'<th title="{text}">{name}</th>' if text else f"<th>{name}</th>" for name, text in helps)
         caption = f"<caption>{html.escape(self.title)}</caption>\n" if self.title else ""
         note = f'<p class="note">{html.escape(self.note)}</p>\n' if self.note else ""
-        body = "".join(row(cells, "td") for cells in self.rows)
+        body = "".join(row(cells) for cells in self.rows)
         return (
-            f'<div class="wide"><table class="sortable">\n{caption}<thead>{row(self.header, "th")}</thead>\n'
+            f'<div class="wide"><table class="sortable">\n{caption}<thead><tr>{head}</tr>\n</thead>\n'
             f"<tbody>{body}</tbody>\n</table></div>\n{note}"
         )
 

@@ -94,6 +94,9 @@ def test_html_is_escaped():
     text = WIDE.html()
     assert "<td>x|y_1</td><td>1.23</td>" in text
     assert "<th>s &amp; t</th>" in text
+    headings = Table("", ("run", "s/GD", "Teddy"), ()).html()
+    assert 'title="computing time for 10^9 pixels x disparities searched, s">s/GD</th>' in headings
+    assert "<th>Teddy</th>" in headings
     assert "<script>" not in Table("<script>", ("<script>",), (("<script>",),), "<script>").html()
 
 

@@ -1,0 +1,46 @@
+"""What the columns of tables mean: a name, a unit and one line for each."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ColumnHelp:
+    """The explanation of a column.
+
+    Attributes
+    ----------
+    name : the heading; of columns that differ in a number or name, with that in capitals, such as ``bad T``
+    about : one line: what the numbers are of
+    unit : of the numbers, or empty
+    also : other headings of the same numbers, such as that of the printed table
+    pattern : regular expression of all headings where ``name`` stands for several; empty: ``name`` is the heading
+    """
+
+    name: str
+    about: str
+    unit: str = ""
+    also: tuple[str, ...] = ()
+    pattern: str = ""
+
+    @property
+    def headings(self) -> str:
+        """Name, other headings and unit, as a list of columns shows them."""
+        unit = f" [{self.unit}]" if self.unit else ""
+        return ", ".join((self.name, *self.also)) + unit
+
+    def fits(self, heading: str) -> bool:
+        """Return whether a column is meant, by its heading without a unit behind a comma."""
+        return heading in (self.name, *self.also) or bool(self.pattern and re.fullmatch(self.pattern, heading))
+
+
+def find_column(columns: Iterable[ColumnHelp], heading: str) -> ColumnHelp | None:
+    """Return the explanation of a heading, with or without a unit behind a comma; None where there is none.
+
+    The first that fits counts.
+    """
+    columns, names = tuple(columns), dict.fromkeys((heading, heading.rpartition(", ")[0] or heading))
+    return next((column for name in names for column in columns if column.fits(name)), None)
