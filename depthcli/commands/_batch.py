@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Generic
 
 from depthcli.batch.command import SOME_FAILED, Command, ConfigT, ModelT, Outcome, SceneT, Values
 from depthcli.batch.console import Column, Reporter, run_table
-from depthcli.batch.json_csv import to_json
+from depthcli.batch.json_csv import Row, to_json
 from depthcli.commands._options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
 from depthcli.commands._tables import print_place, print_tables
 from depthcli.commands.evaluate import evaluate, new_page
@@ -65,6 +65,10 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         """Return the combinations of status bits that the legend shows; None: each bit alone."""
         return None
 
+    def notes(self, config: ConfigT, scenes: Sequence[SceneT], rows: Sequence[Row]) -> list[str]:
+        """Return warnings about a whole run, once its ``rows`` are there."""
+        return []
+
     def run_on(self, config: ConfigT, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> int:
         """Compute scenes, evaluate where asked, print table or JSON; or only list the scenes. Return the exit code."""
         options, output = run_options(values), values["output"]
@@ -82,6 +86,8 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
             reporter.info(f"shard {options.shard} of {len(scenes)} scenes")
         options = replace(options, preset=preset_of(self.name, values.get("config") or ""))
         rows = run_scenes(self, config, scenes, output, options, reporter)
+        for line in self.notes(config, scenes, rows):
+            reporter.info(f"warning: {line}")
         failed = [row for row in rows if row["status"] == "failed"]
         if (palette := self.palette()) is not None and len(failed) < len(rows):
             write_legend(output / LEGEND_FILE, palette, self.legend_values())

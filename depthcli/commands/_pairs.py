@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
@@ -14,7 +14,7 @@ from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import ConfigCommand
 from depthcli.commands._rectified import UNIT, check_unit
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
@@ -68,12 +68,11 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         return limits_of(config, memory, self.device(config))
 
     def memory_of(self, config: PairConfigT, scene: StereoScene) -> int | None:
-        """Estimate by the left image's size; None where key points give the range, InputError where nothing does."""
+        """Estimate by the left image's size; None where key points give the range."""
         from depthcli.data.formats.headers import image_size
         from depthcli.methods.stereo.matching import host_bytes
 
         min_disparity, max_disparity = given_range(config, scene)
-        _check_range(config, scene, max_disparity)
         if not (isinstance(min_disparity, int) and isinstance(max_disparity, int)):
             return None
         shape, limits = image_size(scene.left)[:2], self.limits(config, 0)
@@ -132,13 +131,27 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         lower = {} if min_disparity == 0 else {"min_disparity": str(min_disparity)}
         return {"max_disparity": str(max_disparity), **lower}
 
+    def notes(self, config: PairConfigT, scenes: Sequence[StereoScene], rows: Sequence[Row]) -> list[str]:
+        """Return a line with the search range of scenes for which neither the config nor their files give one."""
+        if config.max_disparity is not None or config.calibration is not None:
+            return []
+        unknown = {scene.name for scene in scenes if scene.max_disparity is None}
+        ends = [row["max_disparity"] for row in rows if row["scene"] in unknown and "max_disparity" in row]
+        if not ends:
+            return []
+        which = "the search range is" if len(ends) == 1 else f"the search ranges of {len(ends)} scenes are"
+        span = f"{ends[0]}" if len(set(ends)) == 1 else f"{min(ends)} to {max(ends)}"
+        return [
+            f"{which} not known: --max-disparity auto was taken, which gives {span} px (max_disparity in report.csv)"
+        ]
+
     def compute(self, config: PairConfigT, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Match one pair: load or rectify, search range, match, save.
 
         Raises
         ------
         InputError
-            The images cannot be used, the search range is unknown, or ``memory`` bytes do not suffice.
+            The images cannot be used, too few key points match where they give the range, or ``memory`` is too little.
         """
         import numpy as np
 
@@ -148,7 +161,6 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
         clock = Clock()
         min_disparity, max_disparity = given_range(config, scene)
-        _check_range(config, scene, max_disparity)
         matcher, limits = self.matcher(config, scene), self.limits(config, memory)
         device_columns = self.device_columns(config)
         facts: Row = {}
@@ -197,11 +209,13 @@ def _meanwhile(task: Callable[[], None] | None) -> Iterator[None]:
 
 
 def given_range(config: PairConfig, scene: StereoScene) -> tuple[int | str, int | str | None]:
-    """Return the ends of the range that the config, or else the scene, gives; the upper one None where neither does."""
+    """Return the ends of the range that the config, or else the scene, gives.
+
+    Where neither gives the upper one it is "auto", and None for a pair that a calibration rectifies: then both ends
+    are as key points suggest.
+    """
     min_disparity = scene.min_disparity if config.min_disparity is None else config.min_disparity
-    return min_disparity, scene.max_disparity if config.max_disparity is None else config.max_disparity
-
-
-def _check_range(config: PairConfig, scene: StereoScene, max_disparity: int | str | None) -> None:
-    if max_disparity is None and config.calibration is None:  # rectified pairs have a range that key points suggest
-        raise InputError(f"{scene.folder}: the search range is not known; say it with --max-disparity, or auto")
+    max_disparity = scene.max_disparity if config.max_disparity is None else config.max_disparity
+    if max_disparity is None and config.calibration is None:
+        max_disparity = "auto"
+    return min_disparity, max_disparity

@@ -21,6 +21,7 @@ from depthcli.cli import main
 from depthcli.commands import load_command
 from depthcli.commands._batch import BatchCommand
 from depthcli.data.formats.disparity import read_disparity, read_pfm
+from depthcli.data.formats.images import write_png
 from depthcli.data.formats.pictures import read_status
 
 FAST = "opencv-bm"
@@ -85,15 +86,41 @@ def test_one_pair(made_scenes: Path, tmp_path: Path, capsys):
     pair = ("--left", made_scenes / "planes_0/left.png", "--right", made_scenes / "planes_0/right.png")
     assert run("stereo", FAST, *pair, "-o", tmp_path / "r", "--max-disparity", "12") == 0
     assert (tmp_path / "r" / "planes_0" / "disp_left.pfm").exists()  # "left" says nothing: the folder's name
-    assert run("stereo", FAST, *pair, "-o", tmp_path / "s") == 3
-    assert "the search range is not known; say it with --max-disparity" in capsys.readouterr().err
-    # The corrected command is not refused for the first one's sake.
     assert run("stereo", FAST, *pair, "-o", tmp_path / "s", "--max-disparity", "12", "--name", "mine") == 0
     assert (tmp_path / "s" / "mine" / "disp_left.pfm").exists()
     # Another pair of the same name is not put in its place.
     other = ("--left", made_scenes / "planes_1/left.png", "--right", made_scenes / "planes_1/right.png")
     assert run("stereo", FAST, *other, "-o", tmp_path / "s", "--max-disparity", "12", "--name", "mine") == 2
     assert "another 'mine'" in capsys.readouterr().err
+
+
+def test_a_range_that_nothing_gives_is_taken_from_key_points_with_a_warning(made_scenes: Path, tmp_path: Path, capsys):
+    scenes = tmp_path / "in"
+    for name in ("planes_0", "foreground_0"):
+        for view in ("left.png", "right.png"):
+            (scenes / name).mkdir(parents=True, exist_ok=True)
+            shutil.copy(made_scenes / name / view, scenes / name / view)
+    assert run("stereo", FAST, "-i", scenes, "-o", tmp_path / "r") == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "search range" in line]
+    rows = json.loads((tmp_path / "r" / "report.json").read_text())["scenes"]
+    ends = sorted(row["max_disparity"] for row in rows)
+    span = f"{ends[0]} to {ends[1]}" if ends[0] < ends[1] else str(ends[0])
+    assert lines == [
+        "warning: the search ranges of 2 scenes are not known: --max-disparity auto was taken, which gives "
+        f"{span} px (max_disparity in report.csv)"
+    ]
+    assert all(row["range_top"] == row["max_disparity"] for row in rows)
+    assert run("stereo", FAST, "-i", scenes, "-o", tmp_path / "auto", "--max-disparity", "auto") == 0
+    assert "search range" not in capsys.readouterr().err
+    for name in ("planes_0", "foreground_0"):
+        maps = [(tmp_path / folder / name / "disp_left.pfm").read_bytes() for folder in ("r", "auto")]
+        assert maps[0] == maps[1]
+    for view in ("left.png", "right.png"):  # nothing to match there
+        write_png(scenes / "planes_0" / view, np.zeros((48, 64), np.uint8))
+    assert run("stereo", FAST, "-i", scenes, "-o", tmp_path / "r") == 3
+    err = capsys.readouterr().err
+    assert "planes_0: only 0 key points match, too few to find the search range; say it with --max-disparity" in err
+    assert "warning: the search range is not known: --max-disparity auto was taken, which gives " in err
 
 
 def test_runs_are_compared(made_scenes: Path, tmp_path: Path, capsys):

@@ -54,7 +54,7 @@ class PairConfig(BaseModel):
     max_disparity: _End = Field(
         None,
         description="largest disparity searched, pixels; auto: from matched key points; null: the scene's; where it "
-        "has none, pairs rectified by a calibration take that of key points, of the first frame in a sequence",
+        "has none, auto, and for pairs rectified by a calibration key points of the first frame of a sequence",
     )
     min_disparity: _End = Field(
         None,
