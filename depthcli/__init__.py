@@ -13,6 +13,7 @@ _MODULES = {
     "api.points": ("PointCloud",),
     "api.registration": ("RegistrationConfidence", "registration_confidence"),
     "api.results": ("Depth", "Disparity", "RefinedDepth"),
+    "api.scores": ("Scores", "evaluate"),
     "api.stereo": ("Matcher", "fuse", "matcher", "stereo"),
     "core.errors": ("ConfigError", "DepthcliError", "InputError", "OutputError"),
     "core.maps": ("DepthStatus", "Status"),

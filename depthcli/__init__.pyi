@@ -7,6 +7,8 @@ from depthcli.api.registration import registration_confidence as registration_co
 from depthcli.api.results import Depth as Depth
 from depthcli.api.results import Disparity as Disparity
 from depthcli.api.results import RefinedDepth as RefinedDepth
+from depthcli.api.scores import Scores as Scores
+from depthcli.api.scores import evaluate as evaluate
 from depthcli.api.stereo import Matcher as Matcher
 from depthcli.api.stereo import fuse as fuse
 from depthcli.api.stereo import matcher as matcher

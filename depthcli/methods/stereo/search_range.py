@@ -93,10 +93,11 @@ class SearchRange:
 
     def share_at_ends(self, disparity: DisparityMap) -> tuple[float, float]:
         """Return the shares of measured pixels whose disparity is within 1 of the range's lower and upper end."""
-        measured = disparity.values[disparity.measured]
-        if measured.size == 0:
-            return 0.0, 0.0
-        return float(np.mean(measured < self.min_disparity + 1)), float(np.mean(measured > self.max_disparity - 1))
+        measured, values = disparity.measured, disparity.values
+        ends = values < self.min_disparity + 1, values > self.max_disparity - 1
+        n_low, n_top = (int(np.count_nonzero(measured & end)) for end in ends)
+        n_measured = max(int(np.count_nonzero(measured)), 1)
+        return n_low / n_measured, n_top / n_measured
 
 
 def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:

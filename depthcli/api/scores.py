@@ -1,0 +1,227 @@
+"""Estimates compared with the truth: ``evaluate``, by the rules of a benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from depthcli.api.arrays import as_map, as_volume
+from depthcli.api.results import Depth, Disparity, RefinedDepth
+from depthcli.core.errors import InputError
+from depthcli.core.volumes import Grid
+from depthcli.data.formats.images import png_bytes
+from depthcli.data.scenes.rgbd import RgbdScene, RgbdTruth
+from depthcli.data.scenes.stereo import StereoScene, StereoTruth
+from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairScene
+from depthcli.evaluation import protocols
+from depthcli.evaluation.protocols import Settings
+from depthcli.evaluation.scores import Score, find_score
+
+_NOWHERE = Path("truth")  # the folder of a scene whose truth is in memory, for messages
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Scores:
+    """The scores of one estimate.
+
+    Attributes
+    ----------
+    protocol : name of the protocol
+    metric : the one that the protocol ranks by, with its threshold
+    headline : region -> value of that metric
+    scores : every metric in every region
+    error : absolute error, in the protocol's unit, NaN where estimate or truth has no value: (H, W), or of registration
+        errors (M,) at those whose truth is known
+    picture : (H, W, 3) uint8: grey right, black wrong, blue occluded, white unknown; None: the protocol draws none
+    warnings : what looks wrong with the estimate, one line each
+    """
+
+    protocol: str
+    metric: str
+    headline: Mapping[str, float]
+    scores: tuple[Score, ...]
+    error: NDArray[np.floating[Any]]
+    picture: NDArray[np.uint8] | None
+    warnings: tuple[str, ...]
+
+    def value(self, metric: str, region: str, threshold: float | None = None) -> float:
+        """Return one number; InputError, with the names that there are, where no score fits, or several do.
+
+        Parameters
+        ----------
+        metric, region : names, such as ``bad`` and ``all``
+        threshold : of metrics that have several
+        """
+        try:
+            return find_score(self.scores, metric, region, threshold).value
+        except KeyError:
+            known = ", ".join(dict.fromkeys(score.metric.heading for score in self.scores))
+            regions = ", ".join(dict.fromkeys(score.region for score in self.scores))
+            wanted = metric if threshold is None else f"{metric} {threshold:g}"
+            text = f"no single score {wanted!r} of {region!r}; metrics: {known}; regions: {regions}"
+            raise InputError(text) from None
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for every score, with the columns of ``scores.csv`` that say what it is: for a data frame."""
+        return [score.row() for score in self.scores]
+
+    def __iter__(self) -> Iterator[Score]:
+        return iter(self.scores)
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{region} {value:.4g}" for region, value in self.headline.items())
+        return f"Scores({self.protocol}, {self.metric}: {values})"
+
+    def _repr_png_(self) -> bytes | None:
+        return None if self.picture is None else png_bytes(self.picture)
+
+
+def evaluate(
+    estimate: ArrayLike | Disparity | Depth | RefinedDepth,
+    truth: ArrayLike,
+    protocol: str = "middlebury-v2",
+    mask: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    *,
+    threshold: float | None = None,
+    fb: float | None = None,
+    truth_right: ArrayLike | None = None,
+    objects: ArrayLike | None = None,
+) -> Scores:
+    """Score a map by the rules of a benchmark.
+
+    Parameters
+    ----------
+    estimate : a result, or an array of the truth's size: disparities in pixels, depths in meters, or expected
+        registration errors in mm; what is not finite is no value
+    truth : (H, W) disparities or depths; or registration errors, (Z, Y, X) or (N,) of points; NaN = unknown
+    protocol : ``middlebury-v2``, ``middlebury-v3``, ``eth3d``, ``kitti-2012``, ``kitti-2015``, ``depth`` or
+        ``registration``
+    mask : (H, W), True where pixels count, the region ``all``; or name of a region -> mask, such as ``nonocc``
+    threshold : of the headline, in the protocol's unit; None: the benchmark's
+    fb : of depths: focal length x baseline of the sensor, for errors in its pixels
+    truth_right : of disparities: those of the right view, from which Middlebury v2 derives ``nonocc`` and ``disc``
+    objects : of disparities: (H, W), > 0 on the foreground objects of KITTI 2015
+
+    Returns
+    -------
+    The scores, and the error of every pixel.
+
+    Raises
+    ------
+    InputError
+        No such protocol, arrays that differ in size, a truth without a known value.
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> truth = np.tile(np.arange(1, 9, dtype=np.float32), (6, 1))
+    >>> estimate = truth.copy()
+    >>> estimate[0, :4] += 3
+    >>> scores = depthcli.evaluate(estimate, truth, "middlebury-v2", mask=truth > 2)
+    >>> round(scores.value("bad", "all", 1.0), 2), round(scores.value("avgerr", "all"), 3)
+    (5.56, 0.167)
+    """
+    judge = protocols.load(protocol)(Settings(threshold=threshold))
+    if isinstance(estimate, Disparity | Depth | RefinedDepth):
+        estimate = estimate.values
+    kind = judge.kind
+    scene: StereoScene | RgbdScene | VolumePairScene
+    if issubclass(kind, VolumePairScene):
+        scene, values = _points(estimate, truth, mask)
+    else:
+        known, values = _finite(as_map(truth, "truth")), _finite(as_map(estimate, "estimate"))
+        shape = known.shape[0], known.shape[1]
+        masks = {name: _mask(each, name, shape) for name, each in _named(mask).items()}
+        if "all" in masks:
+            known = np.where(masks["all"], known, np.float32(np.nan))
+        if issubclass(kind, StereoScene):
+            right = None if truth_right is None else as_map(truth_right, "truth_right", shape)
+            front = None if objects is None else _mask(objects, "objects", shape)
+            noc = np.where(masks["noc"], known, np.float32(np.nan)) if "noc" in masks else None
+            scene = _StereoTruthScene(
+                name="truth", folder=_NOWHERE, left=_NOWHERE, disparity_left=_NOWHERE,
+                stored=StereoTruth(known, right, noc, front, masks),
+            )  # fmt: skip
+        else:
+            scene = _DepthTruthScene(
+                name="truth", folder=_NOWHERE, color=_NOWHERE, depth=_NOWHERE, stored=RgbdTruth(known, masks, fb)
+            )  # fmt: skip
+    if not isinstance(scene, VolumePairScene | StereoScene) and values.shape != shape:
+        raise InputError(f"estimate: {values.shape[1]} x {values.shape[0]}, but the truth is {shape[1]} x {shape[0]}")
+    prepared = judge.truth(scene)
+    try:
+        error = judge.error(values, prepared)
+    except ValueError as problem:
+        raise InputError(f"estimate: {problem}") from None
+    return Scores(
+        judge.name,
+        judge.headline.heading,
+        judge.headlines(values, prepared),
+        tuple(judge.scores(values, prepared)),
+        error,
+        judge.picture(values, prepared),
+        tuple(judge.warnings(values, prepared)),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _StereoTruthScene(StereoScene):
+    stored: StereoTruth
+
+    def truth(self) -> StereoTruth:
+        return self.stored
+
+
+@dataclass(frozen=True, kw_only=True)
+class _DepthTruthScene(RgbdScene):
+    stored: RgbdTruth
+
+    def truth(self) -> RgbdTruth:
+        return self.stored
+
+
+@dataclass(frozen=True, kw_only=True)
+class _RegistrationTruthScene(VolumePairScene):
+    stored: RegistrationTruth
+
+    def truth(self, convention: str = "auto") -> RegistrationTruth:
+        return self.stored
+
+
+def _points(
+    estimate: Any, truth: ArrayLike, mask: ArrayLike | Mapping[str, ArrayLike] | None
+) -> tuple[VolumePairScene, NDArray[np.float32]]:
+    """Return the true registration errors as a scene, and the expected ones at its points."""
+    given, wanted = np.asarray(estimate), np.asarray(truth)
+    if given.shape != wanted.shape or given.size == 0:
+        raise InputError(f"estimate: shape {given.shape}, but the truth has {wanted.shape}")
+    if isinstance(mask, Mapping):
+        raise InputError("mask: registration errors have one region; want an array")
+    expected, error = (as_volume(np.atleast_2d(each), n) for each, n in ((given, "estimate"), (wanted, "truth")))
+    if mask is not None:
+        error = np.where(np.asarray(mask).reshape(error.shape) > 0, error, np.float32(np.nan))
+    depth, height, width = error.shape
+    grid = Grid((width, height, depth), (1.0, 1.0, 1.0))
+    inside = np.isfinite(error)
+    stored = RegistrationTruth(grid, np.zeros((0, 3)), error)
+    if wanted.ndim == 1 and inside.any():
+        stored = RegistrationTruth(grid, np.zeros((int(inside.sum()), 3)), error[inside])
+    scene = _RegistrationTruthScene(name="truth", folder=_NOWHERE, fixed=_NOWHERE, stored=stored)
+    return scene, expected[inside]
+
+
+def _finite(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.where(np.isfinite(values), values, np.float32(np.nan))
+
+
+def _named(mask: ArrayLike | Mapping[str, ArrayLike] | None) -> Mapping[str, ArrayLike]:
+    return {} if mask is None else mask if isinstance(mask, Mapping) else {"all": mask}
+
+
+def _mask(array: ArrayLike, name: str, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    return as_map(array, f"mask {name}", shape) > 0
