@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, overload
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from depthcli.api.arrays import as_color8, as_depth, as_image, as_map
 from depthcli.api.config import Overrides, load_config
+from depthcli.api.masks import masked
 from depthcli.api.results import RefinedDepth
 from depthcli.api.running import computing
 from depthcli.batch.resources import available_memory, check_memory
@@ -208,9 +210,10 @@ def refined_frame(
     clock.include(result.seconds)
     found, cloud = result.depth, None
     if config.ply:
-        cloud = (found.values >= config.near) & (found.values <= config.far)
-        if config.mask == "measured":
-            cloud &= ~found.filled
+        maps = result.confidence or {"sigma": -result.sigma}  # a small expected error is a high confidence
+        sure = {name: partial(np.asarray, values) for name, values in maps.items()}
+        chosen = masked(config.mask, np.isfinite(found.values), found.filled, sure)
+        cloud = chosen & (found.values >= config.near) & (found.values <= config.far)
     return RefinedDepth(
         found.values, found.status, frame.color, frame.intrinsics, result, dict(clock.seconds), scale, rotate, cloud
     )

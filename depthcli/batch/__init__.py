@@ -19,5 +19,6 @@ The life of a scene, from :func:`depthcli.batch.runner.run_scenes`, which gets a
 A kill at any moment leaves files that one of these steps recognizes when the same command is started again.
 
 Beside them: ``command`` is what a sub-command declares, ``resources`` are cores and memory, ``json_csv`` writes rows,
-``presets`` finds the configs that are shipped, ``combinations`` are the settings of a sweep and their effects.
+``warning_counts`` prints each kind of warning once, ``presets`` finds the configs that are shipped, ``combinations``
+are the settings of a sweep and their effects.
 """

@@ -24,6 +24,7 @@ from depthcli.batch.reports import finished_row, read_report
 from depthcli.batch.run_folder import check_folder, saved_config
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
 from depthcli.batch.task import Run, RunOptions, Task, run_task
+from depthcli.batch.warning_counts import WarningCounts
 from depthcli.core.errors import ConfigError, IncompleteError, OutputError
 from depthcli.data.formats.files import write_text
 from depthcli.data.scenes import Scene
@@ -98,6 +99,7 @@ class _Batch:
         self.run, self.part, self.scenes, self.output = run, part, scenes, output
         self.reporter, self.lock, self.options = reporter, lock, run.options
         self.workspace, self.planner = hidden_folder(output), Planner(run, output)
+        self.warnings = WarningCounts(reporter)
         self.rows: dict[str, Row] = {}
         self.tasks: list[Task] = []
         self.claimed: list[Task] = []
@@ -234,8 +236,7 @@ class _Batch:
             self.reporter.error(f"{name}: {row['error']}")
         else:
             self.reporter.detail(f"{name}: {sum(row['seconds'].values()):.2f} s")
-        for line in row.pop("warnings", ()):
-            self.reporter.info(f"{name}: warning: {line}")
+        self.warnings.add(name, row.pop("warnings", []))
         self.writer.update()
         self.reporter.step(failed)
 
@@ -249,6 +250,7 @@ class _Batch:
             row = self.rows.get(task.scene.name)
             if row is not None and row["status"] == "done" and not (task.target / records.RECORD_FILE).is_file():
                 self.rows[task.scene.name] = task.failed(f"{task.target}: was computed, but its files have gone since")
+        self.warnings.close()
         discard(self.workspace)
         self.writer.close(self.lock, complete=len(self.rows) + self.n_unclaimed >= len(self.scenes))
         if self.lock.alone:

@@ -7,6 +7,7 @@ The calibration lies beside the images that the run was made from (``calib.txt``
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypedDict
 
@@ -89,7 +90,9 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
             raise ConfigError("--focal and --baseline belong together (and --doffs, where the cameras have one)")
         if by_hand and values["calibration"] is not None:
             raise ConfigError(f"--calibration and --{by_hand[0]} exclude each other")
-        _parse_mask(values["mask"])
+        from depthcli.api.masks import parse_mask
+
+        parse_mask(values["mask"] or "all")
         config = DepthOptions(
             focal=values["focal"], baseline=values["baseline"], doffs=values["doffs"],
             mask=values["mask"], ply=values["ply"], near=values["near"], far=values["far"],
@@ -200,47 +203,23 @@ def _geometry(config: DepthOptions, scene: DisparityScene) -> PairGeometry:
     return read_geometry(scene.calibration, scene.cameras)
 
 
-def _parse_mask(text: str | None) -> tuple[str, float, str]:
-    """Return kind, share and name of ``measured``, ``all`` or ``confident:0.8:NAME``."""
-    kind, _, rest = (text or "all").partition(":")
-    share, _, name = rest.partition(":")
-    try:
-        number = float(share or "nan")
-    except ValueError:
-        number = -1.0
-    if (kind in ("measured", "all") and not rest) or (kind == "confident" and 0 < number <= 1):
-        return kind, number, name
-    raise ConfigError(f"--mask: must be measured, all, or confident:0.8 (got {text!r})")
-
-
 def _mask(
     text: str, scene: DisparityScene, disparity: NDArray[np.float32], status: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
-    """Return the pixels that ``--mask`` chooses; of the confident ones all at and above the quantile."""
+    """Return the pixels that ``--mask`` chooses."""
     import numpy as np
 
+    from depthcli.api.masks import masked
     from depthcli.core.maps import Status
     from depthcli.data.formats.disparity import read_pfm
 
-    kind, share, name = _parse_mask(text)
-    known = np.isfinite(disparity)
-    if kind == "all":
-        return known
-    measured: NDArray[np.bool_] = known & ((status & Status.FILLED) == 0)
-    if kind == "measured":
-        return measured
-    names = ", ".join(scene.confidence)
-    if not name and len(scene.confidence) == 1:
-        name = names
-    if name not in scene.confidence:
-        has = f"the run has: {names}" if names else "the run has none; see confidence: in the config"
-        raise InputError(f"{scene.folder}: --mask {text}: which confidence map? {has}")
-    confidence = read_pfm(scene.confidence[name])
-    _same_size(scene.confidence[name], confidence, disparity)
-    measured &= np.isfinite(confidence)
-    if measured.any():
-        measured &= confidence >= np.quantile(confidence[measured], 1 - share, method="higher")
-    return measured
+    def read(file: Path) -> NDArray[np.float32]:
+        confidence = read_pfm(file)
+        _same_size(file, confidence, disparity)
+        return confidence
+
+    maps = {name: partial(read, file) for name, file in scene.confidence.items()}
+    return masked(text, np.isfinite(disparity), (status & Status.FILLED) != 0, maps, f"{scene.folder}: ")
 
 
 def _same_size(path: Path | None, values: NDArray[np.generic], disparity: NDArray[np.float32]) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
+from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.option import Option
@@ -46,7 +47,7 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
             *super().options,
             ply,
             Option("intrinsics", str, "Of the color camera, pixels: fx,fy,cx,cy.", "NUMBERS", group="Input"),
-            Option("mask", str, "Pixels of point clouds: all or measured.", "WHICH", group="Output"),
+            Option("mask", str, "Pixels of clouds: all, measured, or confident:0.8.", "WHICH", group="Output"),
             Option("near", float, "Nearest depth of point clouds.", "METERS", group="Output"),
             Option("far", float, "Farthest depth of point clouds.", "METERS", group="Output"),
         )
@@ -66,8 +67,10 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         return super().run({**values, "set": settings}, reporter)
 
     def run_on(self, config: RefineKinectConfig, scenes: Sequence[Scene], values: Values, reporter: Reporter) -> int:
+        from depthcli.api.masks import parse_mask
         from depthcli.methods.kinect.pipeline import SequencePipeline
 
+        parse_mask(config.mask)  # a wrong share is an error before any frame is opened
         if values.get("color") is not None:
             scenes = [_with_meta(scene) for scene in scenes]
         frames = [scene for scene in scenes if isinstance(scene, RgbdScene) and not (scene.problem or scene.raw)]
@@ -181,7 +184,7 @@ def _refine_frame(
     found = refined_frame(config, frame, refine, clock, scene.depth_scale, 3 if scene.rotated else 0)
     clock.start("save")
     found.save(folder)
-    facts = {
+    facts: Row = {
         "width": width,
         "height": height,
         "known": share(np.isfinite(frame.depth)),
@@ -196,6 +199,8 @@ def _refine_frame(
         "density": round(found.density, 6),
         **{name: float(value) for name, value in found.details.figures.items()},
     }
+    if config.ply:
+        facts["intrinsics"] = "of the camera" if frame.intrinsics else "typical"
     return Outcome(facts, clock.seconds, [] if scene.raw else _scale_warnings(scene, frame))
 
 

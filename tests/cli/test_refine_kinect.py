@@ -109,6 +109,52 @@ def test_bad_frames_beside_good_ones(kinect: Path, tmp_path: Path, capsys: pytes
     np.testing.assert_array_equal(read_codes(tmp_path / "s" / "far" / "depth.png"), depth * np.uint16(5))
 
 
+def test_points_are_chosen_and_placed_by_options(kinect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    def points(name: str, *options: str) -> np.ndarray:
+        one = ("refine-kinect", "joint-bilateral", "-i", kinect, "--scenes", "planes", "--ply", "-q")
+        assert run(*one, "-o", tmp_path / name, *options) == 0
+        header, _, data = (tmp_path / name / "planes/points.ply").read_bytes().partition(b"end_header\n")
+        vertices = np.frombuffer(data, [("p", "<f4", 3), ("color", "u1", 3)])
+        assert f"element vertex {len(vertices)}\n".encode() in header
+        return vertices["p"]
+
+    whole, measured, sure = points("a"), points("m", "--mask", "measured"), points("s", "--mask", "confident:0.5")
+    assert len(whole) > len(measured) > len(sure) >= len(measured) // 2 > 0
+    assert set(map(tuple, sure)) < set(map(tuple, measured)) < set(map(tuple, whole))
+    middle = float(np.median(whole[:, 2]))
+    near, far = points("n", "--near", f"{middle}"), points("f", "--far", f"{middle}")
+    assert near[:, 2].min() >= middle >= far[:, 2].max()
+    assert len(near) + len(far) >= len(whole)
+    wide = points("w", "--intrinsics", "20,20,47.5,35.5")
+    np.testing.assert_array_equal(wide[:, 2], whole[:, 2])
+    assert np.abs(wide[:, 0]).max() > 2 * np.abs(whole[:, 0]).max()
+    assert rows(tmp_path / "w")["planes"]["intrinsics"] == "of the camera"
+    for options, said in (
+        (("--mask", "confident:2"), "--mask"), (("--mask", "some"), "mask"), (("--intrinsics", "1,2"), "intrinsics"),
+    ):  # fmt: skip
+        capsys.readouterr()
+        assert run("refine-kinect", "nearest", "-i", kinect, "-o", tmp_path / "bad", "--ply", *options) == 2
+        assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_warning_of_all_frames_is_printed_once(tmp_path: Path, capsys: pytest.CaptureFixture[str], jobs: str):
+    for k in range(3):
+        write_png(tmp_path / "in" / f"f{k}" / "color.png", np.zeros((20, 30, 3), np.uint8))
+        write_png(tmp_path / "in" / f"f{k}" / "depth.png", np.full((20, 30), 7500 + k, np.uint16))
+    one = ("refine-kinect", "nearest", "-i", tmp_path / "in", "--ply", "--jobs", jobs)
+    assert run(*one, "-o", tmp_path / "r") == 0
+    err = capsys.readouterr().err
+    assert err.count("the median depth is 7.5 m at 1000 codes per meter") == 2
+    assert (
+        "warning: the median depth is 7.5 m at 1000 codes per meter; a depth scale of 5000 would fit (3 scenes;" in err
+    )
+    assert err.count("3 of 3 frames have no intrinsics") == 1
+    assert {row["intrinsics"] for row in rows(tmp_path / "r").values()} == {"typical"}
+    assert run(*one, "-o", tmp_path / "v", "-v") == 0
+    assert capsys.readouterr().err.count("the median depth is 7.5 m at 1000 codes per meter") == 4
+
+
 def test_single_frames_and_point_clouds(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     write_png(tmp_path / "x" / "color.png", np.full((20, 30, 3), 90, np.uint8))
     write_png(tmp_path / "x" / "depth.png", np.full((20, 30), 1000, np.uint16))

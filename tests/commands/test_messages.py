@@ -27,6 +27,7 @@ SCENES = PAIRS | {"refine-kinect", "transparent", "register-confidence"}
 CALLERS = {
     "depthcli.api.matching": {"stereo", "fuse"},
     "depthcli.batch": BATCH,
+    "depthcli.api.masks": {"depth", "refine-kinect"},
     "depthcli.batch.combinations": {"sweep"},
     "depthcli.commands._options": SCENES - {"depth", "rectify"},  # where --evaluate was given, and of all options here
     "depthcli.commands._scenes": SCENES - {"depth", "rectify"},  # where --evaluate or --name was given

@@ -22,7 +22,11 @@ class RefineKinectConfig(RootConfig):
     intrinsics: tuple[float, float, float, float] | None = Field(
         None, description="fx, fy, cx, cy of the color camera, pixels; null: what the layout says"
     )
-    mask: str = Field("all", pattern="^(all|measured)$", description="pixels that point clouds hold: all or measured")
+    mask: str = Field(
+        "all",
+        pattern=r"^(all|measured|confident:[0-9.]+(:.+)?)$",
+        description="pixels that point clouds hold: all, measured, or confident:0.8, the surest 80 % of the measured",
+    )
     near: float = Field(0.0, ge=0, description="points of clouds are no nearer, meters")
     far: float = Field(1000.0, gt=0, description="points of clouds are no farther, meters")
     ply: bool = Field(False, description="write a colored point cloud of every frame, too")
