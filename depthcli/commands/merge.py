@@ -75,8 +75,9 @@ def _missing_text(shards: list[str], names: list[str]) -> str:
     if shards:
         parts.append(f"{_some('shard', shards)} {'has' if len(shards) == 1 else 'have'} not ended")
     if names:
-        parts.append(f"{len(names)} scenes are missing: {_some('', names)}")
-    return f"{'; '.join(parts)}; start {'these shards' if shards else 'the run'} again with the same command"
+        parts.append(f"{len(names)} {'scene is' if len(names) == 1 else 'scenes are'} missing: {_some('', names)}")
+    again = ("that shard" if len(shards) == 1 else "those shards") if shards else "the run"
+    return f"{'; '.join(parts)}; start {again} again with the same command"
 
 
 def _some(what: str, names: list[str]) -> str:

@@ -344,7 +344,7 @@ def test_merge_says_what_is_missing(made_scenes: Path, whole: Path, tmp_path: Pa
         assert [line[0] for line in lines if line[1] == "missing"] == missing
         assert err.splitlines()[0] == (
             f"shard 2 of 3 has not ended; {len(missing)} scenes are missing: {', '.join(missing)}; "
-            "start these shards again with the same command"
+            "start that shard again with the same command"
         )
         assert f"{len(there)} of 12 scenes done, in {out}" in err
     assert run("merge", out, "--json", "-q") == 3
