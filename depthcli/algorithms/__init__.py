@@ -14,5 +14,6 @@ Images are (H, W, 3) uint8 RGB, maps (H, W) float32 with NaN where nothing is kn
 | ``plane_fitting`` | planes and polynomials through known values, robust to outliers |
 | ``joint_bilateral`` | gaps filled by means of similar color |
 | ``filters`` | local mean and variance, masks of discontinuities, OpenCV's filters in one thread |
+| ``body`` | the body in a slice of a medical volume, apart from the air around it |
 | ``resampling`` | samples of volumes: trilinear, nearest, block means, shifts |
 """

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.body import body
 from depthcli.algorithms.resampling import resample
 from depthcli.core.volumes import ENDS, PLANES, side_and_distance
 from depthcli.data.formats.pictures import draw_text, preview
@@ -16,10 +15,8 @@ from depthcli.methods.registration.pipeline import RegistrationResult
 
 _TITLES = ("fixed", "moving, registered", "expected error")
 _MAX_SHOWN_ERROR = 10.0  # mm; this and more is dark red
-_AIR_LEVEL = 0.1  # of the range of intensities: darker voxels around the body are not colored
 _SIDE, _MARGIN, _LINE = 300, 24, 22  # pixels: longest side of a slice, space around it for letters, line of text
 _SCALE_WIDTH = 90  # pixels, of the scale with its numbers
-_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 _PAPER, _INK = 24, (225, 225, 225)
 
 
@@ -50,7 +47,7 @@ def registration_preview(result: RegistrationResult, loaded: LoadedPair, neurolo
         fixed, warped = (_grey(grid.turned(cut).squeeze(axis), low, high) for cut in cuts)
         error = grid.turned(_error_slice(result, pair.shape, order[axis], stored)).squeeze(axis)
         if pair.mask is None:
-            seen = _body(fixed)
+            seen = body(fixed)
         else:
             seen = grid.turned(np.take(pair.mask, [stored], order[axis])).squeeze(axis)
         plain = [np.repeat(cut[..., None], 3, axis=2) for cut in (fixed, warped)]
@@ -84,15 +81,6 @@ def _error_slice(result: RegistrationResult, shape: tuple[int, int, int], axis: 
 def _grey(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
     levels: NDArray[np.uint8] = ((np.clip(values, low, high) - low) * (255 / max(high - low, 1e-6))).astype(np.uint8)
     return levels
-
-
-def _body(grey: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return where a slice shows tissue, or air that tissue encloses."""
-    tissue: NDArray[Any] = (grey > _AIR_LEVEL * 255).astype(np.uint8)
-    tissue = cv2.morphologyEx(cv2.morphologyEx(tissue, cv2.MORPH_OPEN, _CROSS), cv2.MORPH_CLOSE, _CROSS, iterations=2)
-    outlines, _ = cv2.findContours(np.asarray(tissue, np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    filled = cv2.drawContours(np.zeros(grey.shape, np.uint8), outlines, -1, 1, cv2.FILLED)
-    return np.asarray(filled > 0, np.bool_)
 
 
 def _framed(picture: NDArray[np.uint8], ends: str, title: str) -> NDArray[np.uint8]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,8 +13,10 @@ from depthcli.batch.command import SOME_FAILED, Command, ConfigT, ModelT, Outcom
 from depthcli.batch.console import Column, Reporter, run_table
 from depthcli.batch.json_csv import Row, to_json
 from depthcli.commands._options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
+from depthcli.commands._page import PAGE_BUDGET, PAGE_FILE, new_page, write_page
 from depthcli.commands._tables import print_place, print_tables
-from depthcli.commands.evaluate import evaluate, new_page
+from depthcli.commands.evaluate import evaluate
+from depthcli.core.errors import DepthcliError
 from depthcli.core.option import Option
 from depthcli.core.text import one_line
 from depthcli.data.scenes import Scene
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from depthcli.batch.task import RunOptions
     from depthcli.data.formats.pictures import Palette
     from depthcli.evaluation.comparison import EvaluationReport
+    from depthcli.report.run_without_truth import RunWithoutTruth
 
 DEPTH_RESULTS = ("depth.*", "sigma.pfm", "status.png", "preview.png", "confidence_*", "points.ply")
 """Shell patterns of the files that commands write for a map of depth."""
@@ -32,6 +36,8 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
 
     results: ClassVar[tuple[str, ...]] = ()
     """Shell patterns of the files that it writes into a scene's folder: own files there are no surprise at the end."""
+    shown_as: ClassVar[str] = ""
+    """Protocol of its maps, which says how the page shows them where there is no truth."""
 
     @abstractmethod
     def compute(self, config: ConfigT, scene: SceneT, folder: Path, memory: int) -> Outcome:
@@ -91,7 +97,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         failed = [row for row in rows if row["status"] == "failed"]
         if (palette := self.palette()) is not None and len(failed) < len(rows):
             write_legend(output / LEGEND_FILE, palette, self.legend_values())
-        evaluation = self._evaluation(scenes, values, reporter)
+        evaluation, page_file = self._evaluation(scenes, rows, values, reporter)
         if values["json"]:
             document = report_document(self.name, rows)
             reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
@@ -99,10 +105,12 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
             reporter.data(run_table(rows, self.columns()))
         elif evaluation is not None:
             print_tables(evaluation, values, reporter)
-        if evaluation is not None:
-            print_place(output / "evaluation", values["html"], reporter)
         total = len(scenes) if options.shard is None else len(rows)
         reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {output}")
+        if evaluation is not None:
+            print_place(output / "evaluation", page_file is not None, reporter)
+        elif page_file is not None:
+            reporter.info(f"page to open in a browser: {page_file}")
         if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
             return 1
         return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0
@@ -120,18 +128,54 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         lines = "".join(f"{one_line(name)}\n" for name in names)
         reporter.data(to_json({"command": self.name, "scenes": names}) if values["json"] else lines)
 
-    def _evaluation(self, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> EvaluationReport | None:
+    def _evaluation(
+        self, scenes: Sequence[SceneT], rows: Sequence[Row], values: Values, reporter: Reporter
+    ) -> tuple[EvaluationReport | None, Path | None]:
+        """Compare scenes with their truth, and write the page of these and of the others, where requested."""
         if not (values.get("evaluate") or values.get("html")):
-            return None
-        if not any(scene.has_truth for scene in scenes):
-            reporter.error(f"{values['input']}: no ground truth there, nothing to evaluate")
-            return None
-        output = values["output"] / "evaluation"
-        page = new_page(self, {"html_budget": "50MB", **values}, output) if values.get("html") else None
-        return evaluate(
-            [values["output"]], values["input"], output, values["scenes"] or ["*"], values["layout"],
-            reporter=reporter, kinds=tuple({type(scene) for scene in scenes}), page=page,
-        )  # fmt: skip
+            return None, None
+        output, truth = values["output"] / "evaluation", values.get("input")
+        in_folder = truth is not None and os.path.isdir(truth)  # those of a table or of the command line have no truth
+        scored = [scene for scene in scenes if in_folder and scene.has_truth]
+        page = None
+        if values.get("html"):
+            page = new_page(self, {"html_budget": PAGE_BUDGET, **values}, output)
+            if page is not None and len(scored) < len(scenes):
+                page.run = self._without_truth([s for s in scenes if s not in scored], rows, values["output"])
+        if scored:
+            report = evaluate(
+                [values["output"]], values["input"], output, values["scenes"] or ["*"], values["layout"],
+                reporter=reporter, kinds=tuple({type(scene) for scene in scenes}), page=page,
+            )  # fmt: skip
+            return report, None if page is None or not page.written else output / PAGE_FILE
+        reporter.info(f"{truth or 'scenes'}: no ground truth there, nothing to compare with")
+        if page is None:
+            return None, None
+        try:
+            write_page(page, reporter)
+        except DepthcliError as error:  # the maps are there
+            reporter.error(f"no {PAGE_FILE}: {error}")
+            return None, None
+        return None, output / PAGE_FILE
+
+    def _without_truth(self, scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path) -> RunWithoutTruth:
+        """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
+        from depthcli.data.scenes.rgbd_sequence import SequenceScene
+        from depthcli.evaluation.comparison import run_names
+        from depthcli.evaluation.protocols import load
+        from depthcli.report.run_without_truth import RunWithoutTruth
+
+        by_name, shown, row_of = {str(row["scene"]): row for row in rows}, list[Scene](), dict[str, Row]()
+        for scene in scenes:
+            row = by_name.get(scene.name, {})
+            if isinstance(scene, SequenceScene):  # its row has means over the frames
+                shown += scene.frames
+                row_of |= {frame.name: {key: row.get(key, "") for key in ("status", "error")} for frame in scene.frames}
+            else:
+                shown.append(scene)
+                row_of[scene.name] = row
+        (name,) = run_names([folder])
+        return RunWithoutTruth(name, folder, load(self.shown_as)(), self.palette(), shown, row_of, self.columns())
 
 
 class ConfigCommand(BatchCommand[ModelT, SceneT]):

@@ -21,7 +21,9 @@ SCENES = Option("scenes", str, "Only scenes whose name matches; repeatable.", "G
 NAME = Option("name", str, "Name of a single scene. Default: from its file.", "NAME", group="Input")
 SET = Option("set", str, "Override one key of the config; repeatable.", "KEY=VALUE", repeatable=True)
 EVALUATE = Option("evaluate", bool, "Compare the results with the input's ground truth.", default=False, group="Report")
-HTML_FLAG = Option("html", bool, "Like --evaluate, and write evaluation/report.html.", default=False, group="Report")
+HTML_FLAG = Option(
+    "html", bool, "Write evaluation/report.html, with --evaluate if it can.", default=False, group="Report"
+)
 DRY_RUN = Option("dry_run", bool, "Print config, scenes and memory; compute nothing.", default=False, group="Run")
 SELECT = (NAME, LAYOUT, SCENES, SET)
 RUN = (

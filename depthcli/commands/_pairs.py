@@ -34,6 +34,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (StereoScene,)
     results: ClassVar[tuple[str, ...]] = ("disp_left.*", "status.png", "preview.png", "confidence_*")
+    shown_as: ClassVar[str] = "middlebury-v2"
 
     @property
     def options(self) -> tuple[Option, ...]:

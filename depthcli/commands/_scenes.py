@@ -33,7 +33,7 @@ def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Repor
         As :func:`depthcli.data.walk.discover_scenes`.
     """
     place, name, patterns = values["input"], values["name"], values["scenes"] or ["*"]
-    evaluates = values.get("evaluate") or values.get("html")
+    evaluates = values.get("evaluate")
     flags = (" and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path) for kind in kinds)
     single = ", or ".join(filter(None, flags))
     if named := next((scenes for kind in kinds if (scenes := kind.named(values))), []):

@@ -15,7 +15,7 @@ from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import DEPTH_RESULTS, BatchCommand
-from depthcli.commands._options import DRY_RUN, LAYOUT, OUTPUT, RUN, SCENES
+from depthcli.commands._options import DRY_RUN, HTML_FLAG, LAYOUT, OUTPUT, RUN, SCENES
 from depthcli.commands._scenes import find_maps
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
@@ -49,6 +49,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
     """``depthcli depth RUN --output DIR [--calibration FILE]``."""
 
     results: ClassVar[tuple[str, ...]] = DEPTH_RESULTS
+    shown_as: ClassVar[str] = "depth"
 
     arguments = (
         Option("run", Path, "Run folder of stereo or fuse, or one disparity map.", "RUN", required=True, group="Input"),
@@ -75,6 +76,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         Option("depth_scale", float, "Codes per meter in depth.png.", "CODES", default=1000.0, min_value=1e-3,
                max_value=1e6, group="Output"),
         *RUN,
+        HTML_FLAG,
         DRY_RUN,
     )  # fmt: skip
 

@@ -17,8 +17,9 @@ from depthcli.batch.command import SOME_FAILED, Command, Values
 from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import to_csv, to_json
 from depthcli.commands._options import LAYOUT, SCENES
+from depthcli.commands._page import HTML, PAGE_FILE, RESULTS, new_page
 from depthcli.commands._tables import TABLES, check_tables, print_place, print_tables
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 
 if TYPE_CHECKING:
@@ -30,16 +31,6 @@ if TYPE_CHECKING:
     from depthcli.evaluation.results import MapResult
     from depthcli.report.page import Page
 
-HTML = (
-    Option("html", bool, "Also write report.html: maps and errors in a browser.", default=False, group="Report"),
-    Option("html_budget", str, "Size of its pictures beyond which they are scaled down.", "SIZE", default="50MB",
-           group="Report"),
-)  # fmt: skip
-RESULTS = (
-    "scores.*", "report.md", "report.html", "contact_sheet.png", "errors/**/*", "curves/**/*", "points/**/*",
-    "assets/*",
-)  # fmt: skip
-"""Shell patterns of the files that an evaluation writes."""
 _DEFAULT_PROTOCOL = "middlebury-v2"  # of a truth file that lies in no scene's folder, without --protocol
 
 
@@ -85,9 +76,10 @@ class EvaluateCommand(Command):
         scale, invalid, map_options = _map_options(values)
         settings = Settings(scale, resolution, values["threshold"], resize, invalid)
         check_tables(values)
+        page = new_page(self, values, values["output"])
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
-            values["protocol"], settings, reporter, page=new_page(self, values, values["output"]),
+            values["protocol"], settings, reporter, page=page,
             map_options=map_options,
         )  # fmt: skip
         if values["json"]:
@@ -95,7 +87,7 @@ class EvaluateCommand(Command):
         else:
             print_tables(report, values, reporter)
         if values["output"] is not None:
-            print_place(values["output"], values["html"], reporter)
+            print_place(values["output"], page is not None and page.written, reporter)
         return SOME_FAILED if report.failed else 0
 
 
@@ -188,20 +180,8 @@ def _scored(scoring: Scoring, scenes: Sequence[Scene], reporter: Reporter) -> Ev
                 reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
         hints = (*scoring.hints, *scoring.misfits)
         report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth, hints)
-        _write(report, scoring)
+        _write(report, scoring, reporter)
     return report
-
-
-def new_page(command: Command, values: Values, output: Path | None) -> Page | None:
-    """Return the page that ``--html`` requests, or None; ConfigError where there is no folder for it."""
-    if not values["html"]:
-        return None
-    if output is None:
-        raise ConfigError("--html wants --output, the folder to write the page into")
-    from depthcli.batch.resources import parse_bytes
-    from depthcli.report.page import Page
-
-    return Page(output, command.line(values), parse_bytes(values["html_budget"], "--html-budget"))
 
 
 def _size(text: str | None) -> tuple[int, int] | None:
@@ -252,7 +232,7 @@ def _find_truth(
     return found
 
 
-def _write(report: EvaluationReport, scoring: Scoring) -> None:
+def _write(report: EvaluationReport, scoring: Scoring, reporter: Reporter) -> None:
     from depthcli.batch.run_folder import saved_config
     from depthcli.data.formats.files import write_text
     from depthcli.evaluation.printing import report_markdown
@@ -264,7 +244,10 @@ def _write(report: EvaluationReport, scoring: Scoring) -> None:
         write_text(scoring.output / "report.md", report_markdown(report))
         scoring.sheet.write(scoring.output / "contact_sheet.png")
     if scoring.page is not None:
-        scoring.page.write(report, scores, {run: saved_config(place) for run, place in scoring.runs.items()})
+        try:
+            scoring.page.write(report, scores, {run: saved_config(place) for run, place in scoring.runs.items()})
+        except DepthcliError as error:  # the scores are there
+            reporter.error(f"no {PAGE_FILE}: {error}")
 
 
 COMMAND = EvaluateCommand()

@@ -34,6 +34,7 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
     kinds: ClassVar[tuple[type[Scene], ...]] = (RgbdScene,)
     # Frames of a sequence have folders of their own.
     results: ClassVar[tuple[str, ...]] = (*DEPTH_RESULTS, *(f"*/{name}" for name in DEPTH_RESULTS))
+    shown_as: ClassVar[str] = "depth"
 
     examples = (
         "depthcli refine-kinect accurate --input frames --output runs/refined",

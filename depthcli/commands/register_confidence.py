@@ -21,6 +21,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (VolumePairScene,)
     results: ClassVar[tuple[str, ...]] = ("confidence.*", "expected_error.*", "shift.*", "preview.png", "points.csv")
+    shown_as: ClassVar[str] = "registration"
 
     examples = (
         "depthcli register-confidence mind --input volumes --output runs/mind",

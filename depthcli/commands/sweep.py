@@ -17,7 +17,8 @@ from depthcli.batch.console import Reporter, aligned
 from depthcli.batch.json_csv import Row, to_csv, to_json
 from depthcli.commands._batch import ConfigCommand
 from depthcli.commands._options import CONFIG, LAYOUT, OUTPUT, RUN, SCENES, run_options
-from depthcli.commands.evaluate import HTML, evaluate, new_page
+from depthcli.commands._page import HTML, PAGE_FILE, new_page
+from depthcli.commands.evaluate import evaluate
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 
@@ -101,6 +102,8 @@ class SweepCommand(Command):
         if report is not None:
             _print_result(axes, tried, own_run, report, values, reporter)
             failed |= bool(report.failed)
+            if values["html"]:
+                reporter.info(f"page to open in a browser: {values['output'] / 'evaluation' / PAGE_FILE}")
         return SOME_FAILED if failed else 0
 
 

@@ -29,6 +29,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         "depthcli transparent sparse --input frames --output runs/sparse --evaluate",
     )
     results: ClassVar[tuple[str, ...]] = DEPTH_RESULTS
+    shown_as: ClassVar[str] = "depth"
 
     def config_model(self) -> type[TransparentConfig]:
         from depthcli.methods.transparent.config import TransparentConfig

@@ -37,6 +37,28 @@ class Axis(NamedTuple):
 
 
 @dataclass(frozen=True)
+class ShownMap:
+    """A run's map as it is shown, read without a look at any truth.
+
+    Attributes
+    ----------
+    values : (H, W), or (Z, Y, X) of a volume, float, in the presentation's unit; NaN = none
+    confidence : name -> array of that shape, higher is surer
+    expected_error : array of that shape in the presentation's unit, NaN = none; or None
+    axes : of a volume; empty: it is an image
+    figures : heading with unit -> number, by which scenes are ordered: larger is worse, the first counts most
+    note : explanation of the figures
+    """
+
+    values: NDArray[np.floating[Any]]
+    confidence: dict[str, NDArray[Any]] = field(default_factory=dict)
+    expected_error: NDArray[np.floating[Any]] | None = None
+    axes: tuple[Axis, ...] = ()
+    figures: dict[str, float] = field(default_factory=dict)
+    note: str = ""
+
+
+@dataclass(frozen=True)
 class Presentation:
     """How a protocol's tables are worded and its maps are shown; it computes no score.
 
@@ -55,6 +77,7 @@ class Presentation:
     palette : colors and words of the status map beside a map
     opacity : initial opacity of a map's colors over the scene's image, 0 to 1
     verdicts : words for a pixel that is right, and for one that is wrong
+    scale : lowest and highest value of the colors where no truth is known; None: by the map
     """
 
     title: str = ""
@@ -70,6 +93,7 @@ class Presentation:
     palette: Palette = field(default_factory=dict)
     opacity: float = 1.0
     verdicts: tuple[str, str] = ("right", "wrong")
+    scale: tuple[float, float] | None = None
 
     @property
     def pixel_kind_names(self) -> tuple[str, ...]:
@@ -99,14 +123,15 @@ class Presentation:
         return ()
 
     def image(self, scene: Scene) -> NDArray[np.uint8] | None:
-        """Return the first input file of a scene, to be shown beneath its maps; None where it is no picture.
+        """Return the left image of a scene, or its first, to be shown beneath its maps; None where it is no picture.
 
         Returns
         -------
         (H, W, 3) uint8 RGB, or (Z, Y, X) uint8 grey levels of a volume, or None
         """
         try:
-            return color8(read_image(next(iter(scene.input_files.values()))))
+            files = scene.input_files
+            return color8(read_image(files.get("left") or next(iter(files.values()))))
         except (InputError, StopIteration):
             return None
 

@@ -77,18 +77,19 @@ function picture(uri) {
   });
 }
 
-const loaded = new Map();  // scene -> data at full size, from the assets
-window.depthcli = (number, data) => loaded.set(number, data);
+const loaded = new Map();  // key of a scene -> data at full size, from the assets
+window.depthcli = (key, data) => loaded.set(key, data);
 
 async function sceneData(number) {
-  if (page.assets[number] && !loaded.has(number)) {
+  const key = page.keys[number];
+  if (page.assets[number] && !loaded.has(key)) {
     await new Promise((done) => {
       const script = make("script", "", { src: page.assets[number], onload: done, onerror: done });
       document.head.append(script);
     });
   }
-  if (!loaded.has(number)) loaded.set(number, JSON.parse($(`data-${number}`).textContent));
-  return loaded.get(number);
+  if (!loaded.has(key)) loaded.set(key, JSON.parse($(`data-${number}`).textContent));
+  return loaded.get(key);
 }
 
 async function unpackView(view) {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -11,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from depthcli.core.errors import ConfigError, OutputError
+from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.data.formats.files import write_text
 from depthcli.data.scenes import Scene
 from depthcli.evaluation import tables
@@ -22,6 +23,7 @@ from depthcli.evaluation.render import Number
 from depthcli.evaluation.results import MapResult
 from depthcli.evaluation.wide_tables import wide_by_scene
 from depthcli.report import colors
+from depthcli.report.run_without_truth import RunTable, RunWithoutTruth
 from depthcli.report.scene_view import SceneView, smaller
 
 ASSETS = "assets"
@@ -36,13 +38,16 @@ _MAX_CELLS = 40_000  # of the tables of one section; more make the page slow
 
 @dataclass(frozen=True)
 class _SavedScene:
-    """A scene whose pictures lie in the assets folder: name, file, its size in bytes, protocol, small pictures."""
+    """A scene whose pictures lie in the assets folder: its view without the maps, their file, its size in bytes."""
 
-    name: str
+    view: SceneView
     file: Path
     size: int
-    protocol: AnyProtocol
-    thumbs: dict[str, dict[str, str]]
+
+    @property
+    def key(self) -> str:
+        """Name of the scene's pictures in the assets folder."""
+        return self.file.stem
 
 
 class Page:
@@ -56,10 +61,18 @@ class Page:
     folder : where ``report.html`` is written
     command : the command line that makes the page, shown in it
     budget : bytes of pictures in the page, beyond which it holds smaller ones
+    run : scenes of a run without ground truth, that are shown as well; or None
+
+    Attributes
+    ----------
+    written : the page is there
     """
 
-    def __init__(self, folder: Path, command: str = "", budget: int = BUDGET) -> None:
-        self.folder, self.command, self.budget = folder, command, budget
+    def __init__(
+        self, folder: Path, command: str = "", budget: int = BUDGET, run: RunWithoutTruth | None = None
+    ) -> None:
+        self.folder, self.command, self.budget, self.run = folder, command, budget, run
+        self.written = False
         self._saved: list[_SavedScene] = []
         self._scene: SceneView | None = None
 
@@ -79,14 +92,17 @@ class Page:
         confidences : name -> confidence map, as the protocol's ``read_confidence`` returns it
         """
         if self._scene is not None:
-            self._scene.add(result.run, path, estimate, truth, confidences)
+            dense = None
+            with contextlib.suppress(InputError):  # the scores count, the whole map is an extra
+                dense = self._scene.protocol.dense_map(path, self._scene.scene, truth)
+            self._scene.add(result.run, path, estimate, truth, confidences, dense)
 
-    def write(self, report: EvaluationReport, scores: str, configs: Mapping[str, str]) -> None:
+    def write(self, report: EvaluationReport | None, scores: str, configs: Mapping[str, str]) -> None:
         """Write ``report.html``.
 
         Parameters
         ----------
-        report : the evaluation
+        report : the evaluation; None where no scene has a ground truth
         scores : all of it as JSON
         configs : run -> its resolved config, or empty
 
@@ -98,37 +114,55 @@ class Page:
             The page cannot be written.
         """
         self._save()
+        scored, without = list(self._saved), self._add_run()
         factor = max(1, math.ceil(math.sqrt(sum(saved.size for saved in self._saved) / self.budget)))
         page = {
-            "runs": report.runs,
+            "runs": [self.run.name] if report is None and self.run is not None else report.runs if report else [],
             "assets": [f"{ASSETS}/{saved.file.name}" if factor > 1 else None for saved in self._saved],
+            "keys": [saved.key for saved in self._saved],
             "scale": colors.map_colors().tolist(),
             "errors": colors.error_scales().tolist(),
             "none": colors.NO_VALUE,
         }
-        kinds = dict.fromkeys(saved.protocol.presentation.pixel_kind_names for saved in self._saved)
+        kinds = dict.fromkeys(saved.view.protocol.presentation.pixel_kind_names for saved in scored)
         text = _template().render(
             style=_file("page.css"), scripts=[_file("page.js"), _file("viewer.js")],
             report=report, command=self.command,
             configs={run: text[:_MAX_CONFIG] for run, text in configs.items()}, factor=factor, assets=ASSETS,
-            sections=[_section_data(section) for section in report.sections], overview=tables.overview(report),
-            others=tables.further_tables(report), scenes=[_scene_data(report, saved) for saved in self._saved],
+            sections=[_section_data(section) for section in report.sections] if report else [],
+            overview=tables.overview(report) if report else [], others=tables.further_tables(report) if report else [],
+            scenes=[_scene_data(report, saved.view) for saved in scored] if report else [], without=without,
             data=[_embedded(saved, factor) for saved in self._saved],
             page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=[*map(_swatches, kinds)],
-            number_of={saved.name: i for i, saved in enumerate(self._saved)},
+            number_of={saved.view.name: i for i, saved in enumerate(self._saved)},
         )  # fmt: skip
         write_text(self.folder / "report.html", text)
         self._remove_assets(keep=len(self._saved) if factor > 1 else 0)
+        self.written = True
+
+    def _add_run(self) -> RunTable | None:
+        """Add the scenes without truth, the worst first; return their table."""
+        if self.run is None:
+            return None
+        n_scored = len(self._saved)
+        for view in self.run.views():
+            self._scene = view
+            self._save()
+        table = self.run.table()
+        order = {view.name: number for number, view in enumerate(table.views)}
+        self._saved[n_scored:] = sorted(self._saved[n_scored:], key=lambda saved: order[saved.view.name])
+        return table
 
     def _save(self) -> None:
         if self._scene is None:
             return
-        scene, number = self._scene, len(self._saved)
-        scene.close()
+        view, number = self._scene, len(self._saved)
+        view.close()
         file = self.folder / ASSETS / f"scene-{number}.js"
-        text = f"depthcli({number}, {_script_json(json.dumps(scene.data))});\n"
+        text = f'depthcli("{file.stem}", {_script_json(json.dumps(view.data))});\n'
         write_text(file, text)
-        self._saved.append(_SavedScene(scene.name, file, len(text), scene.protocol, scene.thumbs))
+        view.data = {}
+        self._saved.append(_SavedScene(view, file, len(text)))
         self._scene = None
 
     def _remove_assets(self, keep: int) -> None:
@@ -204,15 +238,15 @@ def _verdict(section: Section, best: list[str]) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _scene_data(report: EvaluationReport, saved: _SavedScene) -> dict[str, Any]:
+def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
     """What the template shows of a scene: small pictures, and each run's headline in every region."""
     runs = []
     for r in report.results:
-        if r.scene == saved.name and r.protocol == saved.protocol.name:
-            figures = {s.region: Number(s.value) for s in r.scores if s.metric == saved.protocol.headline}
+        if r.scene == view.name and r.protocol == view.protocol.name:
+            figures = {s.region: Number(s.value) for s in r.scores if s.metric == view.protocol.headline}
             curves = [(c.region, c.confidence, c.of, Number(c.line.auc, 4)) for c in r.curves]
-            runs.append({"result": r, "figures": figures, "curves": curves, "thumbs": saved.thumbs.get(r.run, {})})
-    return {"name": saved.name, "protocol": saved.protocol, "thumbs": saved.thumbs.get("", {}), "runs": runs}
+            runs.append({"result": r, "figures": figures, "curves": curves, "thumbs": view.thumbs.get(r.run, {})})
+    return {"name": view.name, "protocol": view.protocol, "thumbs": view.thumbs.get("", {}), "runs": runs}
 
 
 def _swatches(names: tuple[str, ...]) -> list[tuple[str, str, str]]:

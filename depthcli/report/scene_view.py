@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import side_and_distance
-from depthcli.data.formats.pictures import read_status, status_color, status_words
+from depthcli.data.formats.pictures import Palette, read_status, status_color, status_words
 from depthcli.data.scenes import Scene
-from depthcli.evaluation.presentation import UNKNOWN, Axis, pixel_kinds
+from depthcli.evaluation.presentation import UNKNOWN, Axis, ShownMap, pixel_kinds
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.report import colors
 from depthcli.report.packing import Packed, Slice, pack, pack_bytes, slices, thinned
@@ -34,10 +34,11 @@ class SceneView:
 
     Attributes
     ----------
-    name : of the scene
+    scene : the scene
     protocol : by which it is scored
     image : (H, W, 3) RGB or (Z, Y, X) grey levels, or None
     known, hidden : pixels with known truth, and those of them that are occluded; of the shape of the maps
+    palette : colors and words of the status maps; None: the presentation's
     data : what ``viewer.js`` reads, as JSON. Of the scene: ``name``, ``protocol``, ``quantity`` and ``unit`` of its
         values, ``low`` and ``high`` of their scale, ``top`` of the errors', ``hidden`` (some pixels are occluded),
         ``words`` of the kinds of pixel, ``status`` (code -> words and color), ``opacity``, ``start`` (first view) and
@@ -48,16 +49,22 @@ class SceneView:
     thumbs : run (empty: the scene itself) -> kind of picture -> data URI
     """
 
-    name: str
+    scene: Scene
     protocol: AnyProtocol
     image: NDArray[np.uint8] | None
     known: NDArray[np.bool_]
     hidden: NDArray[np.bool_]
+    palette: Palette | None = None
     data: dict[str, Any] = field(default_factory=dict)
     thumbs: dict[str, dict[str, str]] = field(default_factory=dict)
     _cuts: list[Slice] = field(default_factory=list)
     # What the small error pictures are drawn from, once the scale is known: run -> kinds of pixel, errors, quantile.
     _errors: dict[str, tuple[NDArray[np.uint8], NDArray[np.floating[Any]], float]] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        return self.scene.name
 
     @classmethod
     def of(cls, protocol: AnyProtocol, scene: Scene, truth: Any) -> SceneView | None:
@@ -66,15 +73,15 @@ class SceneView:
         known_grid, hidden_grid = (shown.on_grid(pixels, truth) for pixels in protocol.shown_pixels(truth))
         if known_grid is None or hidden_grid is None:
             return None
-        view = cls(scene.name, protocol, shown.image(scene), known_grid, hidden_grid)
+        view = cls(scene, protocol, shown.image(scene), known_grid, hidden_grid)
         points = protocol.true_values(truth)
-        view._fill(None if points is None else shown.on_grid(points, truth), shown.axes(truth))
+        true = None if points is None else shown.on_grid(points, truth)
+        view._fill(true, shown.axes(truth), range_of(None if true is None else true[known_grid]))
         return view
 
-    def _fill(self, true: NDArray[Any] | None, axes: tuple[Axis, ...]) -> None:
+    def _fill(self, true: NDArray[Any] | None, axes: tuple[Axis, ...], scale: tuple[float, float]) -> None:
         """Pack image, truth and regions of every cut; make the small pictures of the scene."""
-        shown, known = self.protocol.presentation, self.known
-        low, high = _range(None if true is None else true[known])
+        shown, known, (low, high) = self.protocol.presentation, self.known, scale
         self._cuts = slices(known.shape)
         self.data = {"name": self.name, "protocol": self.protocol.name, "quantity": shown.quantity, "unit": shown.unit,
                      "low": low, "high": high, "hidden": bool(self.hidden.any()), "status": {}, "views": [],
@@ -90,16 +97,16 @@ class SceneView:
                  "plane": axes[cut.axis].plane if axes else f"axis {cut.axis}",
                  "axes": [columns, rows], "tall": abs(rows.step / columns.step) if rows and columns else 1.0,
                  "width": plane.shape[1], "height": plane.shape[0], "factor": 1,
-                 "image": None if picture is None else _jpeg(picture), "truth": packed,
+                 "image": None if picture is None else jpeg(picture), "truth": packed,
                  "region": pack_bytes(plane + 2 * self.hidden[cut.index].astype(np.uint8)), "runs": {}}
             )  # fmt: skip
         cut = self._cuts[self.data["start"]]
         if self.image is not None:
             flat = self.image if cut.axis < 0 else np.stack([self.image[cut.index]] * 3, axis=-1)
-            step = _step(flat.shape[:2])
+            step = step_of(flat.shape[:2])
             size = (max(1, flat.shape[1] // step), max(1, flat.shape[0] // step))
             shrunk = np.asarray(cv2.resize(flat, size, interpolation=cv2.INTER_AREA), np.uint8)
-            self.thumbs[""] = {"image": _jpeg(shrunk)}
+            self.thumbs[""] = {"image": jpeg(shrunk)}
         if true is not None:
             plane = np.where(known[cut.index], true[cut.index], np.nan)
             self.thumbs.setdefault("", {})["truth"] = self._map_thumb(plane)
@@ -116,8 +123,16 @@ class SceneView:
         low, high = self.data["low"], self.data["high"]
         return low - _MARGIN * (high - low), high + _MARGIN * (high - low)
 
-    def add(self, run: str, path: Path, estimate: Any, truth: Any, confidences: Mapping[str, NDArray[Any]]) -> None:
-        """Add one run's map, with the status and confidence maps beside it."""
+    def add(
+        self,
+        run: str,
+        path: Path,
+        estimate: Any,
+        truth: Any,
+        confidences: Mapping[str, NDArray[Any]],
+        dense: ShownMap | None = None,
+    ) -> None:
+        """Add one run's map, with the status and confidence maps beside it; ``dense``: shown instead of few points."""
         protocol, known = self.protocol, self.known
 
         def on_grid(points: NDArray[Any] | None) -> Any:
@@ -126,6 +141,9 @@ class SceneView:
         error = np.where(known, on_grid(protocol.error(estimate, truth)), np.nan)
         wrong = on_grid(protocol.wrong(estimate, truth)) & known
         values, true = on_grid(protocol.values(estimate, truth)), on_grid(protocol.true_values(truth))
+        planes, packed_range = {name: on_grid(plane) for name, plane in confidences.items()}, self._packed_range
+        if dense is not None and dense.values.shape == known.shape:
+            values, planes, packed_range = dense.values, dense.confidence, range_of(dense.values)
         # The script takes the difference of values and truth where that is the error.
         is_difference = values is not None and true is not None and np.allclose(
             error[known], np.abs(values - true)[known], rtol=1e-4, atol=1e-4, equal_nan=True
@@ -133,14 +151,14 @@ class SceneView:
         status = self._status(path)
         for view, cut in zip(self.data["views"], (each.index for each in self._cuts), strict=True):
             view["runs"][run] = {
-                "values": None if values is None else pack(values[cut], *self._packed_range),
-                "error": None if is_difference else pack(error[cut], 0.0, _range(error)[1]),
+                "values": None if values is None else pack(values[cut], *packed_range),
+                "error": None if is_difference else pack(error[cut], 0.0, range_of(error)[1]),
                 "wrong": pack_bytes(wrong[cut]),
                 "status": None if status is None else pack_bytes(status[cut]),
-                "confidence": {name: _pack_confidence(on_grid(plane)[cut]) for name, plane in confidences.items()},
+                "confidence": {name: pack_confidence(plane[cut]) for name, plane in planes.items()},
             }
         cut = self._cuts[self.data["start"]].index
-        step = _step(known[cut].shape)
+        step = step_of(known[cut].shape)
         kind = pixel_kinds(known[cut], self.hidden[cut], wrong[cut], np.isnan(error[cut]))
         worst = error[wrong & ~np.isnan(error)]
         high = float(np.quantile(worst, 0.9)) if worst.size else math.nan
@@ -159,15 +177,15 @@ class SceneView:
         self._errors, self.image = {}, None
 
     def _map_thumb(self, plane: NDArray[np.floating[Any]]) -> str:
-        step = _step(plane.shape)
+        step = step_of(plane.shape)
         small = plane[::step, ::step]
         return self._blended(colors.map_picture(small, self.data["low"], self.data["high"]), np.isnan(small))
 
     def _blended(self, small: NDArray[np.uint8], nothing: NDArray[np.bool_]) -> str:
         """Return a small picture over the image of the first cut, which is alone at ``nothing``."""
         image = self._image_of(self._cuts[self.data["start"]])
-        beneath = None if image is None else image[:: (step := _step(image.shape[:2])), ::step]
-        return _png(colors.overlaid(small, nothing, beneath, self.protocol.presentation.opacity))
+        beneath = None if image is None else image[:: (step := step_of(image.shape[:2])), ::step]
+        return png(colors.overlaid(small, nothing, beneath, self.protocol.presentation.opacity))
 
     def _image_of(self, cut: Slice) -> NDArray[np.uint8] | None:
         """(H, W, 3) RGB image beneath a cut of the maps, at their size; None where its shape does not fit."""
@@ -183,7 +201,7 @@ class SceneView:
         return np.asarray(fitted, np.uint8)
 
     def _status(self, path: Path) -> NDArray[np.uint8] | None:
-        palette = self.protocol.presentation.palette
+        palette = self.protocol.presentation.palette if self.palette is None else self.palette
         file = self.protocol.files.status(path) if palette else None
         try:
             status = None if file is None else read_status(file)
@@ -207,7 +225,7 @@ def smaller(data: dict[str, Any], factor: int) -> dict[str, Any]:
             code = np.frombuffer(base64.b64decode(view["image"].partition(",")[2]), np.uint8)
             picture = cv2.imdecode(code, cv2.IMREAD_COLOR)
             assert picture is not None  # it was written here
-            views[-1]["image"] = _jpeg(np.asarray(cv2.resize(picture, (width, height))[..., ::-1], np.uint8))
+            views[-1]["image"] = jpeg(np.asarray(cv2.resize(picture, (width, height))[..., ::-1], np.uint8))
     return {**data, "views": views}
 
 
@@ -220,7 +238,7 @@ def _name(cut: Slice, axes: tuple[Axis, ...]) -> str:
     return f"{axis.plane}, {side_and_distance(axis.ends, axis.first + axis.step * cut.place)}, {number}"
 
 
-def _range(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:
+def range_of(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:
     """Lowest and highest finite value, never the same; (0, 1) where there is none."""
     finite = np.array([]) if values is None else values[np.isfinite(values)]
     if finite.size == 0:
@@ -229,22 +247,22 @@ def _range(values: NDArray[np.floating[Any]] | None) -> tuple[float, float]:
     return low, max(high, low + 1e-3)
 
 
-def _pack_confidence(plane: NDArray[Any]) -> Packed:
+def pack_confidence(plane: NDArray[Any]) -> Packed:
     values = plane.astype(np.float64)
     finite = values[np.isfinite(values)]
     shown = np.percentile(finite, (1, 99)).tolist() if finite.size else [0.0, 1.0]
-    return {**pack(values, *_range(values), _CONFIDENCE_LEVELS), "shown": shown}
+    return {**pack(values, *range_of(values), _CONFIDENCE_LEVELS), "shown": shown}
 
 
-def _step(shape: tuple[int, ...]) -> int:
+def step_of(shape: tuple[int, ...]) -> int:
     return max(1, -(-max(shape) // _MAX_THUMB))
 
 
-def _jpeg(picture: NDArray[np.uint8]) -> str:
+def jpeg(picture: NDArray[np.uint8]) -> str:
     return _uri("image/jpeg", cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1])
 
 
-def _png(picture: NDArray[np.uint8]) -> str:
+def png(picture: NDArray[np.uint8]) -> str:
     return _uri("image/png", cv2.imencode(".png", picture[..., ::-1])[1])
 
 

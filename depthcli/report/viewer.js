@@ -13,8 +13,9 @@ function errorAt(run, i) {
   return run.values && view.truth ? Math.abs(run.values[i] - view.truth[i]) : NaN;
 }
 
+// Without truth there are no regions, and errors are those that the method expects.
 function kindAt(run, i) {
-  if (!(view.region[i] & 1)) return 0;
+  if (!view.region || !(view.region[i] & 1)) return 0;
   if (Number.isNaN(run.values ? run.values[i] : errorAt(run, i))) return 5;
   return (run.wrong[i] ? 2 : 1) + (view.region[i] & 2 ? 2 : 0);
 }
@@ -34,6 +35,7 @@ function painter(source, layer) {
   }
   if (!run) return null;
   if (layer === "status") return run.status && ((i) => (scene.status[run.status[i]] || { color: page.none }).color);
+  if (layer === "error" && !view.region) return colored(run.error, (v) => page.scale[place(v, 0, scene.top, 256)]);
   if (layer === "error") {
     const color = (i) => page.errors[kindAt(run, i)][place(errorAt(run, i) || 0, 0, scene.top, 64)];
     return (i) => none || view.region[i] & 1 ? color(i) : null;
@@ -147,8 +149,11 @@ function zoom(factor, x, y) {
 
 const middle = () => { const box = panels[0].canvas.getBoundingClientRect(); return [box.width / 2, box.height / 2]; };
 
+// What can be chosen: image, truth, and runs by number.
+const choices = () => ["image", ...(view.region ? ["truth"] : []), ...page.runs.keys()].filter((s) => typeof s !== "number" || view.region || runOf(s));
+
 function setPanels() {
-  const sources = state.mode === "all" ? ["image", "truth", ...page.runs.keys()] : [state.source];
+  const sources = state.mode === "all" ? choices() : [state.source];
   const box = stage.getBoundingClientRect();
   const aspect = view.width / (view.height * view.tall);
   let columns = 1, best = 0;
@@ -184,6 +189,8 @@ function setLegend() {
   if (state.layer === "map") {
     entry(`${state.source === "truth" && state.mode !== "all" ? trueQuantity() : scene.quantity} ${shown(scene.low)}`, ramp(page.scale, 200), `${shown(scene.high)} ${scene.unit}`);
     entry(ramp([page.none], 16), "no value");
+  } else if (state.layer === "error" && !view.region) {
+    entry("expected error 0", ramp(page.scale, 200), `${shown(scene.top)} ${scene.unit}`);
   } else if (state.layer === "error") {
     scene.words.forEach((words, kind) => {
       if (words.includes("occluded") && !scene.hidden) return;
@@ -209,8 +216,8 @@ function setReadout() {
     return;
   }
   const i = pointer.y * view.width + pointer.x;
-  const known = view.region[i] & 1;
-  const where = known ? (view.region[i] & 2 ? ", occluded" : "") : ", truth unknown or not evaluated";
+  const known = view.region ? view.region[i] & 1 : 1;
+  const where = !view.region ? "" : known ? (view.region[i] & 2 ? ", occluded" : "") : ", truth unknown or not evaluated";
   const truth = view.truth ? ` · ${trueQuantity()} ${text(view.truth[i])} ${scene.unit}` : "";
   const place = view.axes.map((along, axis) => {
     const index = (axis ? pointer.y : pointer.x) * view.factor;
@@ -220,7 +227,7 @@ function setReadout() {
   }).join(", ");
   const line = make("div", `${place}${view.name && `, ${view.name}`}${truth}${where}`);
   const table = make("table"), head = table.createTHead().insertRow();
-  for (const title of ["run", `${scene.quantity}, ${scene.unit}`, `error, ${scene.unit}`, "", "status", "confidence"]) head.append(make("th", title));
+  for (const title of ["run", `${scene.quantity}, ${scene.unit}`, `${view.region ? "" : "expected "}error, ${scene.unit}`, "", "status", "confidence"]) head.append(make("th", title));
   const body = table.createTBody();
   page.runs.forEach((name, number) => {
     const run = view.runs[name], row = body.insertRow();
@@ -230,7 +237,7 @@ function setReadout() {
     const status = run.status && scene.status[run.status[i]];
     const confidences = Object.entries(run.confidence).map(([measure, { values }]) =>
       `${measure} ${Number.isFinite(values[i]) ? +values[i].toPrecision(4) : text(values[i])}`);
-    const cells = [run.values ? text(run.values[i]) : "-", known ? text(errorAt(run, i)) : "-", scene.words[kindAt(run, i)],
+    const cells = [run.values ? text(run.values[i]) : "-", known ? text(errorAt(run, i)) : "-", view.region ? scene.words[kindAt(run, i)] : "",
       status ? status.words : "-", confidences.join(", ") || "-"];
     for (const cell of cells) row.append(make("td", cell));
   });
@@ -242,7 +249,9 @@ function setButtons() {
   for (const button of $("layers").children) {
     const { layer } = button.dataset, runs = Object.values(view.runs);
     button.disabled = layer === "status" ? !runs.some((run) => run.status)
-      : layer === "confidence" ? !runs.some((run) => Object.keys(run.confidence).length) : false;
+      : layer === "confidence" ? !runs.some((run) => Object.keys(run.confidence).length)
+      : layer === "error" && !view.region && !runs.some((run) => run.error);
+    if (layer === "error") button.textContent = view.region ? "error" : "expected error";
     button.ariaPressed = `${layer === state.layer}`;
   }
   const measures = [...new Set(Object.values(view.runs).flatMap((run) => Object.keys(run.confidence)))];
@@ -261,8 +270,8 @@ function setButtons() {
   $("opacity").value = 100 * state.opacity;
   $("opacity").parentNode.hidden = !view.image;
   $("which").value = state.number;
-  const sources = [["image", "i"], ["truth", "t"], ...page.runs.map((_, n) => [n, n < 9 ? `${n + 1}` : ""])];
-  $("sources").replaceChildren(...sources.map(([source, key]) => {
+  $("sources").replaceChildren(...choices().map((source) => {
+    const key = typeof source === "number" ? (source < 9 ? `${source + 1}` : "") : source[0];
     const button = make("button", ` ${titleOf(source)}`);
     button.prepend(make("b", key));
     const both = state.mode === "swipe" && source === state.other;
@@ -335,7 +344,9 @@ async function open(number, source) {
   state.number = number;
   if (source !== undefined) state.source = source;
   if (state.other === "truth" && page.runs.length > 1) state.other = state.source === 1 ? 0 : 1;
-  if (other && (state.layer === "status" || state.layer === "confidence")) state.layer = "map";
+  if (other && (["status", "confidence"].includes(state.layer) || !view.region)) state.layer = "map";
+  if (!choices().includes(state.source)) state.source = choices().at(-1);
+  if (state.other === "truth" && !view.region) state.other = "image";
   show();
   if (!sameSize) fit();
   viewer.dataset.ready = `${number}`;
@@ -380,7 +391,7 @@ addEventListener("keydown", (event) => {
   if (!viewer.open || !view || event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
   if (event.target.tagName === "INPUT" && event.key.startsWith("Arrow")) return;
   const digit = /^(?:Digit|Numpad)(\d)$/.exec(event.code);
-  const keys = { t: () => choose("truth"), 0: () => choose("truth"), i: () => choose("image"), f: () => setMode("flip"),
+  const keys = { t: () => view.region && choose("truth"), 0: () => view.region && choose("truth"), i: () => choose("image"), f: () => setMode("flip"),
     w: () => setMode("swipe"), a: () => setMode("all"), m: () => setLayer("map"), e: () => setLayer("error"),
     s: () => setLayer("status"), c: () => setLayer("confidence"), r: fit, "+": $("closer").onclick, "=": $("closer").onclick,
     "-": $("wider").onclick, ArrowLeft: $("back").onclick, ArrowRight: $("on").onclick,

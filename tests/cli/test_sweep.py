@@ -30,7 +30,8 @@ def sweep(scenes: Path, output: Path, *more: str) -> int:
 def test_a_sweep_is_resumed_and_says_what_matters(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     over = ("--over", "optimization.p2=2,8", "--over", "cost.window=[5,5],[9,7]")
     assert sweep(scenes, tmp_path, *over, "--html") == 0
-    out = capsys.readouterr().out
+    out, err = capsys.readouterr()
+    assert err.rstrip().endswith(f": {tmp_path / 'evaluation' / 'report.html'}")
     assert "Sensitivity, the strongest first" in out
     runs = sorted(path.name for path in (tmp_path / "runs").iterdir())
     assert runs == ["own-values", "p2=2,window=5-5", "p2=2,window=9-7", "p2=8,window=5-5", "p2=8,window=9-7"]

@@ -7,6 +7,7 @@ metrics are in ``_registration``. ``load`` returns the class of a name, :class:`
 
 from __future__ import annotations
 
+import contextlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -26,7 +27,7 @@ from depthcli.data.scenes import Scene
 from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.pooling import Pooling
-from depthcli.evaluation.presentation import Presentation, error_picture, pixel_kinds
+from depthcli.evaluation.presentation import Presentation, ShownMap, error_picture, pixel_kinds
 from depthcli.evaluation.results import ConfidenceCurve
 from depthcli.evaluation.scores import Metric, Score
 
@@ -123,6 +124,22 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
     def scene_of_file(self, truth: Path) -> Scene:
         """Return the scene of a ground truth file that lies in no folder of a known layout."""
         raise InputError(f"{truth}: {self.name} wants a folder of scenes as the ground truth")
+
+    def shown_map(self, path: Path, scene: Scene) -> ShownMap:
+        """Return one run's map as it is shown where no truth is known; InputError where it cannot be read."""
+        return ShownMap(read_plane(path), self._planes(path))
+
+    def dense_map(self, path: Path, scene: Scene, truth: Truth) -> ShownMap | None:
+        """Return one run's whole map where the truth is known at few points; None: the truth covers the map."""
+        return None
+
+    def _planes(self, path: Path) -> dict[str, NDArray[Any]]:
+        """Return name -> confidence map beside a map; those that cannot be read are left out."""
+        found = {}
+        for name, file in self.files.confidences(path).items():
+            with contextlib.suppress(InputError):
+                found[name] = read_plane(file)
+        return found
 
     # One map: ``regions``, ``error`` and ``scores`` have to be written, the others where a benchmark differs.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
@@ -12,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
+from depthcli.core.maps import Status
 from depthcli.data.formats.disparity import read_disparity, read_plane
 from depthcli.data.formats.files import shown, warn
-from depthcli.data.formats.pictures import STATUS_PALETTE
+from depthcli.data.formats.pictures import STATUS_PALETTE, read_status
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene, StereoTruth
 from depthcli.evaluation.map_files import DisparityFiles
-from depthcli.evaluation.presentation import Presentation
+from depthcli.evaluation.presentation import Presentation, ShownMap
 from depthcli.evaluation.protocols import Protocol, Settings
 from depthcli.evaluation.scores import MISSING_IS_BAD, Metric, Score, Tally
 
@@ -31,6 +33,10 @@ PRESENTATION = Presentation(
 )  # fmt: skip
 """Common to all stereo protocols, which add title and note."""
 
+_INCONSISTENT = (
+    "left-right inconsistent: share of the pixels that the check of both views rejected, occluded ones among them, "
+    "filled or not"
+)
 _N_DENSE, _MAX_DENSE_PX = 24, 6.0  # number of evenly spaced thresholds of a plot, and the largest
 
 
@@ -111,6 +117,15 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         scale = None if truth.suffix.lower() == ".pfm" else self.settings.scale
         return StereoScene(name=truth.stem, folder=truth.parent, protocol=self.name, left=truth, disparity_left=truth,
                            disparity_scale=scale)  # fmt: skip
+
+    def shown_map(self, path: Path, scene: Scene) -> ShownMap:
+        """Return the map with the shares of pixels that are inconsistent, by its status, and that have no value."""
+        values, file = read_disparity(path), self.files.status(path)
+        figures = {"left-right inconsistent, %": math.nan, "no value, %": 100.0 * float(np.isnan(values).mean())}
+        if file is not None:
+            rejected = (read_status(file) & int(Status.OCCLUDED | Status.MISMATCH)) != 0
+            figures["left-right inconsistent, %"] = 100.0 * float(rejected.mean())
+        return ShownMap(values, self._planes(path), figures=figures, note=_INCONSISTENT)
 
     def read(self, path: Path, scene: Scene, truth: DisparityTruth) -> Disparity:
         """Return the map in pixels; 8-bit codes have the truth's scale where the settings have none.

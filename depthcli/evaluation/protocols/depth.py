@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene, RgbdTruth
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Presentation
+from depthcli.evaluation.presentation import Presentation, ShownMap
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
 
@@ -99,6 +100,18 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
             name=truth.stem, folder=truth.parent, protocol=self.name, color=truth, depth=truth, depth_true=truth,
             depth_scale=scale,
         )  # fmt: skip
+
+    def shown_map(self, path: Path, scene: Scene) -> ShownMap:
+        """Return the map in mm, with the expected error that lies beside it as ``sigma.pfm``."""
+        scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
+        values, sigma = 1000.0 * read_depth(path, scale).astype(np.float64), path.with_name("sigma.pfm")
+        figures, error, note = {"no value, %": 100.0 * float(np.isnan(values).mean())}, None, ""
+        if sigma.is_file():
+            error = 1000.0 * read_plane(sigma).astype(np.float64)
+            known = error[np.isfinite(error)]
+            figures = {"expected error, mm": float(known.mean()) if known.size else math.nan, **figures}
+            note = "expected error: mean standard deviation of the depth, by the residuals of the fitted models"
+        return ShownMap(values, self._planes(path), error, figures=figures, note=note)
 
     def read(self, path: Path, scene: Scene, truth: DepthTruth) -> Depth:
         """Return the map in meters; integer codes have the truth's scale where the settings have none."""

@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.algorithms.body import body
 from depthcli.algorithms.resampling import trilinear
 from depthcli.core.errors import InputError
-from depthcli.core.volumes import ENDS, PLANES
+from depthcli.core.volumes import ENDS, PLANES, Grid
 from depthcli.data.formats.volumes import read_volume
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairScene
 from depthcli.evaluation.curves import sparsification
 from depthcli.evaluation.map_files import MapFiles
-from depthcli.evaluation.presentation import Axis, Presentation
+from depthcli.evaluation.presentation import Axis, Presentation, ShownMap
 from depthcli.evaluation.protocols import Protocol
 from depthcli.evaluation.protocols._registration import HEADLINE, LIMITS_MM, Errors, error_classes, point_scores
 from depthcli.evaluation.render import Number, Table
@@ -88,8 +89,7 @@ class RegistrationPresentation(Presentation):
 
     def axes(self, truth: PreparedTruth) -> tuple[Axis, ...]:
         """Return the axes of the volumes as radiologists hang them, the patient's right on the left."""
-        grid = truth.stored.grid
-        return tuple(Axis(PLANES[k], ENDS[k], *grid.slice_positions(k)) for k in range(3))
+        return _axes(truth.stored.grid)
 
     def image(self, scene: Scene) -> NDArray[np.uint8] | None:
         """Return grey levels of the fixed volume as it is shown, between its darkest and brightest half percent."""
@@ -145,6 +145,7 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         opacity=0.65,
         verdicts=("true error to 3 mm", "true error above 3 mm"),
         mean_heading="pooled",
+        scale=(0.0, 10.0),
     )
     region_order = ("landmarks", "voxels")
     headline = HEADLINE
@@ -160,6 +161,31 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         if not inside.any():
             raise InputError(f"{scene.folder}: the true error of {scene.name} is known nowhere")
         return PreparedTruth(stored.error[inside], None, inside, stored)
+
+    def shown_map(self, path: Path, scene: Scene) -> ShownMap:
+        """Return the expected error within the mask or the body, mm, turned as radiologists hang it."""
+        assert isinstance(scene, VolumePairScene)
+        volume = read_volume(path)
+        grid = volume.grid
+        if scene.mask is None:
+            image = self.presentation.image(scene)
+            assert image is not None
+            inside = np.stack([body(plane) for plane in image])
+        else:
+            inside = grid.turned(read_volume(scene.mask).values) > 0
+        values = np.where(inside, grid.turned(volume.values), np.float32(np.nan))
+        known = values[np.isfinite(values)]
+        mean, high = (float(known.mean()), float(np.quantile(known, 0.95))) if known.size else (math.nan, math.nan)
+        confidence = {
+            name: grid.turned(read_volume(file).values) for name, file in self.files.confidences(path).items()
+        }
+        note = "in the body: mean over the mask, or else over tissue and what it encloses, and its 95 % quantile"
+        figures = {"expected error in the body, mm": mean, "95 % quantile, mm": high}
+        return ShownMap(values, confidence, None, _axes(grid), figures, note)
+
+    def dense_map(self, path: Path, scene: Scene, truth: PreparedTruth) -> ShownMap | None:
+        """Return the whole volume of expected errors where the truth is known at landmarks."""
+        return self.shown_map(path, scene) if truth.inside is None else None
 
     def read(self, path: Path, scene: Scene, truth: PreparedTruth) -> Errors:
         """Return (N,) expected errors at the points of the truth."""
@@ -238,6 +264,11 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         drawn = [_drawn(r.pooling_data, _MAX_POOLED / n_points) for r in answered]
         made = point_scores(results[0].scores[0].region, *map(np.concatenate, zip(*drawn, strict=True)))
         return [_with_missing(score, 1 - n_answered / n_points, n_points) for score in made]
+
+
+def _axes(grid: Grid) -> tuple[Axis, ...]:
+    """Return the axes of a turned volume."""
+    return tuple(Axis(PLANES[k], ENDS[k], *grid.slice_positions(k)) for k in range(3))
 
 
 def _drawn(points: tuple[Errors, Errors], share: float) -> tuple[Errors, Errors]:

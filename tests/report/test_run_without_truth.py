@@ -1,0 +1,230 @@
+"""The page of runs whose scenes have no ground truth, or not all of them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.core.maps import Status
+from depthcli.data.formats.disparity import read_pfm, write_pfm
+from depthcli.data.formats.images import write_png
+from depthcli.data.formats.pictures import read_status
+from depthcli.data.formats.volumes import read_volume
+from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairScene
+from depthcli.evaluation.protocols.registration import PreparedTruth, RegistrationProtocol
+from depthcli.report.packing import unpack
+from depthcli.report.scene_view import SceneView
+from tests.report.conftest import ODD, truth_of
+from tests.report.test_page import Reader, read
+
+SIZE = (48, 64)
+
+
+def pair(folder: Path, shift: int, noise: float) -> None:
+    """Write a pair whose right view is shifted, and differs the more the larger the noise."""
+    rng = np.random.default_rng(shift)
+    left = rng.integers(0, 256, SIZE).astype(np.float64)
+    right = np.roll(left, -shift, 1) + rng.normal(0, noise, SIZE)
+    for name, view in (("left", left), ("right", right)):
+        write_png(folder / f"{name}.png", np.repeat(np.clip(view, 0, 255).astype(np.uint8)[..., None], 3, axis=2))
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three pairs without truth, one of them hard to match and one with a hostile name, and a damaged one."""
+    folder = tmp_path_factory.mktemp("pairs") / "set"
+    for name, shift, noise in (("easy", 3, 0.0), ("hard", 5, 60.0), (ODD, 4, 15.0)):
+        pair(folder / name, shift, noise)
+    (folder / "damaged").mkdir()
+    for name in ("left.png", "right.png"):
+        (folder / "damaged" / name).write_bytes(b"x")
+    return folder
+
+
+def stereo(scenes: Path, output: Path, *more: str) -> int:
+    return main(["stereo", "opencv-sgbm", "-i", str(scenes), "-o", str(output), "--max-disparity", "15", *more])
+
+
+def inconsistent(scene: Path) -> float:
+    status = read_status(scene / "status.png")
+    return 100 * float(np.mean((status & int(Status.OCCLUDED | Status.MISMATCH)) != 0))
+
+
+def data_of(reader: Reader) -> list[dict]:
+    found = sorted((name for name in reader.scripts if name.startswith("data-")), key=lambda name: int(name[5:]))
+    return [json.loads(reader.scripts[name]) for name in found]
+
+
+def test_worst_first_with_the_maps_as_they_are(pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    run = tmp_path / "run"
+    assert stereo(pairs, run, "--html") == 3  # for the damaged scene, not for the page
+    assert capsys.readouterr().err.rstrip().endswith(f": {run / 'evaluation' / 'report.html'}")
+    reader = read(run / "evaluation")
+    header, *rows = reader.tables[0]
+    assert header[:4] == ["scene", "status", "left-right inconsistent, %", "no value, %"]
+    assert rows[0][0] == "damaged"
+    assert "not a PNG" in rows[0][1]
+    shares = {name: inconsistent(run / name) for name in ("easy", "hard", ODD)}
+    assert [row[0] for row in rows[1:]] == sorted(shares, key=lambda name: -shares[name])
+    assert [float(row[2]) for row in rows[1:]] == pytest.approx(sorted(shares.values(), reverse=True), abs=0.01)
+    assert shares["hard"] > shares["easy"]
+    data = data_of(reader)
+    assert [scene["name"] for scene in data] == [row[0] for row in rows[1:]]  # as the viewer steps through them
+    for scene in data:
+        (view,) = scene["views"]
+        assert view["truth"] is None
+        assert view["region"] is None
+        values, packed = read_pfm(run / scene["name"] / "disp_left.pfm"), view["runs"]["run"]["values"]
+        assert np.allclose(unpack(packed), values, atol=packed["step"])
+        assert np.array_equal(unpack(view["runs"]["run"]["status"]), read_status(run / scene["name"] / "status.png"))
+    assert len(reader.images) == 3 * 3  # image, map, status
+    assert all(source.startswith("data:image/") for source in reader.images)
+    text = (run / "evaluation" / "report.html").read_text("utf-8")
+    assert not re.search(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", text)
+    assert "<script>alert" not in text
+
+
+def test_scenes_with_and_without_truth_share_a_page(pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scenes = tmp_path / "set"
+    shutil.copytree(pairs / "easy", scenes / "known")
+    shutil.copytree(pairs / "hard", scenes / "unknown")
+    write_pfm(scenes / "known" / "disp_left.pfm", np.full(SIZE, 3, np.float32))
+    (scenes / "known" / "meta.json").write_text(json.dumps({"protocol": "middlebury_v2"}))
+    assert stereo(scenes, tmp_path / "run", "--html") == 0
+    assert capsys.readouterr().err.rstrip().endswith("report.html")
+    reader = read(tmp_path / "run" / "evaluation")
+    known, unknown = data_of(reader)
+    assert known["name"] == "known"
+    assert known["views"][0]["region"] is not None
+    assert unknown["name"] == "unknown"
+    assert unknown["views"][0]["region"] is None
+    assert list(unknown["views"][0]["runs"]) == list(known["views"][0]["runs"]) == ["run"]
+    assert {"scene-0", "scene-1", "section-0", "without"} <= set(reader.ids)
+    assert "unknown" not in [row[0] for table in reader.tables[:-1] for row in table]
+    assert [row[0] for row in reader.tables[-1]] == ["scene", "unknown"]
+    assert "bad 1" in reader.text
+
+
+def test_beyond_the_budget_each_scene_is_loaded_from_its_own_file(
+    pairs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("depthcli.commands._batch.PAGE_BUDGET", "2kB")
+    assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "*a*") == 3
+    folder = tmp_path / "run" / "evaluation"
+    page = json.loads(read(folder).scripts["page"])
+    for key, asset, small in zip(page["keys"], page["assets"], data_of(read(folder)), strict=True):
+        text = (folder / asset).read_text("utf-8")
+        assert text.startswith(f'depthcli("{key}", ')
+        assert json.loads(text[text.index("{") : text.rindex("}") + 1])["name"] == small["name"]
+        assert small["views"][0]["factor"] > 1
+
+
+def test_a_page_that_cannot_be_written_fails_no_run(pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    foreign = tmp_path / "run" / "evaluation" / "report.html"
+    foreign.parent.mkdir(parents=True)
+    foreign.write_text("mine")
+    assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "easy") == 0
+    assert foreign.read_text() == "mine"
+    error = capsys.readouterr().err
+    assert "no report.html: " in error
+    assert "to open in a browser" not in error
+    assert (tmp_path / "run" / "easy" / "disp_left.pfm").is_file()
+
+
+def test_a_map_that_was_not_kept_is_said(pairs: Path, tmp_path: Path):
+    assert stereo(pairs, tmp_path / "run", "--html", "--scenes", "easy", "--keep", "preview.png") == 0
+    reader = read(tmp_path / "run" / "evaluation")
+    assert "no map there" in reader.tables[0][1][1]
+    assert data_of(reader) == []
+
+
+def test_depth_has_a_page(runs: list[Path], tmp_path: Path):
+    run, output = runs[0], tmp_path / "depth"
+    arguments = ["--focal", "500", "--baseline", "0.1", "--scenes", "plain", "--html", "-q"]
+    assert main(["depth", str(run), "-o", str(output), *arguments]) == 0
+    reader = read(output / "evaluation")
+    assert reader.tables[0][1][0] == "plain"
+    (scene,) = data_of(reader)
+    assert (scene["quantity"], scene["unit"]) == ("depth", "mm")
+    near = unpack(scene["views"][0]["runs"]["depth"]["values"])
+    want = 1000 * read_pfm(output / "plain" / "depth.pfm")
+    assert np.allclose(near, want, rtol=1e-3, equal_nan=True)
+    assert len(truth_of(0)) == len(near)
+
+
+def test_frames_of_a_sensor_show_their_expected_error(tmp_path: Path):
+    rng = np.random.default_rng(0)
+    for number in range(2):
+        folder = tmp_path / "set" / f"frame{number}"
+        write_png(folder / "color.png", rng.integers(0, 256, (*SIZE, 3)).astype(np.uint8))
+        depth = (1000 + 10 * (number + 1) * rng.normal(0, 1, SIZE)).astype(np.uint16)
+        depth[10:14, 20:30] = 0
+        write_png(folder / "depth.png", depth)
+    assert (
+        main(["refine-kinect", "dsrm", "-i", str(tmp_path / "set"), "-o", str(tmp_path / "run"), "--html", "-q"]) == 0
+    )
+    reader = read(tmp_path / "run" / "evaluation")
+    header, *rows = reader.tables[0]
+    assert header[2] == "expected error, mm"
+    sigma = {name: 1000 * np.nanmean(read_pfm(tmp_path / "run" / name / "sigma.pfm")) for name in ("frame0", "frame1")}
+    assert [row[0] for row in rows] == sorted(sigma, key=lambda name: -sigma[name])
+    assert [float(row[2]) for row in rows] == pytest.approx(sorted(sigma.values(), reverse=True), abs=0.01)
+    assert all(scene["views"][0]["runs"]["run"]["error"] for scene in data_of(reader))
+
+
+def test_a_registration_without_landmarks(volumes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    given = volumes.parent / "set" / "pair_0"
+    files = ["--fixed", str(given / "fixed.nii.gz"), "--warped", str(next(given.glob("moving_warped.*")))]
+    output = tmp_path / "run"
+    assert main(["register-confidence", "axes", *files, "--name", "case", "-o", str(output), "--html"]) == 0
+    assert capsys.readouterr().err.rstrip().endswith("report.html")
+    reader = read(output / "evaluation")
+    header, row = reader.tables[0]
+    (scene,) = data_of(reader)
+    assert {view["plane"] for view in scene["views"]} == {"axial", "coronal", "sagittal"}
+    assert (scene["low"], scene["high"]) == (0.0, 10.0)
+    assert len(reader.images) == 1  # the three slices of preview.png
+    volume = read_volume(output / "case" / "expected_error.nii.gz")
+    judge = RegistrationProtocol()
+    shown = judge.shown_map(output / "case" / "expected_error.nii.gz", VolumePairScene(
+        name="case", folder=given, fixed=given / "fixed.nii.gz"))  # fmt: skip
+    inside = ~np.isnan(shown.values)
+    assert 0 < inside.mean() < 1  # air is left out
+    assert np.array_equal(shown.values[inside], volume.grid.turned(volume.values)[inside])
+    figure = row[header.index("expected error in the body, mm")]
+    assert float(figure) == pytest.approx(shown.values[inside].mean(), abs=0.01)
+
+
+def test_a_mask_says_what_is_shown(volumes: Path):
+    given, made = volumes.parent / "set" / "pair_0", volumes.parent / "run" / "pair_0" / "expected_error.nii.gz"
+    mask = given / "mask.nii.gz"
+    scene = VolumePairScene(name="pair_0", folder=given, fixed=given / "fixed.nii.gz", mask=mask)
+    stored = read_volume(mask)
+    want = stored.grid.turned(stored.values) > 0
+    assert np.array_equal(~np.isnan(RegistrationProtocol().shown_map(made, scene).values), want)
+
+
+def test_landmarks_leave_the_whole_volume_in_sight(volumes: Path):
+    given, made = volumes.parent / "set" / "pair_0", volumes.parent / "run" / "pair_0" / "expected_error.nii.gz"
+    scene = VolumePairScene(name="pair_0", folder=given, fixed=given / "fixed.nii.gz")
+    grid, judge = read_volume(scene.fixed).grid, RegistrationProtocol()
+    places = np.array(grid.shape) / 2 + np.array([[0.0, 0, 0], [2, 3, 4]])
+    errors = np.array([1, 4], np.float32)
+    truth = PreparedTruth(errors, places, None, RegistrationTruth(grid, grid.to_point(places), errors))
+    view = SceneView.of(judge, scene, truth)
+    assert view is not None
+    dense = judge.dense_map(made, scene, truth)
+    assert dense is not None
+    view.add("run", made, judge.read(made, scene, truth), truth, {}, dense)
+    for cut, shown in zip(view._cuts, view.data["views"], strict=True):
+        values, known = unpack(shown["runs"]["run"]["values"]), unpack(shown["region"]) > 0
+        assert np.array_equal(np.isnan(values), np.isnan(dense.values[cut.index]))
+        assert np.array_equal(np.isnan(unpack(shown["runs"]["run"]["error"])), ~known)
+    voxels = PreparedTruth(errors, None, np.ones(grid.shape, bool), truth.stored)
+    assert judge.dense_map(made, scene, voxels) is None
