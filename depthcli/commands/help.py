@@ -108,7 +108,7 @@ def _outputs() -> Page:
     from depthcli.batch.reports import REPORT_FILES
     from depthcli.commands import command_names, load_command
     from depthcli.commands._batch import BatchCommand
-    from depthcli.commands.evaluate import RESULTS
+    from depthcli.commands._page import RESULTS
 
     commands = [(name, load_command(name)) for name in command_names()]
     scenes = [(name, ", ".join(each.results)) for name, each in commands if isinstance(each, BatchCommand)]
