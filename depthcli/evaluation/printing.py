@@ -10,6 +10,8 @@ from depthcli.evaluation.comparison import EvaluationReport
 from depthcli.evaluation.render import FORMATS, Table, markdown_code, markdown_link, markdown_text
 from depthcli.evaluation.tables import (
     MISSING,
+    TEST_COLUMNS,
+    TESTS_NOTE,
     density_heading,
     overview,
     region_heading,
@@ -77,6 +79,8 @@ def chosen_text(
         if absent := [name for name in columns if name not in known]:
             raise ConfigError(f"--columns: no {', '.join(absent)} in these tables, which have {', '.join(known)}")
         chosen = [table.only(columns) for table in chosen if set(columns) & set(table.header[1:])]
+        if not set(columns) & set(TEST_COLUMNS):
+            chosen = [replace(table, note=table.note.partition(TESTS_NOTE)[0].rstrip(". ")) for table in chosen]
     if caption is not None:
         if len(chosen) != 1:
             raise ConfigError(f"--caption: is for one table, these are {len(chosen)}: choose one with --tables")

@@ -80,7 +80,9 @@ class Ranking:
         if lowest >= SIGNIFICANT:
             enough = next(n for n in range(2, 99) if smallest_p(n, self.n_tests) < SIGNIFICANT)
             count = f"{self.n_scenes} scene{'s' * (self.n_scenes != 1)}"
-            return f"With {count} no difference can be significant: p is {lowest:.2g} or more; that takes {enough}."
+            return (
+                f"With {count} no difference can be significant: p is {lowest:.2g} or more; it takes {enough} scenes."
+            )
         worse = [run for run in self.tests if self.is_significant(run) and self.tests[run].rank_difference > 0]
         better = [run for run in self.tests if self.is_significant(run) and self.tests[run].rank_difference < 0]
         if not worse and not better:

@@ -89,6 +89,9 @@ def summary(section: Section) -> Table:
 TEST_COLUMNS = ("wins", "losses", "p (Holm)", "verdict")
 """Headings of what the tests against the best run say."""
 
+TESTS_NOTE = "wins, losses: scenes on which"
+"""Beginning of what a note says of them, up to its end."""
+
 
 def _test(section: Section, run: str) -> tuple[str, str, str, str]:
     """Cells of the columns ``TEST_COLUMNS``."""
@@ -107,7 +110,7 @@ def tests_note(section: Section) -> str:
     mean = "mean of " * (len(section.figure_regions) > 1) + ", ".join(section.figure_regions)
     tests = f"{ranking.n_tests} test{'s' * (ranking.n_tests != 1)}"
     return (
-        f"wins, losses: scenes on which {section.protocol.headline.heading} ({mean}) is better or worse than the "
+        f"{TESTS_NOTE} {section.protocol.headline.heading} ({mean}) is better or worse than the "
         f"best run's; p: Wilcoxon signed-rank test over the scenes, Holm-corrected for {tests}. "
         f"{ranking.verdict()}"
     )
@@ -190,7 +193,7 @@ def overview(report: EvaluationReport) -> list[Table]:
     note = [MISSING] * any(section.incomplete for section in report.sections)
     if len(report.runs) > 1:
         note.append(
-            "wins, losses: scenes on which the run's figure is better or worse than that of the data set's first, the "
+            f"{TESTS_NOTE} the run's figure is better or worse than that of the data set's first, the "
             "best; p: Wilcoxon signed-rank test over the scenes, Holm-corrected within a data set"
         )
     return [Table("Headline by data set", header, tuple(rows), ". ".join(note), name="overview")]

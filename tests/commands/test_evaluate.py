@@ -826,6 +826,10 @@ def test_a_table_for_a_paper(tmp_path: Path, truth: Path, capsys: pytest.Capture
     assert r"\caption{Bad pixels, 1 \% off}" in out and r"\label{tab:scenes-nonocc}" in out
     assert r"run & b & mean of 2 \\" in out and r"\begin{tabular}{lrr}" in out
     assert out.count(r"\begin{table}") == 1
+    assert main([*command[:-1], "headline", "--columns", "nonocc"]) == 0
+    assert "Wilcoxon" not in capsys.readouterr().out
+    assert main([*command[:-1], "headline", "--columns", "nonocc,p (Holm)"]) == 0
+    assert "Wilcoxon" in capsys.readouterr().out
     assert main([*command[:-1], "scenes", "--caption", "x"]) == 2
     assert "--caption: is for one table, these are 3" in capsys.readouterr().err
     assert main([*command, "--columns", "z"]) == 2

@@ -44,7 +44,7 @@ def test_few_scenes_are_said_to_be_too_few(scenes: int, runs: int, enough: int):
     others = {f"r{k}": [v + 1 + k + v / 99 for v in NINE[:scenes]] for k in range(runs)}
     ranking = Ranking.of(["a", *others], {"a": NINE[:scenes], **others})
     assert "no difference can be significant" in ranking.verdict()
-    assert ranking.verdict().endswith(f"that takes {enough}.")
+    assert ranking.verdict().endswith(f"it takes {enough} scenes.")
     assert ranking.word("r0") == "too few scenes"
     full = Ranking.of(["a", *others], {r: [v + 9 * k + k * v / 99 for v in NINE[:enough]] for k, r in
                                        enumerate(["a", *others])})  # fmt: skip
