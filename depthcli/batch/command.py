@@ -30,7 +30,7 @@ SOME_FAILED = 3
 EXIT_CODES = {
     0: "all done",
     1: "a bug in depthcli; the traceback is printed",
-    2: "wrong usage, config or folder; nothing was computed",
+    2: "wrong usage, config or folder, nothing was computed; or the disk became full",
     SOME_FAILED: "finished, but something failed or could not be written; the report says what",
     130: "ended by Ctrl-C; the same command goes on where it stopped",
     143: "ended by SIGTERM; the same command goes on where it stopped",

@@ -72,17 +72,19 @@ def _columns(name: str) -> tuple[Column, ...]:
 def _missing_text(shards: list[str], names: list[str]) -> str:
     """Return one line that says which shards have not ended, and which scenes have no result."""
     parts = []
-    if shards:
-        parts.append(f"{_some('shard', shards)} {'has' if len(shards) == 1 else 'have'} not ended")
+    if len(shards) == 1:
+        parts.append(f"shard {shards[0]} has not ended")
+    elif shards:
+        parts.append(f"shards {_some(shards)} have not ended")
     if names:
-        parts.append(f"{len(names)} {'scene is' if len(names) == 1 else 'scenes are'} missing: {_some('', names)}")
+        parts.append(f"{len(names)} {'scene is' if len(names) == 1 else 'scenes are'} missing: {_some(names)}")
     again = ("that shard" if len(shards) == 1 else "those shards") if shards else "the run"
     return f"{'; '.join(parts)}; start {again} again with the same command"
 
 
-def _some(what: str, names: list[str]) -> str:
+def _some(names: list[str]) -> str:
     more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
-    return f"{what} {', '.join(names[:_MAX_NAMED])}{more}".lstrip()
+    return f"{', '.join(names[:_MAX_NAMED])}{more}"
 
 
 COMMAND = MergeCommand()
