@@ -19,7 +19,8 @@ from depthcli.core.columns import ColumnHelp, find_column
 from depthcli.data.layouts import layouts
 from depthcli.evaluation import columns as evaluation_columns
 from depthcli.evaluation.protocols import names
-from depthcli.evaluation.tables import report_tables, wide_tables
+from depthcli.evaluation.tables import report_tables
+from depthcli.evaluation.wide_tables import wide_tables
 
 REPORTS = {
     "stereo": report_columns.MAPS,
@@ -50,9 +51,8 @@ def headings(runs: list[Path], truth: Path, protocol: str | None, output: Path |
     assert not report.failed
     tables = [*report_tables(report), *wide_tables(report)]
     own = {result.scene.rpartition("/")[2] for result in report.results}
-    data_sets = {f"{s.data_set} ({s.protocol.name})" for s in (*report.sections, *report.by_protocol)}
     by_run = {f"{run}: {region}" for run in report.runs for s in report.sections for region in s.regions}
-    return [text for table in tables for text in table.header if text not in own | data_sets | by_run]
+    return [text for table in tables for text in table.header if text not in own | by_run]
 
 
 @pytest.fixture(scope="module")
