@@ -103,7 +103,8 @@ def _lines(model: BaseModel, depth: int, flat: str, gap: tuple[str, ...] = ()) -
         doc = (type(inner).__doc__ or "").strip().split("\n\n")[0]
         yield from _comment(" ".join(doc.split()), pad)
         yield f"{pad}{flat}: {inner.model_dump(mode='json')[flat]}"
-    for name, info in type(model).model_fields.items():
+    # What every config has comes first in the model and last in the text.
+    for name, info in sorted(type(model).model_fields.items(), key=lambda field: field[0] == "plugins"):
         if name == flat or info.exclude:
             continue
         yield from gap

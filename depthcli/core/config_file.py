@@ -21,6 +21,7 @@ from pydantic import BaseModel, ValidationError
 
 from depthcli.core.config_errors import explain
 from depthcli.core.errors import ConfigError
+from depthcli.core.registry import is_file_loaded, load_file
 from depthcli.core.yaml_source import (
     Builder,
     ConfigData,
@@ -140,10 +141,33 @@ def with_base(config: ConfigData, path: Path, find: Callable[[str], Path | None]
     if target.resolve() in chain:
         raise ConfigError(f"{place}: base: {name} leads back to this file")
     base = read_config(target)
+    load_plugins(base, target.parent)
     with_base(base, target, find, chain)
     config.problems += base.problems
+    files = [data["plugins"] for data in (base.data, config.data) if isinstance(data.get("plugins"), list)]
     config.data = _merged(base.data, config.data)
+    if len(files) == 2:  # a base's methods need its files
+        config.data["plugins"] = list(dict.fromkeys(map(str, files[0] + files[1])))
     config.places = {at: where for at, where in base.places.items() if _has(config.data, at)} | config.places
+
+
+def load_plugins(config: ConfigData, folder: Path) -> None:
+    """Read the files of the key ``plugins``, which lie in ``folder`` or were read before (``--plugin``).
+
+    Raises
+    ------
+    ConfigError
+        A file is missing, or cannot be used.
+    """
+    names = config.data.get("plugins")
+    for number, name in enumerate(names if isinstance(names, list) else []):
+        place = f"{config.place(('plugins', number))}: plugins"
+        if not isinstance(name, str) or not name or "\0" in name:
+            config.problems.append(f"{place}: want the name of a Python file (got {short(name)})")
+        elif os.path.isfile(folder / name):
+            load_file(folder / name)
+        elif not is_file_loaded(Path(name).name):
+            raise ConfigError(f"{place}: {name} is no file in {folder}; --plugin FILE.py says where it is")
 
 
 def _merged(base: Any, over: Any) -> Any:
@@ -204,6 +228,7 @@ def load_config(
     """
     config = source if isinstance(source, ConfigData) else read_config(source)
     if isinstance(source, Path):
+        load_plugins(config, source.parent)
         with_base(config, source, find)
     if settings or values:
         defaults: dict[str, Any] = {}

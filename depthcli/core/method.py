@@ -174,8 +174,8 @@ class RootConfig(BaseModel):
     """Base of a command's config, whose field named ``flattened`` holds a method written at the root of the file.
 
     ``{pipeline: local, cost: census, max_disparity: 60}`` reads as the field ``max_disparity`` of the command and a
-    pipeline with its field ``cost``. The key ``run``, which a run folder's ``run.yaml`` adds about how it was made, is
-    accepted and ignored, so that this file is a config again.
+    pipeline with its field ``cost``. A config whose ``flattened`` is empty has no such field. The key ``run``, which a
+    run folder's ``run.yaml`` adds about how it was made, is accepted and ignored, so that this file is a config again.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -183,12 +183,15 @@ class RootConfig(BaseModel):
     renamed: ClassVar[dict[str, str]] = {}
     """Former names of fields and their names today, which the error for such an unknown key suggests."""
 
+    plugins: tuple[str, ...] = Field(
+        default=(), description="Python files with methods of your own, beside this file; --plugin names one elsewhere."
+    )
     run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
 
     @model_validator(mode="before")
     @classmethod
     def _gather(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
+        if not isinstance(data, dict) or not cls.flattened:
             return data
         name = data.get(cls.flattened)
         if isinstance(name, BaseModel):
@@ -201,7 +204,11 @@ class RootConfig(BaseModel):
 
     @model_serializer(mode="wrap")
     def _flatten(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        fields = handler(self)
+        fields: dict[str, Any] = handler(self)
+        if not fields["plugins"]:
+            del fields["plugins"]
+        if not self.flattened:
+            return fields
         method = fields.pop(self.flattened)
         return {self.flattened: method.pop(self.flattened), **fields, **method}
 

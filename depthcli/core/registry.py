@@ -300,6 +300,11 @@ def load_file(path: Path) -> None:
         _file_plugins.setdefault(plugin.group, []).append(plugin)
 
 
+def is_file_loaded(name: str) -> bool:
+    """Return whether a plug-in file of that name has been read."""
+    return any(path.name == name for path in _read_files.values())
+
+
 def _files() -> list[Path]:
     return [Path(file) for file in os.environ.get(_FILES_VARIABLE, "").split(os.pathsep) if file]
 

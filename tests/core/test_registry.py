@@ -209,3 +209,23 @@ def test_a_run_records_its_plugins(file: Path, tmp_path: Path, capsys: pytest.Ca
     file.write_text(FILE + "# changed\n")
     assert main(run) == 2
     assert "another config (it says 'mine.py: " in capsys.readouterr().err
+
+
+def test_a_config_names_its_plugins(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "low.yaml").write_text("plugins: [mine.py]\npipeline: local\ncost: wide_census\n")
+    (tmp_path / "high.yaml").write_text("plugins: [more.py]\nbase: low\naggregation: cross\n")
+    (tmp_path / "more.py").write_text(FILE.replace("WideCensus", "LowCensus").replace("Greet", "Farewell"))
+    config = load_config(StereoConfig, tmp_path / "high.yaml")
+    assert config.plugins == ("mine.py", "more.py")
+    assert {"wide_census", "low_census"} <= set(COSTS.names())
+    text = dump_config(config)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.yaml").write_text(text)
+    assert load_config(StereoConfig, tmp_path / "run" / "run.yaml") == config  # the files are in use already
+    for name in ("_file_plugins", "_read_files", "_plugin_by_class"):
+        getattr(registry, name).clear()
+    with pytest.raises(ConfigError, match=r"run\.yaml:\d+: plugins: mine\.py is no file in .*; --plugin FILE"):
+        load_config(StereoConfig, tmp_path / "run" / "run.yaml")
+    (tmp_path / "low.yaml").write_text("plugins: [3]\npipeline: local\n")
+    with pytest.raises(ConfigError, match=r"low\.yaml:1: plugins: want the name of a Python file \(got 3\)"):
+        load_config(StereoConfig, tmp_path / "low.yaml")

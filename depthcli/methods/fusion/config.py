@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from numpy.typing import NDArray
-from pydantic import Field
 
 from depthcli.core.frames import StereoPair
+from depthcli.core.method import RootConfig
 from depthcli.methods.fusion.pipeline import Fusion
 from depthcli.methods.stereo.config import PairConfig
 from depthcli.methods.stereo.stages import Matcher
 from depthcli.methods.stereo.volume import StereoResult
 
 
-class FuseConfig(PairConfig, Fusion):
+class FuseConfig(PairConfig, Fusion, RootConfig):
     """The fields of ``Fusion`` and of every config that matches pairs, side by side."""
 
-    run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
+    flattened: ClassVar[str] = ""
 
 
 @dataclass(frozen=True)

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import ClassVar
 
 from pydantic import Field
 
+from depthcli.core.method import RootConfig
 from depthcli.methods.registration.pipeline import RegistrationConfidence
 
 
-class RegisterConfidenceConfig(RegistrationConfidence):
+class RegisterConfidenceConfig(RegistrationConfidence, RootConfig):
     """The fields of the method, side by side."""
 
+    flattened: ClassVar[str] = ""
     field: str = Field(
         "auto",
         pattern="^(auto|itk|ants|niftyreg|voxels)$",
         description="convention of displacement files; auto: what the header says, checked against the others",
     )
     neurological: bool = Field(False, description="pictures have the patient's right on the right, else on the left")
-    run: dict[str, Any] | None = Field(default=None, exclude=True, description="How a run was made; ignored.")
