@@ -38,9 +38,10 @@ class ColumnHelp:
 
 
 def find_column(columns: Iterable[ColumnHelp], heading: str) -> ColumnHelp | None:
-    """Return the explanation of a heading, with or without a unit behind a comma; None where there is none.
+    """Return the first explanation that fits a heading; None where there is none.
 
-    The first that fits counts.
+    The heading may have a unit behind a comma, or a number of scenes, as ``(2 of 3)``.
     """
-    columns, names = tuple(columns), dict.fromkeys((heading, heading.rpartition(", ")[0] or heading))
+    plain = re.sub(r" \(\d+ of \d+\)$", "", heading)
+    columns, names = tuple(columns), dict.fromkeys((heading, plain, plain.rpartition(", ")[0] or plain))
     return next((column for name in names for column in columns if column.fits(name)), None)

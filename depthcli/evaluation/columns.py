@@ -67,7 +67,7 @@ TABLES = (
     Column("figure", "mean of the headline over the scenes, in the regions of the column 'mean of'"),
     Column("mean of", "regions that the figure is over"),
     Column("mean of N", "mean over N scenes; of the headline table, over N figures: each scene's in each region",
-           pattern=r"(mean|pooled) of \d+( common)?"),
+           also=("mean", "pooled"), pattern=r"(mean|pooled) of \d+( common)?"),
     Column("REGION (N of M)", "headline in a region where N of M scenes have truth", pattern=r".* \(\d+ of \d+\)"),
     Column("avg rank", "mean rank of the run over scenes and regions, 1 the best; equal values share one"),
     Column("density REGION %", "share of the region's pixels that have a value", "%", pattern=r"density .* %"),

@@ -16,6 +16,7 @@ from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.data.formats.files import write_text
 from depthcli.data.scenes import Scene
 from depthcli.evaluation import tables
+from depthcli.evaluation.columns import heading_help
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.plots import plots
 from depthcli.evaluation.protocols import AnyProtocol
@@ -262,6 +263,7 @@ def _template() -> Any:
         raise ConfigError(f"--html wants Jinja2 ({error})") from error
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True,
                                      undefined=jinja2.StrictUndefined)  # fmt: skip
+    environment.globals["help"] = heading_help
     environment.filters["short"] = tables.short
     environment.filters["number"] = Number
     return environment.from_string(_file("page.html"))
