@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +18,7 @@ from depthcli.api.matching import limits_of, match_pair, with_address, with_netw
 from depthcli.api.results import Disparity
 from depthcli.api.running import computing
 from depthcli.batch.resources import available_memory
-from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.data.formats.stereo_images import pair_of
@@ -47,7 +48,8 @@ def stereo(
     ----------
     left, right : (H, W) grey or (H, W, 3) RGB (OpenCV reads BGR: ``image[..., ::-1]``); uint8, uint16, or floats from
         0 to 1. Where one is grey and the other in color, both become grey
-    max_disparity : largest disparity searched, pixels; "auto": from matched key points; None: what the config says
+    max_disparity : largest disparity searched, pixels; "auto": from matched key points; None: what the config
+        says, else "auto", with a warning
     preset : name of a preset of ``depthcli stereo``, path of a YAML file, or a config
     overrides : config keys -> values, as ``--set`` has them, such as ``{"cost.window": 9}``
     **fields : the same for keys that are Python names, such as ``min_disparity=-8``
@@ -61,7 +63,7 @@ def stereo(
     ConfigError
         No such preset, or keys and values that do not fit.
     InputError
-        Images that cannot be matched, an unknown search range, or too little memory.
+        Images that cannot be matched, too few key points where they give the range, or too little memory.
 
     Examples
     --------
@@ -196,12 +198,15 @@ class _Matching:
         images = as_image(left, "left"), as_image(right, "right")
         floats = np.asarray(left).dtype.kind == "f"  # dark ones use all 16 bits, too
         pair = pair_of(*images, (Path("left"), Path("right")), 16 if floats else None)
-        ends = self.config.min_disparity or 0, self.config.max_disparity
-        if ends[1] is None:
-            raise InputError('the search range is not known; say it with max_disparity, or "auto"')
+        given = self.config.max_disparity
+        ends = self.config.min_disparity or 0, "auto" if given is None else given
         limits = limits_of(self.config, available_memory(), self.device)
         with self.turn, computing():
-            return match_pair(self.method, pair, ends, limits, Clock())
+            found = match_pair(self.method, pair, ends, limits, Clock())
+        if given is not None:
+            return found
+        text = f'max_disparity is not given: "auto" was taken, which gives {found.search.max_disparity} px'
+        return replace(found, warnings=(*found.warnings, text))
 
     def load_kernels(self) -> None:
         """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""
