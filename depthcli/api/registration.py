@@ -52,7 +52,7 @@ class RegistrationConfidence:
 
     @property
     def grid(self) -> Grid:
-        """Where the fixed volume's voxels are, mm, in the LPS frame of ITK."""
+        """Positions of the fixed volume's voxels, mm, in the LPS frame of ITK."""
         return self.loaded.grid
 
     @cached_property
@@ -116,7 +116,7 @@ def registration_confidence(
     Parameters
     ----------
     fixed, warped : the fixed volume, and the moving one after registration on the same grid: (Z, Y, X) arrays, or
-        images of SimpleITK, which know where they are
+        images of SimpleITK, which have their geometry with them
     spacing : distance (z, y, x) of the voxels of arrays, mm
     preset : name of a preset of ``depthcli register-confidence``, path of a YAML file, or a config
     overrides : config keys -> values, as ``--set`` has them

@@ -22,7 +22,7 @@ from depthcli.evaluation import protocols
 from depthcli.evaluation.protocols import Settings
 from depthcli.evaluation.scores import Score, find_score
 
-_NOWHERE = Path("truth")  # the folder of a scene whose truth is in memory, for messages
+_TRUTH_FOLDER = Path("truth")  # of a truth in memory, for messages
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,12 +144,13 @@ def evaluate(
             front = None if objects is None else _mask(objects, "objects", shape)
             noc = np.where(masks["noc"], known, np.float32(np.nan)) if "noc" in masks else None
             scene = _StereoTruthScene(
-                name="truth", folder=_NOWHERE, left=_NOWHERE, disparity_left=_NOWHERE,
+                name="truth", folder=_TRUTH_FOLDER, left=_TRUTH_FOLDER, disparity_left=_TRUTH_FOLDER,
                 stored=StereoTruth(known, right, noc, front, masks),
             )  # fmt: skip
         else:
             scene = _DepthTruthScene(
-                name="truth", folder=_NOWHERE, color=_NOWHERE, depth=_NOWHERE, stored=RgbdTruth(known, masks, fb)
+                name="truth", folder=_TRUTH_FOLDER, color=_TRUTH_FOLDER, depth=_TRUTH_FOLDER,
+                stored=RgbdTruth(known, masks, fb),
             )  # fmt: skip
     if not isinstance(scene, VolumePairScene | StereoScene) and values.shape != shape:
         raise InputError(f"estimate: {values.shape[1]} x {values.shape[0]}, but the truth is {shape[1]} x {shape[0]}")
@@ -211,7 +212,7 @@ def _points(
     stored = RegistrationTruth(grid, np.zeros((0, 3)), error)
     if wanted.ndim == 1 and inside.any():
         stored = RegistrationTruth(grid, np.zeros((int(inside.sum()), 3)), error[inside])
-    scene = _RegistrationTruthScene(name="truth", folder=_NOWHERE, fixed=_NOWHERE, stored=stored)
+    scene = _RegistrationTruthScene(name="truth", folder=_TRUTH_FOLDER, fixed=_TRUTH_FOLDER, stored=stored)
     return scene, expected[inside]
 
 
