@@ -132,8 +132,8 @@ def recognized(
         return options
     suffixes = tuple({suffix: None for protocol, _ in scenes.values() for suffix in protocol.files.suffixes})
     found = found_patterns(folder, {scene: names for scene, (_, names) in scenes.items()}, suffixes)
-    most = max(map(len, found.values()), default=0)
-    likely = [pattern for pattern, of in found.items() if len(of) == most][:_N_SHOWN]
+    max_scenes = max(map(len, found.values()), default=0)
+    likely = [pattern for pattern, of in found.items() if len(of) == max_scenes][:_N_SHOWN]
     if not likely:
         return options
     if len(likely) == 1:

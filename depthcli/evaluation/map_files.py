@@ -36,9 +36,9 @@ class MapOptions:
     scale: float | None = None
     invalid: float | None = None
 
-    def files(self, usual: MapFiles) -> MapFiles:
-        """Return where the maps of the run lie, ``usual`` where no pattern was given."""
-        return MapFiles((self.pattern,), ("",)) if self.pattern else usual
+    def files(self, default: MapFiles) -> MapFiles:
+        """Return where the maps of the run lie, ``default`` where no pattern was given."""
+        return MapFiles((self.pattern,), ("",)) if self.pattern else default
 
 
 @dataclass(frozen=True)
