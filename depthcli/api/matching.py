@@ -99,7 +99,7 @@ def _warnings(
     pair: StereoPair, result: StereoResult, search: SearchRange, key_points: Mapping[str, int], limits: Limits
 ) -> list[str]:
     warnings = []
-    measured = float(np.mean(result.disparity.measured))
+    measured = np.count_nonzero(result.disparity.measured) / result.disparity.values.size
     if partly_used(pair):
         warnings.append(f"samples of {pair.bits} bits in {pair.left.dtype} files; scaled accordingly")
     if measured < _MIN_MEASURED_SHARE:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -184,6 +185,7 @@ class _Matching:
         if config.calibration is not None:
             raise ConfigError("calibration: Python's functions match rectified pairs; rectify them before")
         self.config = config
+        self._memory = 0, 0.0
         self.method: Method = config.pipeline if isinstance(config, StereoConfig) else config
         if isinstance(config, FuseConfig) and (wanted := {m.volume for m in config.measures if m.volume is not None}):
             given = {name: np.asarray(volume) for name, volume in (volumes or {}).items()}
@@ -200,7 +202,7 @@ class _Matching:
         pair = pair_of(*images, (Path("left"), Path("right")), 16 if floats else None)
         given = self.config.max_disparity
         ends = self.config.min_disparity or 0, "auto" if given is None else given
-        limits = limits_of(self.config, available_memory(), self.device)
+        limits = limits_of(self.config, self._free_memory(), self.device)
         with self.turn, computing():
             found = match_pair(self.method, pair, ends, limits, Clock())
         if given is not None:
@@ -208,12 +210,20 @@ class _Matching:
         text = f'max_disparity is not given: "auto" was taken, which gives {found.search.max_disparity} px'
         return replace(found, warnings=(*found.warnings, text))
 
+    def _free_memory(self) -> int:
+        """Return the free memory, bytes, as it was at most a second ago: looking takes a fifth of a millisecond."""
+        memory, until = self._memory
+        if time.monotonic() > until:
+            memory = available_memory()
+            self._memory = memory, time.monotonic() + 1
+        return memory
+
     def load_kernels(self) -> None:
         """Match small pairs, grey and in color, so that the first pair of the user takes no longer than the next."""
         top = self.config.max_disparity
         ends = 0, min(top, _MAX_WARMUP_DISPARITY) if isinstance(top, int) and top > 0 else _MAX_WARMUP_DISPARITY
         noise = np.random.default_rng(0).integers(0, 256, (*_WARMUP_SHAPE, 3), np.uint8)
-        limits = limits_of(self.config, available_memory(), self.device)
+        limits = limits_of(self.config, self._free_memory(), self.device)
         if isinstance(self.method, FusionWithVolumes):
             return
         for image in (noise[..., 0].copy(), noise):

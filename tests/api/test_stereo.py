@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import pickle
 import threading
+import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import depthcli
+from depthcli.algorithms.filters import single_thread
 from depthcli.cli import main
 from depthcli.core import memory
 from depthcli.data.formats.images import read_image
+from depthcli.kernels import jit
 
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
@@ -187,3 +193,42 @@ def test_frames_back_to_back_take_no_more_memory(pair: Images):
         match(*pair)
     assert resident() - before < 4000  # KiB; one frame leaves 100 KiB of maps
     assert memory.kept() <= kept + (1 << 20)
+
+
+def test_results_can_be_pickled(pair: Images):
+    found = depthcli.stereo(*pair, 12, "fast")
+    again = pickle.loads(pickle.dumps(found))
+    assert np.array_equal(again.values, found.values) and again.search == found.search
+
+
+def test_threads_take_turns_where_kernels_want_that(monkeypatch: pytest.MonkeyPatch):
+    inside, most = [0], [0]
+
+    def work() -> None:
+        with jit.one_at_a_time():
+            inside[0] += 1
+            most[0] = max(most[0], inside[0])
+            time.sleep(0.01)
+            inside[0] -= 1
+
+    for layer in ("workqueue", "omp"):
+        most[0] = 0
+        monkeypatch.setattr(jit.numba, "threading_layer", lambda layer=layer: layer)
+        threads = [threading.Thread(target=work) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert (most[0] == 1) == (layer == "workqueue")
+
+
+def test_opencv_gets_its_threads_back_when_the_last_has_left():
+    before = cv2.getNumThreads()
+    first, second = single_thread(), single_thread()
+    with contextlib.ExitStack() as outer:
+        outer.enter_context(first)
+        with contextlib.ExitStack() as inner:
+            inner.enter_context(second)
+            outer.pop_all().close()  # the one that came first leaves first
+            assert cv2.getNumThreads() == 1
+        assert cv2.getNumThreads() == before
