@@ -50,7 +50,8 @@ class Part:
         """Begin the report of a shard; ConfigError where another shard of the run computes other inputs."""
         if self.shard is None:
             return
-        others = {file.stem for file, (run, its) in _parts(output).items() if run == self.run and its != self.inputs}
+        parts = {file.stem: its for file, (run, its) in _parts(output).items() if run == self.run}
+        others = {shard for shard, its in parts.items() if its != self.inputs and shard != str(self.shard)}
         if others:
             raise ConfigError(
                 f"{output}: shard {' and '.join(sorted(others))} of this run computed other inputs than these; give "
@@ -58,7 +59,7 @@ class Part:
             )
         if _listed(output, self.inputs) != list(self.names):
             write_text(output / PARTS_FOLDER / _SCENES_FILE, to_json_line({"inputs": self.inputs, "names": self.names}))
-        if not (output / PARTS_FOLDER / f"{self.shard}.json").is_file():
+        if parts.get(str(self.shard)) != self.inputs:  # none, or what this shard made of other inputs
             self.write(output, [], ended=False)
 
     def write(self, output: Path, rows: list[Row], ended: bool) -> None:

@@ -15,7 +15,8 @@ from depthcli.cli import _COMMON
 from depthcli.commands import command_names, load_command
 
 ROOT = Path(depthcli.__file__).parent
-COMMANDS = [name for name in command_names() if name != "presets"]  # it imports all others, to list what they have
+# These import all others, to list what they have, or to find the columns of a table.
+COMMANDS = [name for name in command_names() if name not in ("presets", "help", "merge")]
 # An option of a command that is named before it (`evaluate --resize`) belongs to that command.
 OPTION = re.compile(rf"(?:(?<![\w-])({'|'.join(command_names())}) )?(?<![\w-])(--[a-z][a-z-]*[a-z])")
 BATCH = {
@@ -27,9 +28,12 @@ SCENES = PAIRS | {"refine-kinect", "transparent", "register-confidence"}
 CALLERS = {
     "depthcli.api.matching": {"stereo", "fuse"},
     "depthcli.batch": BATCH,
+    "depthcli.batch.columns": {"stereo"},  # of the column of the device
+    "depthcli.commands._page": {"evaluate"},  # of --html-budget; a page of other commands is where --html was given
     "depthcli.api.masks": {"depth", "refine-kinect"},
     "depthcli.batch.combinations": {"sweep"},
     "depthcli.commands._options": SCENES - {"depth", "rectify"},  # where --evaluate was given, and of all options here
+    "depthcli.commands._tables": {"evaluate"},
     "depthcli.commands._scenes": SCENES - {"depth", "rectify"},  # where --evaluate or --name was given
     "depthcli.core.config_file": {"stereo", "fuse", "sweep"},  # where --set was given
     "depthcli.data.formats.rigs": {"stereo", "fuse", "rectify"},
@@ -41,10 +45,12 @@ CALLERS = {
     "depthcli.data.walk": SCENES | {"evaluate", "sweep"},
     "depthcli.device": {"stereo"},
     "depthcli.evaluation.protocols": SCENES - {"depth", "rectify"} | {"evaluate"},
+    "depthcli.evaluation.printing": {"evaluate"},
+    "depthcli.report.page": SCENES - {"rectify"} | {"evaluate", "sweep"},
     "depthcli.methods.stereo.matching": {"stereo"},  # of fuse only where there is a device, which it never has
 }
-# Declarations and examples, not messages; options of compilers.
-PASSED_OVER = ("depthcli.cli", "depthcli.device.cuda")
+# Declarations and examples, not messages; options of compilers; topics of the documentation.
+PASSED_OVER = ("depthcli.cli", "depthcli.device.cuda", "depthcli.commands.help")
 
 
 def texts(tree: ast.AST) -> Iterator[str]:
