@@ -28,6 +28,7 @@ from depthcli.batch.processes import compile_watch, report_compilation, use_thre
 from depthcli.batch.reports import finished_row
 from depthcli.batch.task import BUG, Run, Task, run_task
 from depthcli.core.errors import ConfigError, IncompleteError
+from depthcli.core.registry import versions_here
 
 _CHUNK_SECONDS = 5.0  # computing time of a chunk of small scenes
 _MAX_CHUNK = 500  # scenes of a chunk
@@ -60,6 +61,8 @@ def compute(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Ta
         The connection to the scheduler was lost.
     """
     workspace, output, scheduler = tasks[0].workspace, tasks[0].output, run.options.scheduler
+    if files := sorted({plugin.package for plugin in run.plugins if plugin.is_file}):
+        raise ConfigError(f"--scheduler: {', '.join(files)}: workers have no plug-in files; install it as a package")
     workspace.mkdir(parents=True, exist_ok=True)
     (workspace / _RUNNING_FILE).touch()
     client = _connected(scheduler or "")
@@ -116,6 +119,11 @@ class _Cluster:
             for address, (version, sources) in sorted(found.items()):
                 if sources != self.sources:
                     raise ConfigError(f"{scheduler}: {_other_code(f'{address} (version {version})')}")
+            for address, versions in sorted(self.client.run(versions_here, self.run.plugins).items()):
+                for package, version in versions_here(self.run.plugins).items():
+                    if versions[package] != version:
+                        has = f"has the plug-in {package} {versions[package]}, this machine {version}"
+                        raise ConfigError(f"{scheduler}: worker {address} {has}; install the same there")
             identities = self.client.run(operator.attrgetter("identity"), self.run)
             folders = self.client.run(_folder_digest, str(output.absolute()))
         except ConfigError:
@@ -257,7 +265,11 @@ def _chunk_function() -> Callable[[str, bytes], tuple[list[Row], int, float] | s
             return f"{platform.node()}, process {os.getpid()},"
         from depthcli.batch import cluster
 
-        return cluster._compute_chunk(*pickle.loads(data))
+        try:
+            chunk, run, folder = pickle.loads(data)
+        except ImportError:  # a plug-in that this worker does not have
+            return f"{platform.node()}, process {os.getpid()},"
+        return cluster._compute_chunk(chunk, run, folder)
 
     return compute_chunk
 

@@ -130,7 +130,7 @@ def plan_document(
     -------
     ``config``, ``refused`` (why the folder would be refused, or empty) and ``scenes``, one row per scene
     """
-    run = Run(command, config, options)
+    run = Run.of(command, config, scenes, options)
     planner, own = Planner(run, output), scenes_of_shard(command, config, scenes, options)
     rows = []
     for scene in own:

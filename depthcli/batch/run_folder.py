@@ -10,7 +10,7 @@ import contextlib
 import os
 import platform
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from depthcli.batch.records import RECORD_FILE, RUN_FILE, digest, read_record, r
 from depthcli.batch.reports import REPORT_FILES, read_report
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.method import used_plugins
+from depthcli.core.registry import Plugin, versions_here
 
 LEGEND_FILE = "legend.png"
 # Packages whose versions decide what a run computes; part of the run's identity.
@@ -31,16 +31,16 @@ _LIBRARIES = ("numpy", "numba", "opencv-contrib-python-headless", "scikit-image"
 _TITLE = "# Written by depthcli: the resolved config of this run."
 
 
-def run_text(command: str, config: BaseModel | Mapping[str, object], own: object = None) -> str:
+def run_text(command: str, config: BaseModel | Mapping[str, object], plugins: Iterable[Plugin] = ()) -> str:
     """Return the text of ``run.yaml``: the resolved config, which can be used as CONFIG again, and all versions.
 
-    The versions of plug-ins that the config uses are among them, and that of ``own``, the object of the command.
+    The versions of ``plugins`` are those of this process.
     """
     versions = {"depthcli": __version__, "python": platform.python_version()}
     for name in _LIBRARIES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
-    run = to_yaml({"run": {"command": command, "versions": versions | used_plugins(config) | used_plugins(own)}})
+    run = to_yaml({"run": {"command": command, "versions": versions | versions_here(plugins)}})
     if isinstance(config, BaseModel):
         return f"{_TITLE} Repeat it with: depthcli {command} run.yaml ...\n{dump_config(config)}{run}"
     return f"{_TITLE}\n{to_yaml(dict(config))}{run}"

@@ -65,7 +65,7 @@ def run_scenes(
     IncompleteError
         Everything was computed, but the report cannot be written; or the connection to the scheduler was lost.
     """
-    run = Run(command, config, options)
+    run = Run.of(command, config, scenes, options)
     own, shard = scenes_of_shard(command, config, scenes, options), options.shard
     part = Part(command.name, run.identity)
     if shard is not None:

@@ -8,6 +8,7 @@ import fnmatch
 import os
 import shutil
 import traceback
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,12 @@ from depthcli.batch.run_folder import run_text
 from depthcli.batch.sharing import Shard
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
+from depthcli.core.method import used_plugins
+from depthcli.core.registry import Plugin
 from depthcli.core.text import show_bytes
 from depthcli.data.formats.files import collected_warnings
+from depthcli.data.formats.map_format import format_plugins
+from depthcli.data.layouts import layout_plugins
 from depthcli.data.scenes import Scene
 
 BUG = "a bug in depthcli: "
@@ -69,16 +74,24 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class Run:
-    """A command with its config, whose types only the command itself needs to know; picklable."""
+    """A command with its config, whose types only the command itself needs to know, and plug-ins used; picklable."""
 
     command: SceneCommand[Any, Any]
     config: Any
     options: RunOptions
+    plugins: frozenset[Plugin] = frozenset()
+
+    @classmethod
+    def of(cls, command: SceneCommand[Any, Any], config: Any, scenes: Sequence[Scene], options: RunOptions) -> Run:
+        """Return the run of these scenes, with the plug-ins that it uses."""
+        used = used_plugins(config) | used_plugins(command) | layout_plugins(scenes)
+        used |= format_plugins(file for scene in scenes for file in scene.input_files.values())
+        return cls(command, config, options, frozenset(used))
 
     @property
     def text(self) -> str:
         """The text of ``run.yaml``: config and versions of this process."""
-        return run_text(self.command.name, self.config, self.command)
+        return run_text(self.command.name, self.config, self.plugins)
 
     @property
     def identity(self) -> str:

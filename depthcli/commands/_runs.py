@@ -130,7 +130,7 @@ def recognized(
     """
     if options.pattern or any(protocol.files.find(folder, names) for protocol, names in scenes.values()):
         return options
-    suffixes = tuple({suffix: None for protocol, _ in scenes.values() for suffix in protocol.files.suffixes})
+    suffixes = tuple({suffix: None for protocol, _ in scenes.values() for suffix in protocol.files.endings})
     found = found_patterns(folder, {scene: names for scene, (_, names) in scenes.items()}, suffixes)
     max_scenes = max(map(len, found.values()), default=0)
     likely = [pattern for pattern, of in found.items() if len(of) == max_scenes][:_N_SHOWN]

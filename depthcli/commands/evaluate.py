@@ -21,6 +21,7 @@ from depthcli.commands._page import HTML, PAGE_FILE, RESULTS, new_page
 from depthcli.commands._tables import TABLES, check_tables, print_place, print_tables
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
+from depthcli.core.registry import Plugin, plugin_of, versions_here
 
 if TYPE_CHECKING:
     from depthcli.commands._scoring import Scoring
@@ -179,9 +180,20 @@ def _scored(scoring: Scoring, scenes: Sequence[Scene], reporter: Reporter) -> Ev
             if value not in (None, False) and scoring.protocols and not taken:
                 reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
         hints = (*scoring.hints, *scoring.misfits)
-        report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth, hints)
+        plugins = versions_here(_plugins(scoring.protocols.values(), scenes))
+        report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth, hints, plugins)
         _write(report, scoring, reporter)
     return report
+
+
+def _plugins(protocols: Iterable[AnyProtocol], scenes: Sequence[Scene]) -> set[Plugin]:
+    """The plug-ins that found the scenes, read their truth, or score them."""
+    from depthcli.data.formats.map_format import format_plugins
+    from depthcli.data.layouts import layout_plugins
+
+    files = (value for scene in scenes for value in vars(scene).values() if isinstance(value, Path))
+    own = (plugin_of(type(protocol)) for protocol in protocols)
+    return {plugin for plugin in own if plugin is not None} | layout_plugins(scenes) | format_plugins(files)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -143,18 +143,18 @@ def _protocols() -> Page:
 
 def _formats() -> Page:
     """Return the kinds of files that are read."""
-    from depthcli.data.formats.disparity import MAP_SUFFIXES
     from depthcli.data.formats.images import IMAGE_SUFFIXES
+    from depthcli.data.formats.map_format import map_suffixes
     from depthcli.data.formats.volumes import VOLUME_SUFFIXES
     from depthcli.evaluation.protocols import load, names
 
     maps: dict[str, list[str]] = {}
     for name in names():
-        maps.setdefault(" ".join(load(name).files.suffixes), []).append(name)
+        maps.setdefault(" ".join(load(name).files.endings), []).append(name)
     return {
         "Files, by their endings; the content decides": [
             ("images", " ".join(IMAGE_SUFFIXES)),
-            ("disparity and depth maps", f"{' '.join(MAP_SUFFIXES)}: PFM and floats hold pixels or meters, integers "
+            ("disparity and depth maps", f"{' '.join(map_suffixes())}: PFM and floats hold pixels or meters, integers "
              "codes"),
             ("volumes", " ".join(VOLUME_SUFFIXES)),
         ],

@@ -29,7 +29,15 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from depthcli.core.registry import Registry, plugin_of, plugins_in_use, registered_name, registry_in, registry_of
+from depthcli.core.registry import (
+    Plugin,
+    Registry,
+    plugin_of,
+    plugins_in_use,
+    registered_name,
+    registry_in,
+    registry_of,
+)
 
 
 def _odd(side: int) -> int:
@@ -213,26 +221,25 @@ class RootConfig(BaseModel):
         return {self.flattened: method.pop(self.flattened), **fields, **method}
 
 
-def used_plugins(value: Any) -> dict[str, str]:
-    """Return package -> version of the plug-ins that a config, or an object, is made of, sorted.
+def used_plugins(value: Any) -> set[Plugin]:
+    """Return the plug-ins that a config, or an object, is made of.
 
     A word of the config counts as the name of a plug-in that is in use already (measures are written as names alone).
     """
-    found = dict(_packages_in(value))
-    return {package: found[package] for package in sorted(found)}
+    return set(_plugins_in(value))
 
 
-def _packages_in(value: Any) -> Iterator[tuple[str, str]]:
+def _plugins_in(value: Any) -> Iterator[Plugin]:
     if isinstance(value, str):
         if (named := plugins_in_use().get(value)) is not None:
-            yield named.package, named.version
+            yield named
     elif isinstance(value, Mapping):
-        yield from (pair for each in value.values() for pair in _packages_in(each))
+        yield from (plugin for each in value.values() for plugin in _plugins_in(each))
     elif isinstance(value, list | tuple):
-        yield from (pair for each in value for pair in _packages_in(each))
+        yield from (plugin for each in value for plugin in _plugins_in(each))
     else:
         plugin = plugin_of(type(value))
         if plugin is not None:
-            yield plugin.package, plugin.version
+            yield plugin
         if isinstance(value, BaseModel):
-            yield from (pair for name in type(value).model_fields for pair in _packages_in(getattr(value, name)))
+            yield from (found for name in type(value).model_fields for found in _plugins_in(getattr(value, name)))

@@ -20,7 +20,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -64,6 +64,11 @@ class Plugin:
     def qualified(self) -> str:
         """The name that is unique among all packages, ``package:name``."""
         return f"{self.package}:{self.name}"
+
+    @property
+    def is_file(self) -> bool:
+        """Whether it is a class of a file, not of an installed package."""
+        return self.reference.startswith(_FILE_MODULE)
 
     def load(self) -> Any:
         """Return the object.
@@ -199,6 +204,20 @@ def registered_name(kind: type) -> str:
 def plugins_in_use() -> dict[str, Plugin]:
     """Return name, plain and qualified -> plug-in, of those that this process has loaded."""
     return {name: plugin for _, plugin in _plugin_by_class.values() for name in (plugin.name, plugin.qualified)}
+
+
+def versions_here(plugins: Iterable[Plugin]) -> dict[str, str]:
+    """Return package, or file -> version that this process finds, sorted; ``missing`` where it finds none.
+
+    In the process that found the plug-ins these are their own versions; a worker elsewhere may have others.
+    """
+    for path in _files():
+        load_file(path)
+    found = {}
+    for plugin in plugins:
+        known = (*_file_plugins.get(plugin.group, ()), *_installed(plugin.group))
+        found[plugin.package] = next((p.version for p in known if p.qualified == plugin.qualified), "missing")
+    return dict(sorted(found.items()))
 
 
 def registry_of(kind: type) -> Registry[Any] | None:

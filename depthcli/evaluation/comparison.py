@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -207,6 +207,7 @@ class EvaluationReport:
     protocols : name -> protocol, of all that the results name
     truth : folder or file of the ground truth
     hints : what was assumed of runs and scenes, and what looks wrong with the way they are scored, one line each
+    plugins : package -> version, of the plug-ins that found, read and scored the scenes
     """
 
     runs: tuple[str, ...]
@@ -214,6 +215,7 @@ class EvaluationReport:
     protocols: dict[str, AnyProtocol]
     truth: Path
     hints: tuple[str, ...] = ()
+    plugins: dict[str, str] = field(default_factory=dict)
 
     @property
     def failed(self) -> list[MapResult]:
@@ -249,6 +251,7 @@ class EvaluationReport:
         return {
             "truth": str(self.truth),
             "runs": list(self.runs),
+            "plugins": self.plugins,
             "results": [result.to_dict() for result in self.results],
             "means": [row for section in self.sections for row in section.rows()],
             "headlines": [row for section in self.sections for row in section.overall_rows()],

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.disparity import MAP_SUFFIXES
+from depthcli.data.formats.map_format import MAP_SUFFIXES, map_formats
 
 _MAX_LISTED = 50_000  # files of a run folder that are looked at
 # Words in the names of files that are no maps of the left view.
@@ -56,10 +56,15 @@ class MapFiles:
     suffixes: tuple[str, ...]
     other_places: tuple[str, ...] = ()
 
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """All endings of a map: ``suffixes`` and, for maps of one channel, those of plug-ins' formats."""
+        return (*self.suffixes, *sorted(map_formats())) if ".pfm" in self.suffixes else self.suffixes
+
     def candidates(self, folder: Path, scene: str) -> Iterator[Path]:
         """Yield the paths that the map of a scene may have, in order of preference; they need not exist."""
         for place in self.places:
-            for suffix in self.suffixes:
+            for suffix in self.endings:
                 yield folder / (place.replace("{scene}", scene) + suffix)
 
     def find(self, folder: Path, names: Sequence[str]) -> Path | None:
@@ -74,7 +79,8 @@ class MapFiles:
 
     def searched(self, names: Sequence[str]) -> str:
         """Return the places that ``find`` looks at, in words for an error message."""
-        ending = ".*" if len(self.suffixes) > 1 else self.suffixes[0]
+        endings = self.endings
+        ending = ".*" if len(endings) > 1 else endings[0]
         named = [*(f"{place}{ending}" for place in self.places), *self.other_places]
         places = ", ".join(named).replace("{scene}", "SCENE")
         short = names[0].rpartition("/")[2]

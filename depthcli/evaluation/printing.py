@@ -110,6 +110,9 @@ def report_markdown(report: EvaluationReport) -> str:
     """Return ``report.md``: all tables and warnings, with links to error pictures and plots."""
     runs = ", ".join(map(markdown_code, report.runs))
     out = ["# Evaluation", "", f"Ground truth: {markdown_code(str(report.truth))}. Runs: {runs}.", ""]
+    if report.plugins:
+        used = ", ".join(f"{package} {version}" for package, version in report.plugins.items())
+        out += [f"Plug-ins: {markdown_code(used)}.", ""]
     out += [f"**Warning:** {markdown_text(line)}\n" for line in report.warnings]
     out += [table.markdown() for table in report_tables(report)]
     out += ["## Error pictures", ""]

@@ -108,8 +108,8 @@ def test_classes_of_a_file_are_found_by_their_names(file: Path, tmp_path: Path):
     text = dump_config(config)
     assert "method: wide_census" in text
     assert load_config(StereoConfig, parse_config(text, "x")) == config
-    (version,) = used_plugins(config).items()
-    assert version[0] == "mine.py" and len(version[1]) == 12
+    (used,) = used_plugins(config)
+    assert used.package == "mine.py" and len(used.version) == 12
     (tmp_path / "scene").mkdir()
     for name in ("top.png", "bottom.png"):
         (tmp_path / "scene" / name).touch()
@@ -170,8 +170,8 @@ def test_an_installed_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert type(COSTS.parse("census")).__module__.startswith("depthcli.")
     other = COSTS.parse("strange-cost:census")
     assert type(other).__name__ == "Far2" and other.model_dump()["method"] == "strange-cost:census"
-    assert used_plugins(other) == {"strange-cost": "1.2"}
-    assert used_plugins(COSTS.parse("census")) == {}
+    assert registry.versions_here(used_plugins(other)) == {"strange-cost": "1.2"}
+    assert used_plugins(COSTS.parse("census")) == set()
 
 
 def test_a_broken_package_costs_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

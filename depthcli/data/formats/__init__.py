@@ -6,6 +6,7 @@
 ``images``           PNG, JPEG, Netpbm, TIFF, BMP: pixels, or codes of one channel
 ``pictures``         pictures for people: status bits, confidence, maps in color
 ``disparity``        disparities in pixels, and any map of one channel (``read_plane``): PFM, npy, PNG, TIFF
+``map_format``       formats of maps that plug-ins add
 ``depth``            depths in meters, codes of sensors, point clouds
 ``kinect``           raw codes of a Kinect v1 and its calibration
 ``npy``              NumPy arrays

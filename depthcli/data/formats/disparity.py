@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 from depthcli.core.errors import InputError, OutputError
 from depthcli.data.formats.files import naming, read_bytes, shown, warn, write_bytes
 from depthcli.data.formats.headers import image_kind, pfm_header
-from depthcli.data.formats.images import IMAGE_SUFFIXES, decode_floats, decode_grey
+from depthcli.data.formats.images import decode_floats, decode_grey
+from depthcli.data.formats.map_format import read_by_plugin
 from depthcli.data.formats.npy import NPZ_MAGIC, decode_npy, npy_in_npz
-
-MAP_SUFFIXES = (".pfm", ".npy", ".npz", *IMAGE_SUFFIXES)
-"""File name endings of disparity maps, most exact first."""
 
 KITTI_SCALE = 256.0
 """Codes per pixel of 16-bit disparity PNGs (KITTI, DSEC)."""
@@ -96,6 +94,8 @@ def read_pfm(path: Path | str) -> NDArray[np.float32]:
 def read_plane(path: Path | str) -> NDArray[Any]:
     """Return one channel of numbers as stored: a map (PFM, npy, npz, float TIFF) or codes; the content says which.
 
+    A file whose ending belongs to a plug-in's format is read by the plug-in.
+
     Returns
     -------
     (H, W) of any integer or float dtype
@@ -105,6 +105,8 @@ def read_plane(path: Path | str) -> NDArray[Any]:
     InputError
         Not readable, damaged, or not one channel; one line that names the file.
     """
+    if (plane := read_by_plugin(path)) is not None:
+        return plane
     data = read_bytes(path)
     with naming(path):
         if data.startswith(NPZ_MAGIC):

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 from depthcli.core.errors import InputError
-from depthcli.core.registry import Registry, registered_name
+from depthcli.core.registry import Plugin, Registry, registered_name
 from depthcli.core.yaml_source import short
 from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.formats.plain_text import json_object
@@ -187,3 +187,10 @@ def own_layouts() -> tuple[Layout, ...]:
 def layouts() -> tuple[Layout, ...]:
     """Return every layout: those of this package, then those of plug-ins."""
     return (*own_layouts(), *(_REGISTRY.load(name) for name in _REGISTRY.names()[len(own_layouts()) :]))
+
+
+def layout_plugins(scenes: Iterable[Scene]) -> set[Plugin]:
+    """Return the plug-ins whose layouts found any of these scenes."""
+    plugins = _REGISTRY.plugins()
+    names = {scene.layout for scene in scenes} if plugins else set()
+    return {plugin for name, plugin in plugins.items() if name.replace("_", "-") in names}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from depthcli.data.formats.disparity import MAP_SUFFIXES
 from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.formats.map_format import map_suffixes
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
@@ -35,9 +35,9 @@ class MiddleburyV2(Layout):
     def scenes(self, folder: Folder) -> list[Scene]:
         for left_stem, right_stem, truths in _VIEWS:
             left, right = folder.one(left_stem, IMAGE_SUFFIXES), folder.one(right_stem, IMAGE_SUFFIXES)
-            if left is None or (right is None and folder.one(truths[0][0], MAP_SUFFIXES) is None):
+            if left is None or (right is None and folder.one(truths[0][0], map_suffixes()) is None):
                 continue
-            pairs = [[folder.one(stem, MAP_SUFFIXES) for stem in stems] for stems in truths]
+            pairs = [[folder.one(stem, map_suffixes()) for stem in stems] for stems in truths]
             truth, truth_right = next((pair for pair in pairs if pair[0]), pairs[-1])
             later = left_stem == "view1"
             scale, top = (None, None) if later else _FACTS.get(folder.path.name.lower(), (None, None))

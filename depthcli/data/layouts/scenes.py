@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from depthcli.data.formats.disparity import MAP_SUFFIXES
 from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.formats.map_format import map_suffixes
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
@@ -21,7 +21,7 @@ class Scenes(Layout):
 
     def scenes(self, folder: Folder) -> list[Scene]:
         left, right = (folder.one(stem, IMAGE_SUFFIXES) for stem in ("left", "right"))
-        truth = folder.one("disp_left", MAP_SUFFIXES)
+        truth = folder.one("disp_left", map_suffixes())
         if left is None and right is None:
             return []
         problem = ""
@@ -37,8 +37,8 @@ class Scenes(Layout):
                 left=left or folder.path / "left.png",
                 right=right,
                 disparity_left=truth,
-                disparity_right=folder.one("disp_right", MAP_SUFFIXES),
-                disparity_noc=folder.one("disp_left_noc", MAP_SUFFIXES),
+                disparity_right=folder.one("disp_right", map_suffixes()),
+                disparity_noc=folder.one("disp_left_noc", map_suffixes()),
                 disparity_scale=meta.positive("disp_scale"),
                 masks={name: file for name, file in masks.items() if not name.endswith("_right")},
                 objects=folder.one("objects", IMAGE_SUFFIXES),

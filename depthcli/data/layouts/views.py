@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.disparity import MAP_SUFFIXES
 from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.formats.map_format import map_suffixes
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
@@ -33,7 +33,7 @@ class Views(Layout):
             if folder.has(left.partition("/")[0], right.partition("/")[0]):
                 sides = [view_images(folder.path / side, IMAGE_SUFFIXES) for side in (left, right)]
                 if set(sides[0]) & set(sides[1]):
-                    truth = view_images(folder.path / "disp_left", MAP_SUFFIXES) if folder.has("disp_left") else {}
+                    truth = view_images(folder.path / "disp_left", map_suffixes()) if folder.has("disp_left") else {}
                     return pair_scenes(self, folder, sides[0], sides[1], truth)
         return []
 

@@ -15,6 +15,7 @@ from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
 from depthcli.data.formats.depth import read_depth
 from depthcli.data.formats.disparity import read_plane
+from depthcli.data.formats.map_format import map_formats
 from depthcli.data.formats.pictures import DEPTH_STATUS_PALETTE
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene, RgbdTruth
@@ -117,7 +118,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         """Return the map in meters; integer codes have the truth's scale where the settings have none."""
         suffix = path.suffix.lower()
         meters = not self.settings.any_scale and (
-            suffix in _METERS or (suffix in _CODES_OR_METERS and read_plane(path).dtype.kind == "f")
+            suffix in _METERS or (suffix in (*_CODES_OR_METERS, *map_formats()) and read_plane(path).dtype.kind == "f")
         )
         scale = None if meters else self.settings.scale or truth.scale
         estimate = self._resized(read_depth(path, scale))

@@ -74,17 +74,22 @@ def measures() -> dict[str, str]:
 
 
 def measure_name(name: str, *others: str) -> str:
-    """Return ``name`` in lower case.
+    """Return the name of the measure, or of ``others``, that ``name`` stands for in any case.
 
     Raises
     ------
     ValueError
         It is neither a measure nor in ``others``.
+    ConfigError
+        It is a plug-in's measure that cannot be loaded.
     """
-    known = (*others, *_FAMILY.names())
-    if name.lower() not in known:
-        raise ValueError(f"no confidence measure called {name!r}; one of: {', '.join(known)}")
-    return name.lower()
+    if name.lower() in others:
+        return name.lower()
+    known = _FAMILY.find(name)
+    if known is None:
+        raise ValueError(f"no confidence measure called {name!r}; one of: {', '.join((*others, *_FAMILY.names()))}")
+    _FAMILY.load(known)
+    return known
 
 
 MeasureName = Annotated[str, AfterValidator(measure_name)]
