@@ -67,7 +67,7 @@ class Plugin:
 
     @property
     def is_file(self) -> bool:
-        """Whether it is a class of a file, not of an installed package."""
+        """Return whether it is a class of a file, not of an installed package."""
         return self.reference.startswith(_FILE_MODULE)
 
     def load(self) -> Any:

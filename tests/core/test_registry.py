@@ -17,6 +17,7 @@ from depthcli.data import layouts
 from depthcli.data.walk import discover_scenes
 from depthcli.methods.stereo.config import StereoConfig
 
+pytestmark = pytest.mark.usefixtures("forget_plugins")
 COSTS = Family.of("depthcli.methods.stereo.cost")
 
 FILE = '''
@@ -62,21 +63,6 @@ class Greet(Command):
 class _Hidden(Census):
     """Not registered."""
 '''
-
-
-@pytest.fixture(autouse=True)
-def _forget(monkeypatch: pytest.MonkeyPatch):
-    """Leave no plug-in behind for other tests."""
-    for name in ("_file_plugins", "_read_files", "_plugin_by_class"):
-        monkeypatch.setattr(registry, name, {})
-    monkeypatch.setenv("DEPTHCLI_PLUGIN_FILES", "")
-    registry._installed.cache_clear()
-    registry._is_any_installed.cache_clear()
-    yield
-    registry._installed.cache_clear()
-    registry._is_any_installed.cache_clear()
-    for name in [name for name in sys.modules if name.startswith(("depthcli_plugin_", "strange_"))]:
-        del sys.modules[name]
 
 
 @pytest.fixture
