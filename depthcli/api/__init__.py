@@ -15,3 +15,5 @@ users import are listed in ``depthcli/__init__.pyi``; all others may change.
 | ``running`` | what every computation is wrapped in |
 | ``arrays`` | the arrays that users have -> images and maps as methods take them |
 """
+
+from depthcli import programs  # noqa: F401  adds pipelines to the families of methods

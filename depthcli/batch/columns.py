@@ -14,6 +14,8 @@ REPORT = (
            "seconds_.*"),
     Column("peak_memory", "largest memory of the process while it computed the scene", "bytes, printed MiB",
            ("memory",)),
+    Column("program_cpu", "processor time of a program, and of what it starts", "s"),
+    Column("program_memory", "largest memory of a program and of what it starts", "bytes"),
     Column("source", "first input file"),
 )  # fmt: skip
 """Columns of every command that writes a run folder."""

@@ -23,8 +23,9 @@ PARTS_FOLDER, PARTS = ".parts", "*-of-*.json"
 """In a run folder: the reports of the processes that share the run, and the pattern of their names."""
 
 _ROW_START = b'  {"scene": '  # how a row begins; see write_rows
-# Columns of a report that a scene's record does not hold.
-_MEASURED_COLUMNS = frozenset({"scene", "status", "error", "seconds", "peak_memory", "source"})
+MEASURED = ("seconds", "peak_memory", "program_cpu", "program_memory", "source")
+"""Columns of a report that differ when a scene is computed again; no record holds them."""
+_MEASURED_COLUMNS = frozenset({"scene", "status", "error", *MEASURED})
 
 
 def finished_row(known: Record, measured: Mapping[str, object]) -> Row:
@@ -36,6 +37,7 @@ def finished_row(known: Record, measured: Mapping[str, object]) -> Row:
         **{sys.intern(key): value for key, value in known.facts.items()},  # one string for all rows
         "seconds": measured.get("seconds") or {},
         "peak_memory": measured.get("peak_memory"),
+        **{key: measured[key] for key in ("program_cpu", "program_memory") if key in measured},
         "source": measured.get("source") or "",
     }
 

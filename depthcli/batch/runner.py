@@ -20,7 +20,7 @@ from depthcli.batch.install import discard, hidden_folder, remove_leftovers, rem
 from depthcli.batch.json_csv import Row
 from depthcli.batch.plan import Planner, check_files, check_names, inputs_digest, scenes_of_shard
 from depthcli.batch.report_parts import Part, ReportWriter, drop_parts
-from depthcli.batch.reports import finished_row, read_report
+from depthcli.batch.reports import MEASURED, finished_row, read_report
 from depthcli.batch.run_folder import check_folder, saved_config
 from depthcli.batch.sharing import LOCKS_FILE, FolderLock
 from depthcli.batch.task import Run, RunOptions, Task, run_task
@@ -139,8 +139,7 @@ class _Batch:
             raise ConfigError(
                 f"{output}: another depthcli writes a run of another config there; choose another --output"
             )
-        measured = ("seconds", "peak_memory", "source")
-        return {name: {key: row[key] for key in measured if row.get(key)} for name, row in earlier.items()}
+        return {name: {key: row[key] for key in MEASURED if row.get(key)} for name, row in earlier.items()}
 
     def plan(self, earlier: dict[str, Row]) -> None:
         """Divide the scenes into finished ones and tasks; ``earlier`` is used up."""

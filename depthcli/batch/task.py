@@ -29,6 +29,7 @@ from depthcli.data.formats.files import collected_warnings
 from depthcli.data.formats.map_format import format_plugins
 from depthcli.data.layouts import layout_plugins
 from depthcli.data.scenes import Scene
+from depthcli.programs.scene import computing
 
 BUG = "a bug in depthcli: "
 """Prefix of the error of a scene that failed by a fault of the program."""
@@ -167,12 +168,14 @@ def _run_task(task: Task, run: Run, limit: int) -> Row:
         task.scene.check()
         task.hidden.mkdir(parents=True)
         opened = os.open(task.hidden, os.O_RDONLY)  # while it is open, no other folder gets its inode number
-        outcome = run.command.compute(run.config, task.scene, task.hidden, limit)
+        with computing(task.scene.name, limit) as programs:
+            outcome = run.command.compute(run.config, task.scene, task.hidden, limit)
         _delete_unwanted(task.hidden, run.options.keep)
         _install(task, outcome, opened, run.options.overwrite)
         seconds = {name: round(value, 6) for name, value in outcome.seconds.items()}
         row: Row = {"scene": task.scene.name, "status": "done", "error": "", **outcome.facts, "seconds": seconds}
-        row |= {"peak_memory": resources.peak_memory(), "source": task.source, "warnings": outcome.warnings}
+        row |= {"peak_memory": resources.peak_memory(), **programs.used, "source": task.source}
+        row["warnings"] = outcome.warnings
     except Exception as error:
         row = _failed_row(task, error)
     finally:

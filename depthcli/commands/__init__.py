@@ -44,6 +44,7 @@ import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from depthcli import programs  # noqa: F401  adds pipelines to the families of methods
 from depthcli.core.registry import Registry
 
 if TYPE_CHECKING:

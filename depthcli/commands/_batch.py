@@ -17,6 +17,7 @@ from depthcli.commands._page import PAGE_BUDGET, PAGE_FILE, new_page, write_page
 from depthcli.commands._tables import print_place, print_tables
 from depthcli.commands.evaluate import evaluate
 from depthcli.core.errors import DepthcliError
+from depthcli.core.method import used_files
 from depthcli.core.option import Option
 from depthcli.core.text import one_line
 from depthcli.data.scenes import Scene
@@ -218,4 +219,10 @@ class ConfigCommand(BatchCommand[ModelT, SceneT]):
             if option.sets and values[option.name] is not None:
                 settings.append((option.flag, f"{option.sets}={values[option.name]}"))
         file = find_config(self.name, values["config"])
-        return load_config(self.config_model(), file, settings, lambda name: find_preset(self.name, name))
+        config = load_config(self.config_model(), file, settings, lambda name: find_preset(self.name, name))
+        used_files(config)  # missing ones are an error before any scene is opened
+        return config
+
+    def files(self, config: ModelT, scene: SceneT) -> dict[str, Path]:
+        """Return the files of the scene, and those that the methods of the config use."""
+        return scene.input_files | used_files(config)

@@ -124,7 +124,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         frame = {}
         if scene.first is not None and config.calibration is not None and given_range(config, scene)[1] is None:
             frame = {f"range_{role}": file for role, file in scene.first.input_files.items()}
-        return scene.input_files | {f"calibration_{k}": Path(name) for k, name in enumerate(names)} | frame
+        return super().files(config, scene) | {f"calibration_{k}": Path(name) for k, name in enumerate(names)} | frame
 
     def settings(self, config: PairConfigT, scene: StereoScene) -> dict[str, str]:
         """Return the search range, which may come from a file beside the images."""

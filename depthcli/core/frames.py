@@ -55,13 +55,13 @@ class StereoPair:
     @cached_property
     def grey(self) -> tuple[Image, Image]:
         """Both images as (H, W) luma in their own dtype, scaled to its full range."""
-        left, right = self._full_range
+        left, right = self.full_range
         return _grey(left), _grey(right)
 
     @cached_property
     def color8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Both images as (H, W, 3) uint8 RGB; 16-bit images are scaled, grey ones repeated."""
-        left, right = self._full_range
+        left, right = self.full_range
         return color8(left), color8(right)
 
     @cached_property
@@ -81,7 +81,8 @@ class StereoPair:
         return _clamped(self.left, self.top), _clamped(self.right, self.top)
 
     @cached_property
-    def _full_range(self) -> tuple[Image, Image]:
+    def full_range(self) -> tuple[Image, Image]:
+        """Both images, scaled to the full range of their dtype."""
         left, right = self.clamped
         return _spread(left, self.top), _spread(right, self.top)
 

@@ -13,6 +13,7 @@ import importlib
 import importlib.util
 from collections.abc import Iterator, Mapping
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any, ClassVar, Literal, LiteralString
 
@@ -65,6 +66,16 @@ class Method(BaseModel):
     def method_name(cls) -> str:
         """Return the name of the method in a config, that of its module."""
         return registered_name(cls)
+
+    def used_files(self) -> dict[str, Path]:
+        """Return role -> file, of files that the result depends on beside those of the scene.
+
+        Raises
+        ------
+        ConfigError
+            One of them is missing.
+        """
+        return {}
 
     @model_serializer(mode="wrap")
     def _with_method_name(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -204,10 +215,13 @@ class RootConfig(BaseModel):
         name = data.get(cls.flattened)
         if isinstance(name, BaseModel):
             return data
-        own = {key: value for key, value in data.items() if key in cls.model_fields and key != cls.flattened}
+        fields = cls.model_fields.keys() - {cls.flattened}
+        if isinstance(data.get("run"), str | list):  # not what a run.yaml says, but the method's
+            fields -= {"run"}
+        own = {key: value for key, value in data.items() if key in fields}
         if cls.flattened not in data:
             return own
-        rest = {key: value for key, value in data.items() if key not in cls.model_fields}
+        rest = {key: value for key, value in data.items() if key not in fields and key != cls.flattened}
         return {**own, cls.flattened: {**rest, cls.flattened: name} if isinstance(name, str) else name}
 
     @model_serializer(mode="wrap")
@@ -219,6 +233,19 @@ class RootConfig(BaseModel):
             return fields
         method = fields.pop(self.flattened)
         return {self.flattened: method.pop(self.flattened), **fields, **method}
+
+
+def used_files(value: Any) -> dict[str, Path]:
+    """Return role -> file, of the files that the methods of a config use; ConfigError where one is missing."""
+    found = dict(value.used_files()) if isinstance(value, Method) else {}
+    if isinstance(value, BaseModel):
+        inside: list[Any] = [getattr(value, name) for name in type(value).model_fields]
+    else:
+        inside = list(value) if isinstance(value, list | tuple) else []
+    for each in inside:
+        for role, file in used_files(each).items():
+            found[role if found.get(role, file) == file else f"{role} {file}"] = file
+    return found
 
 
 def used_plugins(value: Any) -> set[Plugin]:

@@ -89,9 +89,18 @@ class Plugin:
 
 
 _registries: dict[str, Registry[Any]] = {}
+_provided: dict[str, dict[str, str]] = {}  # package -> name -> module elsewhere
 _file_plugins: dict[str, list[Plugin]] = {}
 _read_files: dict[str, Path] = {}
 _plugin_by_class: dict[type, tuple[Registry[Any], Plugin]] = {}
+
+
+def provide(package: str, *modules: str) -> None:
+    """Add modules that lie elsewhere to those of ``package``, each under the last part of its name.
+
+    For objects of our own that need rooms which ``package`` may not import. Nothing is imported until it is used.
+    """
+    _provided.setdefault(package, {}).update({module.rpartition(".")[2]: module for module in modules})
 
 
 class Registry(Generic[T]):
@@ -116,7 +125,8 @@ class Registry(Generic[T]):
     def own_names(self) -> tuple[str, ...]:
         """The names of our own objects, with underscores, sorted."""
         path = importlib.import_module(self.package).__path__
-        return tuple(sorted(m.name for m in pkgutil.iter_modules(path) if not m.name.startswith("_")))
+        names = {module.name for module in pkgutil.iter_modules(path) if not module.name.startswith("_")}
+        return tuple(sorted(names.union(_provided.get(self.package, ()))))
 
     def plugins(self) -> dict[str, Plugin]:
         """Return name -> plug-in, sorted; a name that another one has, too, is written ``package:name``."""
@@ -166,7 +176,8 @@ class Registry(Generic[T]):
             It is a plug-in's and cannot be loaded.
         """
         if name in self.own_names:
-            return self._own(importlib.import_module(f"{self.package}.{name}"))
+            module = _provided.get(self.package, {}).get(name, f"{self.package}.{name}")
+            return self._own(importlib.import_module(module))
         return self._load_plugin(self.plugins()[name])
 
     def _load_plugin(self, plugin: Plugin) -> T:

@@ -32,14 +32,16 @@ class FusionWithVolumes(Matcher):
     read_volumes : returns file name -> (H, W, D) costs; called when a pair is matched
     """
 
-    has_tiles: ClassVar[bool] = False  # the volumes are those of the whole pair
-
     fusion: Fusion
     read_volumes: Callable[[], Mapping[str, NDArray[Any]]]
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         """Read the volumes and match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
         return self.fusion(pair, max_disparity, self.read_volumes())
+
+    def tile_halo(self) -> int | None:
+        """Return None: the volumes are those of the whole pair."""
+        return None
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the peak working memory for images of (H, W) ``shape``, bytes."""

@@ -95,7 +95,7 @@ def host_bytes(matcher: Matcher, shape: tuple[int, int], max_disparity: int, lim
 def _needs(matcher: Matcher, shape: tuple[int, int], max_disparity: int, limits: Limits) -> tuple[int, bool]:
     # The memory of this machine for the whole pair, bytes, and whether it may be matched in tiles instead.
     if limits.device is None or matcher.device_bytes(shape, max_disparity) is None:
-        return matcher.peak_bytes(shape, max_disparity), limits.tiles != "never" and matcher.has_tiles
+        return matcher.peak_bytes(shape, max_disparity), limits.tiles != "never" and matcher.tile_halo() is not None
     if limits.device.info.is_gpu:
         return _HOST_BYTES_PER_PIXEL * shape[0] * shape[1] + _HOST_BYTES, False
     return matcher.peak_bytes(shape, max_disparity), False

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +21,11 @@ from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.refinement import Refinement, RefinementStep
 from depthcli.methods.stereo.volume import CostVolume, RefinementContext, StereoResult
 
+_TILE_HALO = 64  # pixels, for methods of which nothing is known
+
 
 class Matcher(ABC):
     """Anything that matches a pair (pipelines, fusion), with what :func:`..matching.match` needs to know of it."""
-
-    has_tiles: ClassVar[bool] = True
-    """Whether parts of a pair can be matched by themselves."""
 
     @abstractmethod
     def __call__(self, pair: StereoPair, max_disparity: int, /) -> StereoResult:
@@ -36,6 +34,10 @@ class Matcher(ABC):
     @abstractmethod
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Estimate the peak working memory of matching a whole pair of (H, W) ``shape``, bytes."""
+
+    def tile_halo(self) -> int | None:
+        """Return how many pixels a part of a pair needs around it; None: only the whole pair can be matched."""
+        return _TILE_HALO
 
     def device_bytes(self, shape: tuple[int, int], max_disparity: int) -> int | None:
         """Estimate the memory of a device that matches a whole pair, bytes; None: only the processor can."""

@@ -26,7 +26,6 @@ from depthcli.methods.stereo.tiling.winners import TiledWinners
 from depthcli.methods.stereo.volume import CostMinima, CostVolume, FixedPoint, RefinementContext, StereoResult
 
 _PATH_HALO = 32  # pixels after which the paths of a scanline that begins anew are what they would have been
-_PATCH_HALO = 64  # pixels that a tile needs around it, for methods of which nothing is known
 _UNLIKELY_COST = 0.2  # what unlikely disparities cost more, in units of a scanline's penalty of a step
 _BAND_PIXELS = 1 << 20  # pixels that are refined at a time
 _FLOAT_BARRIER = 1e4  # cost between the spans of a float volume: no path goes through it
@@ -108,10 +107,12 @@ def match_by_patches(
 ) -> StereoResult:
     """Match every tile as a pair of its own, over one range from the smallest to the largest of its ``candidates``."""
     clock.start("plan")
+    halo = matcher.tile_halo()
+    assert halo is not None, "only the whole pair can be matched"
     plan = available.tiles(
         pair,
         candidates,
-        Margins(_PATCH_HALO, _PATH_HALO // 2, True),
+        Margins(halo, min(halo, _PATH_HALO // 2), True),
         lambda tile: matcher.peak_bytes(tile.shape, tile.n_disparities - 1) + _recycled(tile),
     )
     values, status = np.zeros(pair.shape, np.float32), np.zeros(pair.shape, np.uint8)

@@ -1,0 +1,1 @@
+"""Programs that refine depth maps, as pipelines of ``refine-kinect``."""

@@ -1,0 +1,48 @@
+"""The scene that is computed, as programs need to know it, and what they used."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+
+
+@dataclass
+class Scene:
+    """A scene that is computed.
+
+    Attributes
+    ----------
+    name : its name
+    memory : bytes that a program may take, with all processes that it starts; None: all
+    used : columns of the report about its programs: their processor time, seconds, and the largest memory of one, bytes
+    """
+
+    name: str
+    memory: int | None
+    used: dict[str, float] = field(default_factory=dict)
+
+    def add(self, cpu_seconds: float, memory: int) -> None:
+        """Count what a program used."""
+        self.used["program_cpu"] = round(self.used.get("program_cpu", 0.0) + cpu_seconds, 6)
+        self.used["program_memory"] = max(self.used.get("program_memory", 0), memory)
+
+
+_current: ContextVar[Scene | None] = ContextVar("scene", default=None)
+
+
+def current_scene() -> Scene:
+    """Return the scene of the innermost :func:`computing`; one without a name where there is none."""
+    return _current.get() or Scene("scene", None)
+
+
+@contextlib.contextmanager
+def computing(name: str, memory: int) -> Iterator[Scene]:
+    """Say that the block computes a scene of that name, with at most ``memory`` bytes."""
+    scene = Scene(name, memory)
+    token = _current.set(scene)
+    try:
+        yield scene
+    finally:
+        _current.reset(token)

@@ -1,0 +1,1 @@
+"""Programs that match pairs, as pipelines of ``stereo``."""

@@ -1,0 +1,1 @@
+"""Programs that complete depth maps, as pipelines of ``transparent``."""
