@@ -4,6 +4,7 @@
 |---|---|
 | ``stereo.command``, ``kinect.command``, ``transparent.command`` | the pipelines ``command``: any program |
 | ``stereo.middlebury_sdk`` | the pipeline for programs in the form of the Middlebury SDK |
+| ``depth`` | what the two for depth maps share |
 | ``program`` | what their configs share: words with placeholders, formats of maps, scratch folders |
 | ``process`` | one program as a process: its time, memory and output, all that it starts ended with it |
 | ``_supervisor`` | the script that watches over it, in a process of its own |

@@ -55,7 +55,7 @@ class ProgramRun(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     timeout: Seconds = Field(600.0, gt=0, le=1e7, description="time for a scene, such as 90 s, 10 min or 2 h")
-    version: str = Field("", description="any text: with another one it is another run")
+    version: str = Field("", coerce_numbers_to_str=True, description="any text: with another one it is another run")
 
     def run(self, words: Sequence[str], folder: Path, scratch: Path, clock: Clock) -> None:
         """Run a program in ``folder`` for the current scene; the ends of its output stay in ``scratch``.

@@ -215,3 +215,24 @@ def test_a_config_names_its_plugins(file: Path, tmp_path: Path, capsys: pytest.C
     (tmp_path / "low.yaml").write_text("plugins: [3]\npipeline: local\n")
     with pytest.raises(ConfigError, match=r"low\.yaml:1: plugins: want the name of a Python file \(got 3\)"):
         load_config(StereoConfig, tmp_path / "low.yaml")
+
+
+def test_a_higher_room_provides_objects_under_their_modules_names(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(registry, "_provided", {})
+    registry.provide("depthcli.methods.stereo.cost", "depthcli.elsewhere.thermal", "depthcli.methods.kinect.layers")
+    assert {"census", "thermal", "layers"} <= set(COSTS.own_names)
+    assert COSTS.find("Layers") == "layers"
+    assert "depthcli.elsewhere" not in sys.modules
+    with pytest.raises(ModuleNotFoundError, match=r"depthcli\.elsewhere"):
+        COSTS.load("thermal")
+    assert COSTS.load("census").method_name() == "census"
+
+
+def test_pipelines_that_run_programs_are_our_own_methods():
+    import depthcli.programs  # noqa: F401  as the commands do
+
+    family = Family.of("depthcli.methods.stereo.pipeline")
+    kind = family.load("command")
+    assert kind.__module__ == "depthcli.programs.stereo.command"
+    assert kind.method_name() == "command"
+    assert registry.plugin_of(kind) is None
