@@ -136,7 +136,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         """Return a line with the search range of scenes for which neither the config nor their files give one."""
         if config.max_disparity is not None or config.calibration is not None:
             return []
-        unknown = {scene.name for scene in scenes if scene.max_disparity is None}
+        unknown = {scene.name for scene in scenes if not scene.problem and scene.max_disparity is None}
         ends = [row["max_disparity"] for row in rows if row["scene"] in unknown and "max_disparity" in row]
         if not ends:
             return []
