@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,9 +18,13 @@ from depthcli.device import Device, DeviceError
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.stereo.config import PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
+from depthcli.methods.stereo.networks import networks_in
+from depthcli.methods.stereo.networks.runtime import network_device
 from depthcli.methods.stereo.search_range import SearchRange, complete_range
 from depthcli.methods.stereo.stages import Matcher
 from depthcli.methods.stereo.volume import StereoResult
+
+PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
 
 _MIN_MEASURED_SHARE = 0.5  # of the pixels; with fewer a map has a warning
 _MAX_SHARE_AT_END = 0.05  # of the measured pixels at an end of the search range; with more a map has a warning
@@ -64,30 +69,57 @@ def limits_of(config: PairConfig, memory: int, device: Device | None) -> Limits:
 
 
 def with_address(config: StereoConfig) -> StereoConfig:
-    """Return the config with the address of its device; ConfigError where there is no such device."""
-    if config.device == "cpu":
-        return config
-    try:
-        info = device.find_device(config.device)
-    except DeviceError as error:
-        raise ConfigError(str(error)) from error
-    return config.model_copy(update={"device": "cpu" if info is None else info.address})
-
-
-def with_network(config: FuseConfig) -> FuseConfig:
-    """Return the config with the arrays of the network that it names, if it names one.
+    """Return the config with the address of its device, and with its networks opened and checked there.
 
     Raises
     ------
     ConfigError
-        The network cannot be read, or was trained for other maps.
+        There is no such device, or a network cannot be used.
     """
+    try:
+        if config.pipeline.uses_devices:
+            info = device.find_device(config.device)
+            address = "cpu" if info is None else info.address
+        else:
+            address = network_device(config.device)
+    except (DeviceError, InputError) as error:
+        raise ConfigError(str(error)) from error
+    return _with_networks(config.model_copy(update={"device": address}), address)
+
+
+def device_of(config: StereoConfig) -> Device | None:
+    """Open the device that a config names; None for the processor, and where the pipeline opens it itself."""
+    return device.open_device(config.device) if config.pipeline.uses_devices else None
+
+
+def with_network(config: FuseConfig) -> FuseConfig:
+    """Return the config with the arrays of the network that it names, and with other networks opened and checked.
+
+    Raises
+    ------
+    ConfigError
+        A network cannot be read or used, or was trained for other maps.
+    """
+    config = _with_networks(config, "cpu")
     if config.network_name is None:
         return config
     try:
         return config.with_network(read_network(network_path(config.network_name)))
     except InputError as error:
         raise ConfigError(f"maps.choice.weights: {error}") from None
+
+
+def _with_networks(config: PairConfigT, address: str) -> PairConfigT:
+    # Networks that are a part of a pipeline on another device run on the processor.
+    if not any(networks_in(config)):
+        return config
+    config = config.model_copy(deep=True)
+    for network in networks_in(config):
+        try:
+            network.prepare(address if address.startswith("cuda") else "cpu")
+        except InputError as error:
+            raise ConfigError(str(error)) from error
+    return config
 
 
 def partly_used(pair: StereoPair) -> bool:

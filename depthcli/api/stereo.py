@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from depthcli.api.arrays import as_image
 from depthcli.api.config import Overrides, load_config
-from depthcli.api.matching import limits_of, match_pair, with_address, with_network
+from depthcli.api.matching import device_of, limits_of, match_pair, with_address, with_network
 from depthcli.api.results import Disparity
 from depthcli.api.running import computing
 from depthcli.batch.resources import available_memory
@@ -23,7 +23,6 @@ from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.data.formats.stereo_images import pair_of
-from depthcli.device import open_device
 from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.stages import Matcher as Method
@@ -192,7 +191,7 @@ class _Matching:
             if wanted - set(given):
                 raise ConfigError(f"volumes: the config wants {', '.join(sorted(wanted))}")
             self.method = FusionWithVolumes(config, lambda: given)
-        self.device = open_device(config.device) if isinstance(config, StereoConfig) else None
+        self.device = device_of(config) if isinstance(config, StereoConfig) else None
         # A device has one queue of work.
         self.turn = contextlib.nullcontext() if self.device is None else threading.Lock()
 

@@ -41,20 +41,17 @@ class StereoCommand(PairCommand["StereoConfig"]):
 
     def config(self, values: Values) -> StereoConfig:
         """Return the config with the address of its device: a run continues where it began, or not at all."""
-        config = super().config(values)
-        if config.device == "cpu":
-            return config
         from depthcli.api.matching import with_address
 
-        return with_address(config)
+        return with_address(super().config(values))
 
     def matcher(self, config: StereoConfig, scene: StereoScene) -> Matcher:
         return config.pipeline
 
     def device(self, config: StereoConfig) -> Device | None:
-        from depthcli.device import open_device
+        from depthcli.api.matching import device_of
 
-        return open_device(config.device)
+        return device_of(config)
 
     def device_columns(self, config: StereoConfig) -> dict[str, str]:
         """Return the device, where the config names one."""
@@ -62,7 +59,7 @@ class StereoCommand(PairCommand["StereoConfig"]):
 
         device = self.device(config)
         if device is None:
-            return {}
+            return {} if config.device == "cpu" else {"device": config.device}
         where = f"{device.info.address}, {device.info.name}"
         if device_implementation_of(config.pipeline) is None:
             where = f"cpu: {config.pipeline.method_name()} has no kernels for {where}"

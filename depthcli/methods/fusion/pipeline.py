@@ -241,7 +241,9 @@ class Fusion(AdjustingMatcher):
         pixels = shape[0] * shape[1]
         # A byte per measure; raw, aggregated, voted and optimized costs of two bytes; blocks of 16 floats for votes.
         per_cell = len(self.measures) + (6 if self.blend == "before" else 10)
-        need = pixels * (max_disparity + 1) * per_cell + pixels * (2 * 16 * 4 + 24 * len(self.measures)) + (32 << 20)
+        beside = max(0 if measure.cost is None else measure.cost.pixel_bytes() for measure in self.measures)
+        per_pixel = 2 * 16 * 4 + 24 * len(self.measures) + beside
+        need = pixels * (max_disparity + 1) * per_cell + pixels * per_pixel + (32 << 20)
         if self.maps is None:
             return need
         return max(need + self.maps.bytes_beside(shape), self.maps.peak_bytes(shape, max_disparity))

@@ -27,6 +27,9 @@ _TILE_HALO = 64  # pixels, for methods of which nothing is known
 class Matcher(ABC):
     """Anything that matches a pair (pipelines, fusion), with what :func:`..matching.match` needs to know of it."""
 
+    uses_devices: ClassVar[bool] = True
+    """Whether :mod:`depthcli.device` opens the devices that it runs on; networks have a runtime that does."""
+
     @abstractmethod
     def __call__(self, pair: StereoPair, max_disparity: int, /) -> StereoResult:
         """Match the whole pair over disparities 0 .. ``max_disparity`` inclusive."""
@@ -81,14 +84,14 @@ class CostStages(BaseModel):
         return volume
 
     def volume_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
-        """Return the bytes of all volumes that exist at a time.
+        """Return the bytes of all volumes that exist at a time, and of what the cost measure needs beside.
 
         The largest of: two raw volumes; raw, aggregated and sums of arms; optimized beside aggregated or raw.
         """
         aggregated = self.aggregation is not None
         optimized = not isinstance(self.optimization, WinnerTakesAll)
         bytes_per_cell = max(2, 7 if aggregated else 0, (6 if aggregated else 5) if optimized else 0)
-        return shape[0] * shape[1] * (max_disparity + 1) * bytes_per_cell
+        return shape[0] * shape[1] * ((max_disparity + 1) * bytes_per_cell + self.cost.pixel_bytes())
 
     def halo(self) -> int | None:
         """Return how many pixels around a pixel its optimized costs depend on; None: on the whole image."""

@@ -26,6 +26,10 @@ class CostMeasure(Method):
         """Return the radius of the window that a pixel's costs depend on, pixels; None: the whole image."""
         return None
 
+    def pixel_bytes(self) -> int:
+        """Return the memory beside the volume that is needed meanwhile, bytes a pixel, where it is much."""
+        return 0
+
     compares_levels: ClassVar[bool] = False
     """Whether it compares grey levels or their differences, so that costs of matches rise where the light differs."""
 

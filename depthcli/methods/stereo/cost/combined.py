@@ -45,6 +45,9 @@ class Combined(CostMeasure):
         known = [halo for halo in halos if halo is not None]
         return max(known) if len(known) == len(halos) else None
 
+    def pixel_bytes(self) -> int:
+        return max(part.cost.pixel_bytes() for part in self.parts)
+
     def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
         unit = 255 // len(self.parts)
         total = memory.empty((*pair.shape, n_disparities), np.uint8)

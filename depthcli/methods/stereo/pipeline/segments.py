@@ -35,4 +35,6 @@ class Segments(SegmentSteps, CostPipeline):
         pixels = shape[0] * shape[1]
         bytes_a_cell = 2 + (2 if self.window_radius else 0)
         bytes_a_cell += 0 if isinstance(self.optimization, WinnerTakesAll) else 4
-        return pixels * (max_disparity + 1) * max(bytes_a_cell, 3) + 300 * pixels + (64 << 20)
+        return (
+            pixels * (max_disparity + 1) * max(bytes_a_cell, 3) + (300 + self.cost.pixel_bytes()) * pixels + (64 << 20)
+        )

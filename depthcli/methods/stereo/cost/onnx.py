@@ -1,0 +1,107 @@
+"""Distance of the features that a network gives for each pixel."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from depthcli.core import memory
+from depthcli.core.frames import StereoPair
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.methods.stereo.cost import CostMeasure
+from depthcli.methods.stereo.networks import Network
+from depthcli.methods.stereo.networks.features import feature_network
+from depthcli.methods.stereo.networks.images import ColorOrder, Normalization, samples
+from depthcli.methods.stereo.volume import CostVolume, fill_outside
+
+
+class Onnx(Network, CostMeasure):
+    """Distance of the features of a network in an ONNX file, such as the fast network of MC-CNN (Zbontar, LeCun 2016).
+
+    The network takes one image of any size, (H, W), (C, H, W), (H, W, C) or with a batch of 1 before, grey or in color,
+    and gives a vector for each pixel. Where its output is smaller because its convolutions do not pad, the image's
+    border is repeated before. Networks of CNES MCCNN take ``normalization: image``.
+    """
+
+    normalization: Normalization = Field("0-255", description="range of the values that the network takes")
+    color_order: ColorOrder = Field("rgb", description="order of the channels that the network takes")
+    multiple: int = Field(1, ge=1, le=1024, description="what the sides of images must be a multiple of, pixels")
+    distance: Literal["dot", "l1"] = Field(
+        "dot", description="dot: 1 - dot product of the vectors scaled to length 1; l1: mean absolute difference"
+    )
+    truncation: float = Field(1.0, gt=0, le=1e6, description="largest cost; larger ones are set to it")
+    outside: float = Field(0.5, ge=0, le=1, description="cost of a match outside the right image, part of truncation")
+
+    LEVELS: ClassVar[int] = 250
+
+    def check(self) -> None:
+        feature_network(self.session, self.multiple)
+
+    def pixel_bytes(self) -> int:
+        return 4096  # features of 64 channels of both images, and what convolutions hold meanwhile
+
+    def __call__(self, pair: StereoPair, n_disparities: int) -> CostVolume:
+        network = feature_network(self.session, self.multiple)
+        left, right = (
+            self._rows(network(image, self.normalization, self.color_order, self.multiple))
+            for image in samples(pair, network.channels)
+        )
+        costs = memory.empty((*pair.shape, n_disparities), np.uint8)
+        scale = self.LEVELS / self.truncation
+        compare = _products if self.distance == "dot" else _differences
+        compare(left, right, np.float32(scale), np.float32(self.LEVELS), costs)
+        fill_outside(costs, np.uint8(round(self.outside * self.LEVELS)))
+        return CostVolume(costs, scale)
+
+    def _rows(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
+        # (H, C, W), of length 1 where dot products are compared.
+        if self.distance == "dot":
+            lengths = np.sqrt(np.square(features).sum(axis=0))
+            features = features / np.maximum(lengths, np.float32(1e-6))
+        return np.ascontiguousarray(features.transpose(1, 0, 2))
+
+
+@parallel_jit
+def _products(left: Any, right: Any, scale: Any, largest: Any, costs: Any) -> None:
+    height, width, n_disparities = costs.shape
+    channels = left.shape[1]
+    half, zero = np.float32(0.5), np.float32(0.0)
+    for y in prange(height):
+        mirror = np.zeros((channels, width + n_disparities), np.float32)
+        mirror[:, :width] = right[y, :, ::-1]
+        sums = np.zeros(n_disparities, np.float32)
+        for x in range(width):
+            at = width - 1 - x
+            sums[:] = 0
+            for c in range(channels):
+                value, others = left[y, c, x], mirror[c, at : at + n_disparities]
+                for i in range(sums.size):
+                    sums[i] += value * others[i]
+            out = costs[y, x]
+            for i in range(out.size):
+                cost = scale * (np.float32(1.0) - sums[i])
+                out[i] = np.uint8(np.int32(min(max(cost, zero), largest) + half))
+
+
+@parallel_jit
+def _differences(left: Any, right: Any, scale: Any, largest: Any, costs: Any) -> None:
+    height, width, n_disparities = costs.shape
+    channels = left.shape[1]
+    factor = scale / np.float32(channels)
+    for y in prange(height):
+        mirror = np.zeros((channels, width + n_disparities), np.float32)
+        mirror[:, :width] = right[y, :, ::-1]
+        sums = np.zeros(n_disparities, np.float32)
+        for x in range(width):
+            at = width - 1 - x
+            sums[:] = 0
+            for c in range(channels):
+                value, others = left[y, c, x], mirror[c, at : at + n_disparities]
+                for i in range(sums.size):
+                    sums[i] += abs(value - others[i])
+            out = costs[y, x]
+            for i in range(out.size):
+                out[i] = np.uint8(np.int32(min(factor * sums[i], largest) + np.float32(0.5)))
