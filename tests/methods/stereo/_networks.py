@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
+import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 _END = np.iinfo(np.int64).max
 
@@ -121,8 +120,6 @@ def local_features(path: Path, channels: int | None = 3, pads: int = 0, stride: 
     return graph.save(path, {"image": ("H", "W") if channels is None else (1, channels, "H", "W")}, output)
 
 
-def features_file() -> Path:
-    """Return a network of local features for the tests of every cost measure; skip where onnxruntime is missing."""
-    pytest.importorskip("onnxruntime")
-    pytest.importorskip("onnx")
-    return local_features(Path(tempfile.mkdtemp()) / "features.onnx", channels=None)
+def has_onnx() -> bool:
+    """Return whether networks can be made and run."""
+    return all(importlib.util.find_spec(name) is not None for name in ("onnx", "onnxruntime"))

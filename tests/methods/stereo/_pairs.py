@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Family
 from depthcli.methods.stereo.volume import CostVolume
+from tests.methods.stereo._networks import has_onnx, local_features
 
 # Parameters of methods that have no default for everything.
 PARAMETERS: dict[str, dict[str, Any]] = {
@@ -33,7 +36,17 @@ TINY = [(1, 1, 1), (1, 1, 5), (1, 9, 4), (9, 1, 4), (2, 3, 1), (3, 2, 17), (5, 3
 def methods(package: str) -> list[Any]:
     """One pytest parameter for every method in the folder ``package``."""
     family = Family.of(package)
-    return [pytest.param(family.parse({family.key: n, **PARAMETERS.get(n, {})}), id=n) for n in family.names()]
+    return [_parameter(family, name) for name in family.names()]
+
+
+def _parameter(family: Family, name: str) -> Any:
+    fields = PARAMETERS.get(name, {})
+    if name == "onnx":
+        if not has_onnx():
+            return pytest.param(None, id=name, marks=pytest.mark.skip(reason="onnxruntime or onnx is not installed"))
+        file = local_features(Path(tempfile.mkdtemp()) / "features.onnx", channels=None)
+        fields = {"model": str(file), "normalization": "image", "distance": "l1", "truncation": 2}
+    return pytest.param(family.parse({family.key: name, **fields}), id=name)
 
 
 def texture(shape: tuple[int, ...], seed: int = 0, dtype: Any = np.uint8) -> NDArray[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import cv2
 import numpy as np
@@ -18,14 +18,16 @@ ColorOrder = Literal["rgb", "bgr"]
 
 _CHANNELS = (1, 2, 3, 6)
 
+_Moment = Annotated[float, Field(ge=-1e6, le=1e6)]
+
 
 class MeanDeviation(BaseModel):
     """Values ``(v - mean) / deviation`` of samples v in [0, 1], with one number for all channels or three, in RGB."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    mean: tuple[float, ...] = Field(min_length=1, max_length=3, description="of all channels, or of red, green, blue")
-    deviation: tuple[float, ...] = Field(min_length=1, max_length=3, description="standard deviations, as mean")
+    mean: tuple[_Moment, ...] = Field(min_length=1, max_length=3, description="of all channels, or of red, green, blue")
+    deviation: tuple[_Moment, ...] = Field(min_length=1, max_length=3, description="standard deviations, as mean")
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

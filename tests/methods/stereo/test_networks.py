@@ -1,0 +1,244 @@
+"""Networks as pipelines and as costs; the networks are small ones that the tests make."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Status
+from depthcli.methods.stereo.cost.onnx import Onnx as OnnxCost
+from depthcli.methods.stereo.networks import model_files, networks_in
+from depthcli.methods.stereo.networks.images import MeanDeviation, planes, samples
+from depthcli.methods.stereo.networks.profiles import PROFILES
+from depthcli.methods.stereo.networks.runtime import network_device
+from depthcli.methods.stereo.pipeline.local import Local
+from depthcli.methods.stereo.pipeline.onnx import Onnx
+from tests.methods.stereo._networks import block_matcher, has_onnx, local_features
+from tests.methods.stereo._pairs import assert_pure, inside, shifted_pair
+
+needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is not installed")
+FORMS = ("six", "grey", "two", "last", "right-first", "four", "iterations")
+
+
+def pipeline(path: Path, **fields: object) -> Onnx:
+    return Onnx.model_validate({"model": str(path), **fields})
+
+
+@needs_onnx
+@pytest.mark.parametrize("form", FORMS)
+def test_inputs_are_found_from_names_and_shapes(tmp_path: Path, form: str):
+    """Sides of 75 and 131 pixels are no multiple of the 32 that the network insists on, for its height."""
+    multiple = 32 if form in ("two", "iterations") else 1
+    network = pipeline(block_matcher(tmp_path / "net.onnx", form, multiple=multiple))
+    if form == "iterations":
+        with pytest.raises(InputError, match="needs a number of iterations"):
+            network.prepare("cpu")
+        network = network.model_copy(update={"iterations": 3})
+    network.prepare("cpu")
+    pair = shifted_pair(75, 131, 6)
+    result = network(pair, 16)
+    assert result.disparity.values.shape == pair.shape
+    if form == "four":  # noise of single pixels is gone at half the size
+        return
+    assert np.mean(result.disparity.values[:, 16:] == 6) > 0.98
+    assert set(np.unique(result.disparity.status[:, :6])) <= {
+        Status.OCCLUDED | Status.FILLED,
+        Status.MISMATCH | Status.FILLED,
+    }
+    assert not result.disparity.status[:, 16:-8].any()
+    np.testing.assert_array_equal(result.confidence["lrc"] < -1, result.disparity.status != 0)
+
+
+@needs_onnx
+@pytest.mark.parametrize("form", ["two", "four"])
+def test_a_network_of_one_size_gets_it_and_disparities_are_scaled(tmp_path: Path, form: str):
+    network = pipeline(block_matcher(tmp_path / "net.onnx", form, (96, 128)))
+    network.prepare("cpu")
+    smooth = np.random.default_rng(0).integers(0, 256, (12, 25, 3), np.uint8).repeat(16, 0).repeat(16, 1)
+    pair = StereoPair(np.ascontiguousarray(smooth[:, :256]), np.ascontiguousarray(smooth[:, 16:272]))
+    disparity = network.model_copy(update={"left_right_check": False})(pair, 32).disparity
+    assert disparity.values.shape == (192, 256)
+    assert abs(np.median(disparity.values) - 16) < 1
+    with pytest.raises(InputError, match="takes images of 128 x 96"):
+        network.model_copy(update={"size": (64, 64)}).prepare("cpu")
+
+
+@needs_onnx
+def test_size_makes_a_network_of_any_size_run_at_one(tmp_path: Path):
+    file = block_matcher(tmp_path / "net.onnx", "two")
+    smooth = np.random.default_rng(0).integers(0, 256, (12, 25, 3), np.uint8).repeat(16, 0).repeat(16, 1)
+    pair = StereoPair(np.ascontiguousarray(smooth[:, :256]), np.ascontiguousarray(smooth[:, 40:296]))
+    reach = [
+        np.median(pipeline(file, size=size, left_right_check=False)(pair, 64).disparity.values)
+        for size in (None, (128, 96))
+    ]
+    assert reach[0] <= 23  # the largest that the network searches
+    assert abs(reach[1] - 40) < 1
+
+
+@needs_onnx
+@pytest.mark.parametrize(
+    ("factor", "message"), [(-1, "the sign is wrong"), (0.25, "the scale is wrong, 0.25"), (0, "does not find them")]
+)
+def test_the_self_check_refuses_what_is_no_disparity(tmp_path: Path, factor: float, message: str):
+    network = pipeline(block_matcher(tmp_path / "net.onnx", factor=factor))
+    with pytest.raises(InputError, match=message):
+        network.prepare("cpu")
+    network.model_copy(update={"self_check": False}).prepare("cpu")
+    if factor == -1:
+        network.model_copy(update={"sign": "negative"}).prepare("cpu")
+        network.model_copy(update={"profile": "raft-stereo"}).prepare("cpu")
+        with pytest.raises(InputError, match="sign"):
+            network.model_copy(update={"profile": "raft-stereo", "sign": "positive"}).prepare("cpu")
+
+
+@needs_onnx
+def test_left_and_right_swapped_are_found_by_the_self_check(tmp_path: Path):
+    import onnx
+
+    file = block_matcher(tmp_path / "net.onnx")
+    model = onnx.load(file)
+    for port in model.graph.input:
+        port.name = {"left": "b", "right": "a"}[port.name]
+    for node in model.graph.node:
+        node.input[:] = [{"left": "b", "right": "a"}.get(name, name) for name in node.input]
+    ports = list(model.graph.input)
+    del model.graph.input[:]
+    model.graph.input.extend(reversed(ports))  # the right one first, and no name says so
+    onnx.save(model, file)
+    with pytest.raises(InputError, match="does not find them"):
+        pipeline(file).prepare("cpu")
+
+
+@needs_onnx
+def test_range_status_and_fill(tmp_path: Path):
+    file, pair = block_matcher(tmp_path / "net.onnx"), shifted_pair(40, 80, 9)
+    beyond = pipeline(file)(pair, 6).disparity
+    assert (beyond.status[:, 20:-8] == Status.OUT_OF_RANGE).all()
+    assert np.isnan(beyond.values[:, 20:-8]).all()
+    empty = pipeline(file, fill=False)(pair, 16).disparity
+    failed = (empty.status & (Status.OCCLUDED | Status.MISMATCH)) != 0
+    assert failed.any()
+    np.testing.assert_array_equal(np.isnan(empty.values), failed)
+    assert not empty.filled.any()
+    nothing = pipeline(block_matcher(tmp_path / "nan.onnx", factor=np.nan), left_right_check=False)(pair, 16)
+    assert (nothing.disparity.status == Status.NO_DATA).all()
+
+
+@needs_onnx
+def test_same_bytes_at_any_thread_count_and_inputs_untouched(tmp_path: Path):
+    network, pair = pipeline(block_matcher(tmp_path / "net.onnx")), shifted_pair(40, 70, 3, noise=20)
+    assert_pure(lambda: network(pair, 16).disparity.values, pair.left, pair.right)
+
+
+@needs_onnx
+def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for content in (b"", b"no network", block_matcher(tmp_path / "net.onnx").read_bytes()[:500]):
+        (tmp_path / "bad.onnx").write_bytes(content)
+        with pytest.raises(InputError, match=r"bad\.onnx: not a network that onnxruntime can run"):
+            pipeline(tmp_path / "bad.onnx").prepare("cpu")
+    with pytest.raises(InputError, match=r"none\.onnx: network cannot be read"):
+        pipeline(tmp_path / "none.onnx").prepare("cpu")
+    features = local_features(tmp_path / "features.onnx")
+    with pytest.raises(InputError, match="want one input of 2 or 6 channels, two images, or four"):
+        pipeline(features).prepare("cpu")
+    with pytest.raises(InputError, match="one image as its input"):
+        OnnxCost(model=str(tmp_path / "net.onnx")).prepare("cpu")
+    with pytest.raises(InputError, match="want a vector for each pixel"):
+        OnnxCost(model=str(local_features(tmp_path / "half.onnx", pads=1, stride=2))).prepare("cpu")
+    with pytest.raises(InputError, match=r"--device cuda:0.*install onnxruntime-gpu"):
+        pipeline(tmp_path / "net.onnx").prepare("cuda:0")
+
+
+def test_onnxruntime_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "net.onnx").write_bytes(b"network")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(InputError, match=r"pip install 'depthcli\[onnx\]'"):
+        pipeline(tmp_path / "net.onnx").prepare("cpu")
+
+
+def test_devices_of_networks():
+    assert [network_device(name) for name in ("cpu", "cuda", "cuda:1")] == ["cpu", "cuda:0", "cuda:1"]
+    for name in ("opencl", "opencl:0", "cuda:x", "gpu"):
+        with pytest.raises(ConfigError, match="networks run on cpu, cuda"):
+            network_device(name)
+
+
+def test_networks_and_their_files_are_found_in_any_part_of_a_config(tmp_path: Path):
+    cost = {"method": "onnx", "model": str(tmp_path / "net.onnx")}
+    config = Local.model_validate({"cost": {"method": "combined", "parts": [{"cost": cost, "lambda": 1}]}})
+    assert [network.model for network in networks_in(config)] == [cost["model"]]
+    assert list(model_files(config).values()) == [tmp_path / "net.onnx"]
+    for name in ("net.onnx.data", "net.data", "other.onnx"):
+        (tmp_path / name).write_bytes(b"")
+    assert {file.name for file in model_files(config).values()} == {"net.onnx", "net.onnx.data", "net.data"}
+
+
+def test_values_that_networks_take():
+    image = np.random.default_rng(0).integers(0, 256, (5, 6, 3)).astype(np.float32)
+    first = image.transpose(2, 0, 1)
+    np.testing.assert_allclose(planes(image, "0-255", "rgb"), first)
+    np.testing.assert_allclose(planes(image, "0-255", "bgr"), first[::-1])
+    np.testing.assert_allclose(planes(image, "0-1", "rgb"), first / 255, rtol=1e-6)
+    mean, deviation = np.array([[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]])[..., None, None]
+    np.testing.assert_allclose(planes(image, "imagenet", "rgb"), (first / 255 - mean) / deviation, rtol=1e-4, atol=1e-5)
+    moments = MeanDeviation(mean=(0.5,), deviation=(0.25,))
+    np.testing.assert_allclose(planes(image, moments, "rgb"), first / 255 * 4 - 2, rtol=1e-4, atol=1e-5)
+    whole = planes(image, "image", "rgb")
+    assert abs(whole.mean()) < 1e-5
+    assert abs(whole.std() - 1) < 1e-5
+    assert not planes(np.full((3, 3, 1), 7, np.float32), "image", "rgb").any()
+    wide = StereoPair(*[np.full((4, 4), 1023, np.uint16)] * 2, bits=10)
+    assert all((view == 255).all() and view.shape == (4, 4, n) for n in (1, 3) for view in samples(wide, n))
+    with pytest.raises(ValueError, match="deviations are above 0"):
+        MeanDeviation(mean=(0.5,), deviation=(0.0,))
+
+
+def test_profiles_are_those_of_published_exports():
+    assert set(PROFILES) == {"hitnet", "crestereo", "raft-stereo", "igev", "foundation-stereo"}
+    assert [name for name, profile in PROFILES.items() if profile.sign == "negative"] == ["raft-stereo"]
+    assert [name for name, profile in PROFILES.items() if profile.normalization != "0-255"] == ["hitnet"]
+
+
+@needs_onnx
+@pytest.mark.parametrize("distance", ["dot", "l1"])
+@pytest.mark.parametrize(("channels", "pads"), [(None, 0), (3, 0), (1, 1)])
+def test_costs_are_distances_of_features(tmp_path: Path, distance: str, channels: int | None, pads: int):
+    file = local_features(tmp_path / "net.onnx", channels, pads)
+    cost = OnnxCost.model_validate(
+        {"model": str(file), "distance": distance, "truncation": 0.8 if distance == "dot" else 90}
+    )
+    pair, count = shifted_pair(12, 40, 3, noise=30), 9
+    volume = cost(pair, count)
+    views = []
+    for image in samples(pair, channels or 1):
+        edge = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="constant" if pads else "edge").astype(np.float64)
+        views.append(
+            np.stack([edge[y : y + 12, x : x + 40] for y in range(3) for x in range(3)], axis=2).reshape(12, 40, -1)
+        )
+    if distance == "dot":
+        views = [view / np.linalg.norm(view, axis=2, keepdims=True) for view in views]
+    for d in range(count):
+        left, right = views[0][:, d:], views[1][:, : 40 - d]
+        want = 1 - (left * right).sum(axis=2) if distance == "dot" else np.abs(left - right).mean(axis=2)
+        got = volume.costs[:, d:, d] / volume.scale
+        np.testing.assert_allclose(got, np.minimum(want, cost.truncation), atol=0.51 / volume.scale)
+    outside = volume.costs[~inside(volume.costs.shape)]
+    assert set(outside) == {round(cost.outside * 250)}
+
+
+@needs_onnx
+def test_costs_of_networks_work_in_a_pipeline_and_beside_other_measures(tmp_path: Path):
+    file = str(local_features(tmp_path / "net.onnx", None))
+    network = {"method": "onnx", "model": file, "normalization": "image"}
+    mixed = {"method": "combined", "parts": [{"cost": "census", "lambda": 30}, {"cost": network, "lambda": 0.5}]}
+    pair = shifted_pair(40, 80, 5, noise=5)
+    for cost in (network, mixed):
+        method = Local.model_validate({"cost": cost, "optimization": {"method": "scanline", "p1": 5, "p2": 40}})
+        assert np.mean(method(pair, 12).disparity.values[:, 8:-4] == 5) > 0.98
+        assert method.peak_bytes((100, 100), 12) > Local.model_validate({"cost": "census"}).peak_bytes((100, 100), 12)
