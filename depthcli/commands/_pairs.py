@@ -119,15 +119,12 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         return super().run(values, reporter)
 
     def files(self, config: PairConfigT, scene: StereoScene) -> dict[str, Path]:
-        """Return the files of the pair, its calibration, the frame whose range it takes, and networks in ONNX files."""
-        from depthcli.methods.stereo.networks import model_files
-
+        """Return the files of the pair, the calibration that rectifies it, and the frame whose range it takes."""
         names = () if config.calibration is None else config.calibration.files
         frame = {}
         if scene.first is not None and config.calibration is not None and given_range(config, scene)[1] is None:
             frame = {f"range_{role}": file for role, file in scene.first.input_files.items()}
-        calibration = {f"calibration_{k}": Path(name) for k, name in enumerate(names)}
-        return super().files(config, scene) | calibration | frame | model_files(config)
+        return super().files(config, scene) | {f"calibration_{k}": Path(name) for k, name in enumerate(names)} | frame
 
     def settings(self, config: PairConfigT, scene: StereoScene) -> dict[str, str]:
         """Return the search range, which may come from a file beside the images."""

@@ -11,8 +11,9 @@ import pytest
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
+from depthcli.core.method import used_files
 from depthcli.methods.stereo.cost.onnx import Onnx as OnnxCost
-from depthcli.methods.stereo.networks import model_files, networks_in
+from depthcli.methods.stereo.networks import networks_in
 from depthcli.methods.stereo.networks.images import MeanDeviation, planes, samples
 from depthcli.methods.stereo.networks.profiles import PROFILES
 from depthcli.methods.stereo.networks.runtime import network_device
@@ -173,10 +174,10 @@ def test_networks_and_their_files_are_found_in_any_part_of_a_config(tmp_path: Pa
     cost = {"method": "onnx", "model": str(tmp_path / "net.onnx")}
     config = Local.model_validate({"cost": {"method": "combined", "parts": [{"cost": cost, "lambda": 1}]}})
     assert [network.model for network in networks_in(config)] == [cost["model"]]
-    assert list(model_files(config).values()) == [tmp_path / "net.onnx"]
+    assert list(used_files(config).values()) == [tmp_path / "net.onnx"]
     for name in ("net.onnx.data", "net.data", "other.onnx"):
         (tmp_path / name).write_bytes(b"")
-    assert {file.name for file in model_files(config).values()} == {"net.onnx", "net.onnx.data", "net.data"}
+    assert {file.name for file in used_files(config).values()} == {"net.onnx", "net.onnx.data", "net.data"}
 
 
 def test_values_that_networks_take():

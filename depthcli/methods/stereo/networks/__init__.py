@@ -49,6 +49,18 @@ class Network(BaseModel):
         self._device = device
         self.check()
 
+    def used_files(self) -> dict[str, Path]:
+        """Return role -> file: the network, and weights of large ones in files beside it.
+
+        Their names begin with the network's (``net.onnx.data``, ``net.onnx_data``), or are ``net.data``.
+        """
+        path = Path(self.model)
+        prefixes = (f"{path.name}.", f"{path.name}_")
+        weights = [file for file in path.parent.glob("*") if file.name.startswith(prefixes)]
+        if path.with_suffix(".data").is_file():
+            weights.append(path.with_suffix(".data"))
+        return {"model": path} | {f"model/{file.name}": file for file in sorted(weights)}
+
     @abstractmethod
     def check(self) -> None:
         """Raise InputError where the network cannot be used."""
@@ -67,19 +79,3 @@ def networks_in(value: object) -> Iterator[Network]:
         parts = iter(value)
     for part in parts:
         yield from networks_in(part)
-
-
-def model_files(config: object) -> dict[str, Path]:
-    """Return role -> file of the networks of a config: ``model_0`` and so on, and files of weights beside them.
-
-    Networks too large for one file keep weights in others, whose names begin with the network's (``net.onnx.data``,
-    ``net.onnx_data``) or are ``net.data``.
-    """
-    names = dict.fromkeys(network.model for network in networks_in(config))
-    files = {}
-    for k, path in enumerate(map(Path, names)):
-        beside = [file for file in path.parent.glob("*") if file.name.startswith((f"{path.name}.", f"{path.name}_"))]
-        files[f"model_{k}"] = path
-        weights = sorted({*beside, *(file for file in [path.with_suffix(".data")] if file.is_file())})
-        files |= {f"model_{k}_weights_{i}": file for i, file in enumerate(weights)}
-    return files

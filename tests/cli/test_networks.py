@@ -1,0 +1,130 @@
+"""Networks from the command line: what a user sees of a right and of a wrong one."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import depthcli
+from depthcli.cli import main
+from depthcli.core.errors import ConfigError
+from depthcli.data.formats.disparity import read_pfm
+from depthcli.data.formats.images import write_png
+from tests.methods.stereo._networks import block_matcher, has_onnx, local_features
+from tests.methods.stereo._pairs import shifted_pair
+
+needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is not installed")
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(a) for a in arguments])
+
+
+@pytest.fixture
+def scenes(tmp_path: Path) -> Path:
+    for name, shift in (("a", 5), ("b", 7)):
+        folder, pair = tmp_path / "in" / name, shifted_pair(40, 90, shift)
+        folder.mkdir(parents=True)
+        write_png(folder / "left.png", pair.left)
+        write_png(folder / "right.png", pair.right)
+    return tmp_path / "in"
+
+
+def config(tmp_path: Path, **fields: object) -> Path:
+    path = tmp_path / "net.yaml"
+    path.write_text(yaml.safe_dump({"pipeline": "onnx", "model": str(tmp_path / "net.onnx"), **fields}), "utf-8")
+    return path
+
+
+@needs_onnx
+def test_a_batch_and_what_makes_it_run_again(scenes: Path, tmp_path: Path):
+    block_matcher(tmp_path / "net.onnx")
+    command = ("stereo", config(tmp_path, max_disparity=12), "-i", scenes, "-o", tmp_path / "run", "-q")
+    assert run(*command) == 0
+    for name, shift in (("a", 5), ("b", 7)):
+        values = read_pfm(tmp_path / "run" / name / "disp_left.pfm")
+        assert np.mean(values[:, 12:] == shift) > 0.98
+        assert (tmp_path / "run" / name / "confidence_lrc.pfm").is_file()
+    record = tmp_path / "run" / "a" / "record.json"
+    before = record.stat().st_mtime_ns
+    assert run(*command) == 0
+    assert record.stat().st_mtime_ns == before
+    assert "model" in json.loads(record.read_text())["inputs"]
+    block_matcher(tmp_path / "net.onnx", disparities=20)  # another network in the same file is another input
+    assert run(*command) == 0
+    assert record.stat().st_mtime_ns != before
+
+
+@needs_onnx
+def test_workers_and_python_give_the_same_bytes(scenes: Path, tmp_path: Path):
+    block_matcher(tmp_path / "net.onnx")
+    file = config(tmp_path, max_disparity=12)
+    assert run("stereo", file, "-i", scenes, "-o", tmp_path / "run", "-q", "--jobs", "2") == 0
+    pair = shifted_pair(40, 90, 7)
+    found = depthcli.stereo(pair.left, pair.right, preset=file)
+    np.testing.assert_array_equal(found.values, read_pfm(tmp_path / "run" / "b" / "disp_left.pfm"))
+
+
+@needs_onnx
+def test_fuse_takes_networks_as_measures(scenes: Path, tmp_path: Path):
+    network = {"method": "onnx", "model": str(local_features(tmp_path / "features.onnx")), "normalization": "0-1"}
+    file = tmp_path / "fuse.yaml"
+    file.write_text(yaml.safe_dump({"measures": ["census", network], "max_disparity": 12}), "utf-8")
+    assert run("fuse", file, "-i", scenes, "-o", tmp_path / "run", "-q") == 0
+    assert np.mean(read_pfm(tmp_path / "run" / "a" / "disp_left.pfm")[:, 12:] == 5) > 0.98
+    assert "model" in json.loads((tmp_path / "run" / "a" / "record.json").read_text())["inputs"]
+
+
+def _refused(file: Path, scenes: Path, output: Path, capsys: pytest.CaptureFixture[str], *options: str) -> str:
+    assert run("stereo", file, "-i", scenes, "-o", output, *options) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert not output.exists()
+    return lines[0]
+
+
+@needs_onnx
+def test_networks_that_cannot_be_used_are_refused_before_the_batch(
+    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    block_matcher(tmp_path / "net.onnx", factor=-1)
+    file, output = config(tmp_path, max_disparity=12), tmp_path / "run"
+    assert "the sign is wrong" in _refused(file, scenes, output, capsys)
+    assert "networks run on cpu, cuda" in _refused(file, scenes, output, capsys, "--device", "opencl")
+    assert "onnxruntime-gpu" in _refused(file, scenes, output, capsys, "--device", "cuda")
+    assert "'positive' or 'negative'" in _refused(file, scenes, output, capsys, "--set", "sign=minus")
+    (tmp_path / "net.onnx").write_bytes(b"no network")
+    assert "not a network that onnxruntime can run" in _refused(file, scenes, output, capsys)
+    (tmp_path / "net.onnx").unlink()
+    assert "network cannot be read" in _refused(file, scenes, output, capsys)
+
+
+def test_what_to_install_is_said_in_one_line(
+    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    (tmp_path / "net.onnx").write_bytes(b"network")
+    file = config(tmp_path, max_disparity=12)
+    assert "pip install 'depthcli[onnx]'" in _refused(file, scenes, tmp_path / "run", capsys)
+    left = shifted_pair(20, 40, 2).left
+    with pytest.raises(ConfigError, match="pip install"):
+        depthcli.stereo(left, left, preset=file)
+
+
+@needs_onnx
+def test_a_scene_at_which_the_network_fails_is_a_failed_row(
+    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    block_matcher(tmp_path / "net.onnx", multiple=40)  # scenes have 40 rows, one here 41; the self-check is left out
+    pair = shifted_pair(41, 90, 5)
+    for name, image in (("left.png", pair.left), ("right.png", pair.right)):
+        write_png(scenes / "b" / name, image)
+    file = config(tmp_path, max_disparity=12, multiple=1, self_check=False)
+    assert run("stereo", file, "-i", scenes, "-o", tmp_path / "run", "-q") == 3
+    assert "the network fails for left (1, 3, 41, 90)" in capsys.readouterr().err
+    assert (tmp_path / "run" / "a" / "disp_left.pfm").is_file()
