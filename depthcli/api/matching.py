@@ -20,7 +20,7 @@ from depthcli.methods.stereo.config import PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.networks import networks_in
 from depthcli.methods.stereo.networks.runtime import network_device
-from depthcli.methods.stereo.search_range import SearchRange, complete_range
+from depthcli.methods.stereo.search_range import KeyPointRange, SearchRange, complete_range
 from depthcli.methods.stereo.stages import Matcher
 from depthcli.methods.stereo.volume import StereoResult
 
@@ -36,7 +36,7 @@ def match_pair(
     ends: tuple[int | str, int | str | None],
     limits: Limits,
     clock: Clock,
-    suggested: SearchRange | None = None,
+    known: KeyPointRange | None = None,
 ) -> Disparity:
     """Match a pair; what Python's functions and the commands that match pairs have in common.
 
@@ -44,16 +44,16 @@ def match_pair(
     ----------
     ends : of the search range, pixels or "auto"; the upper one None: as key points suggest
     clock : books ``range``, where key points are matched, the stages of the method, and ``other``
-    suggested : what key points suggest, where it is known
+    known : the range of the key points of the pair's sequence; None: that of the pair's own, where it is wanted
 
     Raises
     ------
     InputError
         The range is empty, too few key points match, or the memory does not suffice.
     """
-    if (ends[1] is None and suggested is None) or "auto" in ends:
+    if known is None and (ends[1] is None or "auto" in ends):
         clock.start("range")
-    search, key_points = complete_range(*ends, pair, suggested)
+    search, key_points = complete_range(*ends, pair, known)
     clock.start("other")
     matched = match(matcher, search.shift(pair), search.shifted_max_disparity, limits)
     result = search.restore(matched, pair.shape[1])

@@ -119,12 +119,14 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         return super().run(values, reporter)
 
     def files(self, config: PairConfigT, scene: StereoScene) -> dict[str, Path]:
-        """Return the files of the pair, the calibration that rectifies it, and the frame whose range it takes."""
+        """Return the files of the pair, the calibration that rectifies it, and the frames that give its range."""
         names = () if config.calibration is None else config.calibration.files
-        frame = {}
-        if scene.first is not None and config.calibration is not None and given_range(config, scene)[1] is None:
-            frame = {f"range_{role}": file for role, file in scene.first.input_files.items()}
-        return super().files(config, scene) | {f"calibration_{k}": Path(name) for k, name in enumerate(names)} | frame
+        frames = {
+            f"range_{k}_{role}": file
+            for k, frame in enumerate(_range_frames(config, scene))
+            for role, file in frame.input_files.items()
+        }
+        return super().files(config, scene) | {f"calibration_{k}": Path(name) for k, name in enumerate(names)} | frames
 
     def settings(self, config: PairConfigT, scene: StereoScene) -> dict[str, str]:
         """Return the search range, which may come from a file beside the images."""
@@ -166,10 +168,10 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         device_columns = self.device_columns(config)
         facts: Row = {}
         warnings: list[str] = []
-        suggested = save = None
-        if config.calibration is not None and max_disparity is None:
+        known = save = None
+        if frames := _range_frames(config, scene):
             clock.start("range")
-            suggested = sequence_range(config.calibration, scene.first or scene)
+            known = sequence_range(config.calibration, frames)
         if config.calibration is None:
             clock.start("load")
             pair = scene.load()
@@ -177,7 +179,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
             clock.start("rectify")
             pair, save, facts, warnings = rectified_pair(config.calibration, scene, folder)
         with _meanwhile(save):
-            found = match_pair(matcher, pair, (min_disparity, max_disparity), limits, clock, suggested)
+            found = match_pair(matcher, pair, (min_disparity, max_disparity), limits, clock, known)
         clock.start("save")
         found.save(folder)
         search, key_points = found.search, found.key_points
@@ -207,6 +209,18 @@ def _meanwhile(task: Callable[[], None] | None) -> Iterator[None]:
         done = pool.submit(task)
         yield
         done.result()
+
+
+def _range_frames(config: PairConfig, scene: StereoScene) -> tuple[StereoScene, ...]:
+    """Return the frames of the scene's sequence whose key points give its search range; none where they do not.
+
+    They give that of pairs that a calibration rectifies, and of videos, but an end that the user calls "auto" is that
+    of each pair by itself.
+    """
+    ends = config.min_disparity, config.max_disparity
+    if "auto" in ends or config.max_disparity is not None or scene.max_disparity is not None:
+        return ()
+    return scene.sequence if config.calibration is not None or scene.frame_number is not None else ()
 
 
 def given_range(config: PairConfig, scene: StereoScene) -> tuple[int | str, int | str | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from depthcli.data.scenes.stereo import StereoScene
     from depthcli.methods.stereo.config import Calibration
     from depthcli.methods.stereo.rectification import Points, RectifyingHomographies
-    from depthcli.methods.stereo.search_range import SearchRange
+    from depthcli.methods.stereo.search_range import KeyPointRange
 
 UNIT = Option("unit", str, "Unit of the translation in an OpenCV calibration: m, cm or mm.", "UNIT", group="Input")
 
@@ -92,29 +92,47 @@ def rectified_pair(
     left, right = scene.load_views()
     found = rectified_rig(calibration, left, right)
     pair, view = _pair_of(found, scene, left, right)
-    facts, warnings = row_errors(match_rows(left, right), found) if scene.first is None else ({}, [])
+    facts, warnings = row_errors(match_rows(left, right), found) if scene.is_first else ({}, [])
     if scene.has_truth:
         warnings.append("the map is that of the rectified image, the scene's ground truth is not: do not compare them")
     return pair, partial(save_views, folder, {"left": view}, found), facts, warnings
 
 
-def sequence_range(calibration: Calibration, first: StereoScene) -> SearchRange | None:
-    """Return the search range that key points of the first frame of a sequence suggest; None where too few match.
+def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene]) -> KeyPointRange | None:
+    """Return the search range that key points of frames of a sequence give together; None where too few match in all.
 
-    The latest one is kept for the following frames, until the files change.
+    The latest one is kept for the other frames of the sequence, until the files change. Frames in which too few key
+    points match, or which cannot be read, do not count.
+
+    Parameters
+    ----------
+    calibration : rectifies the frames; None: they are rectified
     """
-    return _sequence_range(calibration, first, _states(*first.input_files.values(), *map(Path, calibration.files)))
+    files = {file for frame in frames for file in frame.input_files.values()}
+    if calibration is not None:
+        files |= {Path(file) for file in calibration.files}
+    return _sequence_range(calibration, tuple(frames), _states(*sorted(files)))
 
 
 @lru_cache(maxsize=1)
-def _sequence_range(calibration: Calibration, first: StereoScene, files: object) -> SearchRange | None:
-    from depthcli.methods.stereo.search_range import suggested_range
+def _sequence_range(
+    calibration: Calibration | None, frames: tuple[StereoScene, ...], files: object
+) -> KeyPointRange | None:
+    from depthcli.methods.stereo.search_range import range_of_key_points
 
-    try:
-        left, right = first.load_views()
-        return suggested_range(_pair_of(rectified_rig(calibration, left, right), first, left, right)[0])
-    except InputError:  # every frame is on its own then
-        return None
+    found: KeyPointRange | None = None
+    for frame in frames:
+        try:
+            if calibration is None:
+                pair = frame.load()
+            else:
+                left, right = frame.load_views()
+                pair = _pair_of(rectified_rig(calibration, left, right), frame, left, right)[0]
+            one = range_of_key_points(pair)
+        except InputError:  # where no frame has a range, every one is on its own
+            continue
+        found = one if found is None else found.union(one)
+    return found
 
 
 def _pair_of(

@@ -115,6 +115,8 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
     def compute(self, config: RectifyOptions, scene: StereoScene, folder: Path, memory: int) -> Outcome:
         """Rectify one pair.
 
+        Frames of a video that a calibration rectifies have one search range, and rows are compared in the first alone.
+
         Raises
         ------
         InputError
@@ -127,17 +129,18 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         from depthcli.core.frames import StereoPair
         from depthcli.core.result import Clock
         from depthcli.data.formats.files import write_text
-        from depthcli.methods.stereo.search_range import suggested_range
+        from depthcli.methods.stereo.search_range import range_of_key_points
 
         clock = Clock()
         clock.start("load")
         left, right = scene.load_views()
         clock.start("key points")
-        points = _rectified.match_rows(left, right)
+        frames = scene.sequence if scene.frame_number is not None and not config["uncalibrated"] else ()
+        points = None if frames and not scene.is_first else _rectified.match_rows(left, right)
         clock.start("warp")
         found = self._rectifier(config, points, left, right)
         views = found.images(left, right)
-        rows, warnings = _rectified.row_errors(points, found)
+        rows, warnings = ({}, []) if points is None else _rectified.row_errors(points, found)
         clock.start("save")
         meta: Row = {"source": f"rectified by depthcli from {scene.name}"}
         facts: Row = {"width": found.size[0], "height": found.size[1], **rows}
@@ -145,7 +148,8 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         same = views[0].shape == views[1].shape and views[0].dtype == views[1].dtype
         try:
             alike = views[:2] if same else [_rectified.grey8(view) for view in views[:2]]
-            found_range = suggested_range(StereoPair(*alike))
+            shared = _rectified.sequence_range(self._calibrated(config), frames) if frames else None
+            found_range = (shared or range_of_key_points(StereoPair(*alike))).suggested
             search = {"min_disparity": found_range.min_disparity, "max_disparity": found_range.max_disparity}
             meta |= search
             facts |= search
@@ -160,7 +164,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
     def _rectifier(
         self,
         config: RectifyOptions,
-        points: tuple[NDArray[np.float64], NDArray[np.float64]],
+        points: tuple[NDArray[np.float64], NDArray[np.float64]] | None,
         left: NDArray[np.generic],
         right: NDArray[np.generic],
     ) -> RectifiedRig | RectifyingHomographies:
@@ -172,6 +176,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
         if sizes[0] != sizes[1]:
             raise InputError(f"images of {sizes[0]} and {sizes[1]} pixels; without calibration they must agree")
+        assert points is not None  # calibrated videos alone go without
         return rectify_uncalibrated(*points, sizes[0])
 
     def _calibrated(self, config: RectifyOptions) -> Calibration:

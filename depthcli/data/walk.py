@@ -13,7 +13,7 @@ from depthcli.core.errors import InputError
 from depthcli.data.formats.files import read_bytes
 from depthcli.data.layouts import Folder, Layout, layouts, own_layouts
 from depthcli.data.scenes import Scene
-from depthcli.data.scenes.stereo import with_first_frames
+from depthcli.data.scenes.stereo import with_sequences
 
 _RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.batch.run_folder
 _MAX_RUN_BYTES = 1 << 20  # of it; those of all presets have below 10 kB
@@ -148,14 +148,14 @@ class BrokenScene(Scene):
 
 
 def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path | str) -> list[Scene]:
-    """Return the scenes whose name matches one of the patterns, sorted by name; frames know the first of all.
+    """Return the scenes whose name matches one of the patterns, sorted by name; frames know their sequence.
 
     Raises
     ------
     InputError
         A pattern matches none of them, or two have one name; ``place`` is where they are.
     """
-    ordered = with_first_frames(scenes)
+    ordered = with_sequences(scenes)
     chosen = [scene for scene in ordered if matches_any(scene.name, patterns)]
     for scene, after in pairwise(ordered):
         if scene.name == after.name:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -301,7 +301,7 @@ def video(pinhole: Shot, tmp_path: Path) -> list[str | Path]:
 
 
 def test_a_calibration_costs_a_video_once(video: list[str | Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Rows and range are those of the first frame; the maps of the rectification are made once."""
+    """Rows are those of the first frame, the range that of three; the maps of the rectification are made once."""
     calls: Counter[str] = Counter()
 
     def counted(place: object, name: str) -> None:
@@ -314,17 +314,17 @@ def test_a_calibration_costs_a_video_once(video: list[str | Path], tmp_path: Pat
         monkeypatch.setattr(place, name, call)
 
     counted(rectification, "match_views")
-    counted(search_range, "suggested_range")
+    counted(search_range, "range_of_key_points")
     counted(Camera, "undistortion_maps")
     assert run(*video, "-o", tmp_path / "run", "-q") == 0
-    assert calls == {"match_views": 1, "suggested_range": 1, "undistortion_maps": 2}
+    assert calls == {"match_views": 1, "range_of_key_points": 3, "undistortion_maps": 2}
     rows = json.loads((tmp_path / "run/report.json").read_text())["scenes"]
     assert len({row["max_disparity"] for row in rows}) == 1
     assert ["row_error" in row for row in rows] == [True, False, False, False]
     # Another calibration in the same file is another rectification.
     opencv(tmp_path / "c.yml", rig(strength=0.75))
     assert run(*video, "-o", tmp_path / "other", "-q") == 0
-    assert calls == {"match_views": 2, "suggested_range": 2, "undistortion_maps": 4}
+    assert calls == {"match_views": 2, "range_of_key_points": 6, "undistortion_maps": 4}
 
 
 @pytest.mark.slow
@@ -341,11 +341,63 @@ def test_frames_of_a_video_are_the_same_in_every_process(video: list[str | Path]
     assert run(*video, "-o", tmp_path / "resumed", "-q") == 0
     for other in ("jobs", "shards", "resumed"):
         assert maps(tmp_path / other) == maps(tmp_path / "one")
-    # The first frame is an input of all: of another one, they are matched again, each on its own where it has no range.
-    write_png(tmp_path / "in/left_0.png", np.full((SIZE[1], SIZE[0], 3), 70, np.uint8))
-    assert run(*video, "-o", tmp_path / "one", "-q") == 3
-    rows = json.loads((tmp_path / "one/report.json").read_text())["scenes"]
-    assert [row["status"] for row in rows] == ["failed", "done", "done", "done"]
+    # First, middle and last frame are inputs of all: of another one, all are matched again. Without key points it does
+    # not count; where none of the three has any, each frame is on its own.
+    for k, done in ((3, "done"), (2, "done"), (0, "failed")):
+        before = (tmp_path / "one/1/record.json").read_text()
+        write_png(tmp_path / f"in/left_{k}.png", np.full((SIZE[1], SIZE[0], 3), 70, np.uint8))
+        assert run(*video, "-o", tmp_path / "one", "-q") == (0 if done == "done" else 3)
+        rows = json.loads((tmp_path / "one/report.json").read_text())["scenes"]
+        assert [row["status"] for row in rows] == [done, "done", done, done]
+        assert (tmp_path / "one/1/record.json").read_text() != before
+
+
+@pytest.fixture
+def clip(pinhole: Shot, tmp_path: Path) -> list[str | Path]:
+    """Two videos of five frames, of which the middle one alone has depths that are as far apart."""
+    views = {side: read_image(getattr(pinhole, side))[..., ::-1] for side in ("left", "right")}
+    found = pinhole.rig.rectified(SIZE, SIZE).images(*(np.ascontiguousarray(view) for view in views.values()))
+    for side, view in zip(views, found, strict=False):
+        writer = cv2.VideoWriter(str(tmp_path / f"{side}.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, SIZE)
+        writer.set(cv2.VIDEOWRITER_PROP_QUALITY, 100)
+        for k in range(5):
+            writer.write(np.roll(view, -20, 1) if (side, k) == ("right", 2) else view)
+        writer.release()
+    return ["--left", tmp_path / "left.avi", "--right", tmp_path / "right.avi"]
+
+
+@pytest.mark.slow
+def test_a_video_has_one_range_by_its_first_middle_and_last_frame(
+    clip: list[str | Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    def rows(folder: str, *more: str | Path) -> list[dict[str, Any]]:
+        assert run("stereo", "fast", *clip, *more, "-o", tmp_path / folder) == 0
+        return json.loads((tmp_path / folder / "report.json").read_text())["scenes"]  # type: ignore[no-any-return]
+
+    one = rows("one")
+    said = capsys.readouterr().err
+    assert "--max-disparity auto was taken, which gives " in said
+    each = rows("each", "--max-disparity", "auto")
+    tops = [row["max_disparity"] for row in each]
+    assert tops[2] > tops[0] + 10
+    assert {row["max_disparity"] for row in one} == {max(tops[0], tops[2], tops[4])}
+    assert {row["range_matches"] for row in one} == {sum(each[k]["range_matches"] for k in (0, 2, 4))}
+    alone = rows("alone", "--scenes", "000001", "--jobs", "2")
+    assert alone[0]["max_disparity"] == one[1]["max_disparity"]
+    maps = [(tmp_path / folder / "000001/disp_left.pfm").read_bytes() for folder in ("one", "alone")]
+    assert maps[0] == maps[1]
+
+
+@pytest.mark.slow
+def test_frames_of_a_video_are_rectified_with_one_range(clip: list[str | Path], pinhole: Shot, tmp_path: Path):
+    file = opencv(tmp_path / "c.yml", pinhole.rig)
+    assert run("rectify", *clip, "--calibration", file, "-o", tmp_path / "scenes", "-q") == 0
+    found = json.loads((tmp_path / "scenes/report.json").read_text())["scenes"]
+    assert len({(row["min_disparity"], row["max_disparity"]) for row in found}) == 1
+    assert ["row_error" in row for row in found] == [True, False, False, False, False]
+    for row in found:
+        meta = json.loads((tmp_path / "scenes" / row["scene"] / "meta.json").read_text())
+        assert meta["max_disparity"] == row["max_disparity"]
 
 
 @pytest.mark.parametrize("damage", ["absent", "text", "other size"])

@@ -67,7 +67,8 @@ class StereoScene(Scene):
     round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
     calibration : file that says how disparities become depth, or None
     cameras : numbers of the pair's cameras in a calibration of several (KITTI)
-    first : the first frame of the sequence that this one is a later frame of, or None; see :func:`with_first_frames`
+    sequence : the first, the middle and the last frame of the sequence that this one belongs to, in order; empty for a
+        single pair; see :func:`with_sequences`
     """
 
     options: ClassVar[tuple[Option, ...]] = (
@@ -95,7 +96,7 @@ class StereoScene(Scene):
     round_disparity: bool = False
     calibration: Path | None = None
     cameras: tuple[int, int] = (2, 3)
-    first: StereoScene | None = None
+    sequence: tuple[StereoScene, ...] = ()
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
@@ -161,6 +162,11 @@ class StereoScene(Scene):
         return {"left": self.left} if self.right is None else {"left": self.left, "right": self.right}
 
     @property
+    def is_first(self) -> bool:
+        """True for a single pair and for the first frame of a sequence."""
+        return not self.sequence or self.sequence[0].name == self.name
+
+    @property
     def has_truth(self) -> bool:
         """True where the left view's disparity is known."""
         return self.disparity_left is not None
@@ -223,19 +229,35 @@ class StereoScene(Scene):
         return StereoTruth(disparity, right, noc, objects, masks, scale)
 
 
-def with_first_frames(scenes: Sequence[Scene]) -> list[Scene]:
-    """Return the scenes, of which stereo pairs know the first frame of their sequence.
+def with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
+    """Return the scenes by name, of which stereo pairs know three frames of their sequence.
 
     Pairs whose left and right images lie in the same two folders, or which are frames of the same two videos, are a
     sequence in the order of their names.
     """
-    firsts: dict[tuple[Path, Path], StereoScene] = {}
-    found: list[Scene] = []
-    for scene in sorted(scenes, key=lambda scene: scene.name):
-        if isinstance(scene, StereoScene) and scene.right is not None and not scene.problem:
-            files = scene.left, scene.right
-            place = files if scene.frame_number is not None else (files[0].parent, files[1].parent)
-            first = firsts.setdefault(place, scene)
-            scene = scene if first is scene else replace(scene, first=first)
-        found.append(scene)
-    return found
+    ordered = sorted(scenes, key=lambda scene: scene.name)
+    frames: dict[tuple[Path, Path], list[StereoScene]] = {}
+    for scene in ordered:
+        if place := _place(scene):
+            assert isinstance(scene, StereoScene)
+            frames.setdefault(place, []).append(scene)
+    spread = {
+        place: tuple(dict.fromkeys((all_of_it[0], all_of_it[len(all_of_it) // 2], all_of_it[-1])))
+        for place, all_of_it in frames.items()
+        if len(all_of_it) > 1
+    }
+    return [
+        replace(scene, sequence=spread[place])
+        if isinstance(scene, StereoScene) and (place := _place(scene)) in spread
+        else scene
+        for scene in ordered
+    ]
+
+
+def _place(scene: Scene) -> tuple[Path, Path] | None:
+    """Return what the frames of one sequence have in common; None for scenes that are not frames."""
+    if not isinstance(scene, StereoScene) or scene.right is None or scene.problem:
+        return None
+    if scene.frame_number is not None:
+        return scene.left, scene.right
+    return scene.left.parent, scene.right.parent

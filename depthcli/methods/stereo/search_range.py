@@ -100,8 +100,26 @@ class SearchRange:
         return n_low / n_measured, n_top / n_measured
 
 
-def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:
-    """Return the range of the disparities of matched key points, with a margin, and the number of matches.
+@dataclass(frozen=True)
+class KeyPointRange:
+    """Disparities of ``n_matches`` matched key points, with a margin: ``low`` .. ``top``, both inclusive, pixels."""
+
+    low: int
+    top: int
+    n_matches: int
+
+    @property
+    def suggested(self) -> SearchRange:
+        """Return the range, widened to include disparities 0 and 1."""
+        return SearchRange(min(self.low, 0), max(self.top, 1))
+
+    def union(self, other: KeyPointRange) -> KeyPointRange:
+        """Return the smallest range that holds both."""
+        return KeyPointRange(min(self.low, other.low), max(self.top, other.top), self.n_matches + other.n_matches)
+
+
+def range_of_key_points(pair: StereoPair) -> KeyPointRange:
+    """Return the range of the disparities of matched key points, with a margin.
 
     Raises
     ------
@@ -120,30 +138,24 @@ def range_of_key_points(pair: StereoPair) -> tuple[SearchRange, int]:
     if len(found) < _MIN_MATCHES:
         raise InputError(
             f"only {len(found)} key points match, too few to find the search range; say max_disparity (views "
-            "swapped, or not rectified?)"
+            "swapped, or not rectified? see depthcli rectify)"
         )
     low, high = np.quantile(found.disparity.astype(np.float64), (_TAIL, 1 - _TAIL)) * (width / size[0])
     below, above = (max(_MIN_MARGIN_PX, share * (high - low)) for share in (_MARGIN_BELOW, _MARGIN_ABOVE))
-    return SearchRange(int(np.floor(low - below)), int(np.ceil(high + above))), len(found)
-
-
-def suggested_range(pair: StereoPair) -> SearchRange:
-    """Return the range of key points, widened to include disparities 0 and 1; InputError where too few match."""
-    found, _ = range_of_key_points(pair)
-    return SearchRange(min(found.min_disparity, 0), max(found.max_disparity, 1))
+    return KeyPointRange(int(np.floor(low - below)), int(np.ceil(high + above)), len(found))
 
 
 def complete_range(
     min_disparity: int | str,
     max_disparity: int | str | None,
     pair: StereoPair,
-    suggested: SearchRange | None = None,
+    known: KeyPointRange | None = None,
 ) -> tuple[SearchRange, dict[str, int]]:
-    """Replace ends that are "auto" by those of key points, and a missing upper end by the suggested range.
+    """Replace ends that are "auto" by those of key points, and a missing upper end by the range that they suggest.
 
     Parameters
     ----------
-    suggested : the suggested range, where it is known; None: that of the pair's key points
+    known : the range of the key points of the pair's sequence; None: that of the pair's own
 
     Returns
     -------
@@ -156,15 +168,15 @@ def complete_range(
         The range is empty, or too few key points match.
     """
     if max_disparity is None:
-        suggested = suggested or suggested_range(pair)
+        suggested = (known or range_of_key_points(pair)).suggested
         max_disparity = suggested.max_disparity
         min_disparity = suggested.min_disparity if min_disparity in (0, "auto") else min_disparity
     columns = {}
     if "auto" in (min_disparity, max_disparity):
-        found, n_matches = range_of_key_points(pair)
-        columns = {"range_matches": n_matches, "range_low": found.min_disparity, "range_top": found.max_disparity}
-        min_disparity = found.min_disparity if min_disparity == "auto" else min_disparity
-        max_disparity = found.max_disparity if max_disparity == "auto" else max_disparity
+        found = known or range_of_key_points(pair)
+        columns = {"range_matches": found.n_matches, "range_low": found.low, "range_top": found.top}
+        min_disparity = found.low if min_disparity == "auto" else min_disparity
+        max_disparity = found.top if max_disparity == "auto" else max_disparity
     assert isinstance(min_disparity, int) and isinstance(max_disparity, int)
     if max_disparity <= min_disparity:
         raise InputError(f"disparities from {min_disparity} to {max_disparity} are to be searched, which are none")
