@@ -57,11 +57,13 @@ class Onnx(Network, CostMeasure):
         return CostVolume(costs, scale)
 
     def _rows(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
-        # (H, C, W), of length 1 where dot products are compared.
+        # (H, C, W), C a multiple of 4, scaled so that sums over the channels are the dot product or the mean.
+        channels = features.shape[0]
         if self.distance == "dot":
-            lengths = np.sqrt(np.square(features).sum(axis=0))
-            features = features / np.maximum(lengths, np.float32(1e-6))
-        return np.ascontiguousarray(features.transpose(1, 0, 2))
+            features = features / np.maximum(np.sqrt(np.square(features).sum(axis=0)), np.float32(1e-6))
+        else:
+            features = features / np.float32(channels)
+        return np.pad(features.transpose(1, 0, 2), ((0, 0), (0, -channels % 4), (0, 0)))
 
 
 @parallel_jit
@@ -76,10 +78,12 @@ def _products(left: Any, right: Any, scale: Any, largest: Any, costs: Any) -> No
         for x in range(width):
             at = width - 1 - x
             sums[:] = 0
-            for c in range(channels):
-                value, others = left[y, c, x], mirror[c, at : at + n_disparities]
+            for c in range(0, channels, 4):
+                a0, a1, a2, a3 = left[y, c, x], left[y, c + 1, x], left[y, c + 2, x], left[y, c + 3, x]
+                b0, b1 = mirror[c, at : at + n_disparities], mirror[c + 1, at : at + n_disparities]
+                b2, b3 = mirror[c + 2, at : at + n_disparities], mirror[c + 3, at : at + n_disparities]
                 for i in range(sums.size):
-                    sums[i] += value * others[i]
+                    sums[i] += (a0 * b0[i] + a1 * b1[i]) + (a2 * b2[i] + a3 * b3[i])
             out = costs[y, x]
             for i in range(out.size):
                 cost = scale * (np.float32(1.0) - sums[i])
@@ -90,7 +94,6 @@ def _products(left: Any, right: Any, scale: Any, largest: Any, costs: Any) -> No
 def _differences(left: Any, right: Any, scale: Any, largest: Any, costs: Any) -> None:
     height, width, n_disparities = costs.shape
     channels = left.shape[1]
-    factor = scale / np.float32(channels)
     for y in prange(height):
         mirror = np.zeros((channels, width + n_disparities), np.float32)
         mirror[:, :width] = right[y, :, ::-1]
@@ -98,10 +101,12 @@ def _differences(left: Any, right: Any, scale: Any, largest: Any, costs: Any) ->
         for x in range(width):
             at = width - 1 - x
             sums[:] = 0
-            for c in range(channels):
-                value, others = left[y, c, x], mirror[c, at : at + n_disparities]
+            for c in range(0, channels, 4):
+                a0, a1, a2, a3 = left[y, c, x], left[y, c + 1, x], left[y, c + 2, x], left[y, c + 3, x]
+                b0, b1 = mirror[c, at : at + n_disparities], mirror[c + 1, at : at + n_disparities]
+                b2, b3 = mirror[c + 2, at : at + n_disparities], mirror[c + 3, at : at + n_disparities]
                 for i in range(sums.size):
-                    sums[i] += abs(value - others[i])
+                    sums[i] += (abs(a0 - b0[i]) + abs(a1 - b1[i])) + (abs(a2 - b2[i]) + abs(a3 - b3[i]))
             out = costs[y, x]
             for i in range(out.size):
-                out[i] = np.uint8(np.int32(min(factor * sums[i], largest) + np.float32(0.5)))
+                out[i] = np.uint8(np.int32(min(scale * sums[i], largest) + np.float32(0.5)))
