@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
@@ -36,7 +36,15 @@ class MeanDeviation(BaseModel):
         return self
 
 
-Normalization = Literal["0-255", "0-1", "imagenet", "image"] | MeanDeviation
+def _kind(value: object) -> str:
+    return "moments" if isinstance(value, dict | MeanDeviation) else "name"
+
+
+# With a tag, an error speaks of the one that was meant.
+Normalization = Annotated[
+    Annotated[Literal["0-255", "0-1", "imagenet", "image"], Tag("name")] | Annotated[MeanDeviation, Tag("moments")],
+    Discriminator(_kind),
+]
 """Range of the values that a network takes; ``image``: minus their mean over the image, divided by their deviation."""
 
 _IMAGENET = MeanDeviation(mean=(0.485, 0.456, 0.406), deviation=(0.229, 0.224, 0.225))
