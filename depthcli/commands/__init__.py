@@ -4,10 +4,11 @@ A public module here is a command: its name is the module's, its help the first 
 and ``COMMAND`` the object that does it, a :class:`depthcli.batch.command.Command`, whose ``run(values, reporter)`` gets
 the values of all options and returns the exit code. Nothing heavy is imported before a command runs.
 
-Commands that make a run folder of scenes are a ``BatchCommand`` (module ``_batch``). Their ``run`` checks the options,
-makes the config (``_options``, presets, ``--set``), finds the scenes (``_scenes``) and hands both to ``run_on``, which
-has ``depthcli.batch.runner`` call ``compute(config, scene, folder, memory)`` for each scene, writes the legend, runs
-``--evaluate`` and prints the table. A ``ConfigCommand`` is one with a CONFIG argument. What ``compute`` does:
+Commands that make a run folder of scenes are a ``BatchCommand`` (of module ``_batch``, imported from here). Their
+``run`` checks the options, makes the config (``_options``, presets, ``--set``), finds the scenes (``_scenes``) and
+hands both to ``run_on``, which has ``depthcli.batch.runner`` call ``compute(config, scene, folder, memory)`` for each
+scene, writes the legend, runs ``--evaluate`` and prints the table. A ``ConfigCommand`` is one with a CONFIG argument.
+What ``compute`` does:
 
 ========================  ============================================================================================
 ``stereo``, ``fuse``      ``_pairs``: load the pair, or rectify it (``_rectified``); find the search range; match by
@@ -39,6 +40,7 @@ The others:
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import inspect
 from pathlib import Path
@@ -49,6 +51,19 @@ from depthcli.core.registry import Registry
 
 if TYPE_CHECKING:
     from depthcli.batch.command import Command
+    from depthcli.commands._batch import BatchCommand, ConfigCommand
+
+__all__ = [
+    "REGISTRY", "BatchCommand", "ConfigCommand", "command_names", "find_command", "grouped_commands", "help_of",
+    "load_command",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """Return a base class of commands; ``--help`` does without their imports."""
+    if name not in ("BatchCommand", "ConfigCommand"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}._batch"), name)
 
 
 _GROUPS = {

@@ -19,6 +19,16 @@ Page: TypeAlias = dict[str, list[tuple[str, str]]]
 """Heading -> names with their explanations."""
 
 _WIDTH, _MAX_NAMES = 100, 30
+METHOD_PACKAGES = tuple(
+    f"depthcli.{package}"
+    for package in (
+        "methods.stereo.pipeline", "methods.stereo.cost", "methods.stereo.aggregation", "methods.stereo.optimization",
+        "methods.stereo.refinement", "methods.confidence", "methods.fusion.choice", "methods.kinect.pipeline",
+        "methods.kinect.model", "methods.transparent.pipeline", "methods.registration.feature",
+        "algorithms.segmentation", "algorithms.keypoints",
+    )
+)  # fmt: skip
+"""Packages of all families of methods, in the order in which they are explained."""
 
 
 class HelpCommand(Command):
@@ -162,6 +172,23 @@ def _formats() -> Page:
     }  # fmt: skip
 
 
+def _methods() -> Page:
+    """Return the methods of every family, with the packages of plug-ins."""
+    from depthcli.core.method import Family
+    from depthcli.core.registry import plugin_of
+
+    page: Page = {}
+    for package in METHOD_PACKAGES:
+        family = Family.of(package)
+        rows = []
+        for name in family.names():
+            kind = family.load(name)
+            plugin, about = plugin_of(kind), " ".join((kind.__doc__ or "").split("\n\n")[0].split())
+            rows.append((name, about if plugin is None else f"({plugin.package} {plugin.version}) {about}"))
+        page[family.group.removeprefix("depthcli.")] = rows
+    return page
+
+
 def _exit_codes() -> Page:
     """Return the exit codes of all commands."""
     return {"Exit codes": [(str(code), text) for code, text in EXIT_CODES.items()]}
@@ -172,6 +199,7 @@ TOPICS: dict[str, Callable[[], Page]] = {
     "exit-codes": _exit_codes,
     "formats": _formats,
     "layouts": _layouts,
+    "methods": _methods,
     "outputs": _outputs,
     "presets": _presets,
     "protocols": _protocols,

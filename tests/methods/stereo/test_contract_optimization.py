@@ -8,41 +8,16 @@ import pytest
 from depthcli.kernels.winners import winners
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.volume import CostVolume
-from tests.methods.stereo._pairs import TINY, assert_pure, blocky_pair, methods, random_volume
+from depthcli.testing import volume_steps
+from tests.methods.stereo._pairs import blocky_pair, methods
 
 OPTIMIZERS = methods("depthcli.methods.stereo.optimization")
 
 
 @pytest.mark.parametrize("optimize", OPTIMIZERS)
-@pytest.mark.parametrize(("height", "width", "disparities"), TINY)
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-def test_tiny_images_and_wide_ranges(optimize, height, width, disparities, dtype):
-    volume = random_volume(height, width, disparities, dtype)
-    result = optimize(volume, blocky_pair(height, width))
-    assert result.costs.shape == volume.costs.shape
-    assert result.scale > 0
-    assert np.isfinite(result.costs).all()
-
-
-@pytest.mark.parametrize("optimize", OPTIMIZERS)
-def test_same_bytes_at_any_thread_count_and_inputs_untouched(optimize):
-    pair, volume = blocky_pair(41, 70), random_volume(41, 70, 37, np.uint16)
-    assert_pure(lambda: optimize(volume, pair).costs, volume.costs, pair.left, pair.right)
-
-
-@pytest.mark.parametrize("optimize", OPTIMIZERS)
-@pytest.mark.parametrize("scale", [1.0, 85.0, 1360.0])
-def test_unanimous_costs_keep_their_winner(optimize, scale):
-    costs = np.full((15, 30, 12), 200, np.uint8)
-    costs[:, :, 5] = 10
-    left, _ = winners(optimize(CostVolume(costs, scale), blocky_pair(15, 30)).costs)
-    assert np.all(left[:, 5:] == 5)
-
-
-@pytest.mark.parametrize("optimize", OPTIMIZERS)
-def test_equal_costs_stay_equal(optimize):
-    result = optimize(CostVolume(np.full((9, 20, 8), 40, np.uint8)), blocky_pair(9, 20))
-    np.testing.assert_array_equal(result.costs.min(axis=2), result.costs.max(axis=2))
+@pytest.mark.parametrize("check", volume_steps.OPTIMIZATION_CHECKS, ids=lambda check: check.__name__)
+def test_contract(optimize, check):
+    check(optimize)
 
 
 @pytest.mark.parametrize("paths", [4, 8])

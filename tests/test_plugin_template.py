@@ -1,0 +1,110 @@
+"""The template of a plug-in, installed into an environment of its own: tested, run, evaluated, and changed."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.data.formats.images import write_png
+from depthcli.testing.inputs import shifted_pair
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = "depthcli_example"
+
+pytestmark = pytest.mark.system
+
+
+class Environment:
+    """An environment with the template, this checkout, and the libraries of the running one."""
+
+    def __init__(self, place: Path) -> None:
+        self.place, self.python = place, place / "env" / "bin" / "python"
+        subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(place / "env")], check=True)
+        (self.packages,) = (place / "env" / "lib").glob("python*/site-packages")
+        (self.packages / "dependencies.pth").write_text(f"{ROOT}\n{sysconfig.get_path('purelib')}\n")
+        shutil.copytree(ROOT / "docs" / "plugin_template", place / "mine")
+        write_version(place / "mine", "1.0")
+        self.install()
+
+    def install(self) -> None:
+        for old in list(self.packages.glob(f"{PACKAGE}*")):
+            shutil.rmtree(old)
+        pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
+        done = self.run_program([*pip, "--target", str(self.packages), str(self.place / "mine")])
+        assert done.returncode == 0, done.stderr
+
+    def run(self, *words: str | Path, module: str = "depthcli") -> subprocess.CompletedProcess[str]:
+        return self.run_program([str(self.python), "-m", module, *map(str, words)])
+
+    def run_program(self, words: list[str]) -> subprocess.CompletedProcess[str]:
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        return subprocess.run(words, cwd=self.place, env=environment, capture_output=True, text=True, check=False)
+
+
+def write_version(project: Path, version: str) -> None:
+    file = project / "pyproject.toml"
+    file.write_text(re.sub(r'(?m)^version = ".*"$', f'version = "{version}"', file.read_text()))
+
+
+@pytest.fixture(scope="module")
+def env(tmp_path_factory: pytest.TempPathFactory) -> Environment:
+    made = Environment(tmp_path_factory.mktemp("template"))
+    for name, shift in (("near", 9), ("far", 5)):
+        folder, pair = made.place / "scenes" / name, shifted_pair(48, 64, shift)
+        folder.mkdir(parents=True)
+        write_png(folder / "first.png", pair.left)
+        write_png(folder / "second.png", pair.right)
+        np.savetxt(folder / "first_truth.table", np.full((48, 64), shift))
+    (made.place / "five.yaml").write_text("disparity: 5\n")
+    return made
+
+
+def test_its_own_tests_pass(env: Environment):
+    done = env.run("-q", "-p", "no:cacheprovider", "mine/tests", module="pytest")
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "5 passed" in done.stdout
+
+
+def test_it_is_listed(env: Environment):
+    assert "constant Write the same disparity everywhere." in " ".join(env.run("--help").stdout.split())
+    methods = env.run("help", "methods").stdout
+    assert re.search(r"squared_difference +\(depthcli-example 1\.0\)", methods), methods
+    assert "two-files" in env.run("help", "layouts").stdout
+    assert ".table" in env.run("help", "formats").stdout
+    assert "eighth-pixel" in env.run("help", "protocols").stdout
+
+
+def test_it_runs_is_evaluated_and_is_refused_with_another_version(env: Environment):
+    stereo = ["stereo", "fast", "-i", "scenes", "-o", "squared", "--jobs", "2", "--set", "cost=squared-difference"]
+    done = env.run(*stereo, "--evaluate")
+    assert done.returncode == 0, done.stderr
+    assert "Eighth of a pixel" in done.stdout
+    assert "    depthcli-example: '1.0'\n" in (env.place / "squared" / "run.yaml").read_text()
+    scores = json.loads((env.place / "squared" / "evaluation" / "scores.json").read_text())
+    assert scores["plugins"] == {"depthcli-example": "1.0"}
+    constant = ["constant", "five.yaml", "-i", "scenes", "-o", "constant", "--jobs", "2"]
+    assert env.run(*constant).returncode == 0
+    compared = env.run("evaluate", "squared", "constant", "--truth", "scenes", "--json")
+    assert {result["protocol"] for result in json.loads(compared.stdout)["results"]} == {"eighth-pixel"}
+    assert "2 of 2 scenes are done already" in env.run(*stereo).stderr
+    typo = env.run(*stereo[:-1], "cost=squared-differense")
+    assert "did you mean 'squared_difference'" in typo.stderr
+
+    write_version(env.place / "mine", "1.1")
+    env.install()
+    for command in (stereo, constant):
+        refused = env.run(*command)
+        assert refused.returncode == 2
+        assert (
+            "holds a run made with another config (it says \"depthcli-example: '1.0'\", this run "
+            "\"depthcli-example: '1.1'\"); choose another --output, or --overwrite it" in refused.stderr
+        )
