@@ -15,6 +15,7 @@ from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import DEPTH_RESULTS, BatchCommand
+from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.commands._options import DRY_RUN, HTML_FLAG, LAYOUT, OUTPUT, RUN, SCENES
 from depthcli.commands._scenes import find_maps
 from depthcli.core.errors import ConfigError, InputError
@@ -94,6 +95,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
             raise ConfigError(f"--calibration and --{by_hand[0]} exclude each other")
         from depthcli.api.masks import parse_mask
 
+        check_limits(values["near"], values["far"])
         parse_mask(values["mask"] or "all")
         config = DepthOptions(
             focal=values["focal"], baseline=values["baseline"], doffs=values["doffs"],
@@ -175,7 +177,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         }
         if cloud is not None:
             facts["points"] = int(np.count_nonzero(known & in_cloud))
-        warnings = []
+        warnings = [] if cloud is None else empty_cloud(depth, in_cloud)
         if beyond > _MAX_SHARE_BEYOND_PNG:
             far = 65535 / config["depth_scale"]
             warnings.append(f"{100 * beyond:.0f} % of the depths are beyond the {far:.4g} m that depth.png can hold: 0 "

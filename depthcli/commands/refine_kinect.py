@@ -11,6 +11,7 @@ from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
+from depthcli.commands._clouds import check_limits, empty_cloud
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.data.layouts import Folder
@@ -65,12 +66,14 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
             given["intrinsics"] = f"[{values['intrinsics']}]"
         settings = [*(values["set"] or ()), *(["ply=true"] if values["ply"] else ())]
         settings += [f"{name}={value}" for name, value in given.items()]
-        return super().run({**values, "set": settings}, reporter)
+        said = dict.fromkeys(("ply", "mask", "near", "far", "intrinsics"))  # by the settings
+        return super().run({**values, **said, "set": settings}, reporter)
 
     def run_on(self, config: RefineKinectConfig, scenes: Sequence[Scene], values: Values, reporter: Reporter) -> int:
         from depthcli.api.masks import parse_mask
         from depthcli.methods.kinect.pipeline import SequencePipeline
 
+        check_limits(config.near, config.far)
         parse_mask(config.mask)  # a wrong share is an error before any frame is opened
         if values.get("color") is not None:
             scenes = [_with_meta(scene) for scene in scenes]
@@ -200,9 +203,11 @@ def _refine_frame(
         "density": round(found.density, 6),
         **{name: float(value) for name, value in found.details.figures.items()},
     }
-    if config.ply:
+    warnings = [] if scene.raw else _scale_warnings(scene, frame)
+    if found.cloud is not None:
         facts["intrinsics"] = "of the camera" if frame.intrinsics else "typical"
-    return Outcome(facts, clock.seconds, [] if scene.raw else _scale_warnings(scene, frame))
+        warnings += empty_cloud(found.values, found.cloud)
+    return Outcome(facts, clock.seconds, warnings)
 
 
 def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
@@ -216,7 +221,7 @@ def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
         if np.mean((codes[codes > 0] & 7) == 0) > 0.5:  # the three low bits are free where codes are rotated by 3
             return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
     text = implausible_depth(scene.depth, frame.depth, scene.depth_scale, SENSOR)
-    return [text] if text else []
+    return [f"{text}; see --depth-scale"] if text else []
 
 
 COMMAND = RefineKinectCommand()

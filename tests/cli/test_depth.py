@@ -98,6 +98,7 @@ def test_masks(matched: tuple[Path, Path], tmp_path: Path, capsys: pytest.Captur
     assert len(vertices(tmp_path / "a/planes_0/points.ply")) == measured.sum()
     middle = float(np.nanmedian(read_pfm(tmp_path / "a/planes_0/depth.pfm")[measured]))
     assert run("depth", *one, "-o", tmp_path / "near", "--far", str(middle)) == 0
+    assert run("depth", *one, "-o", tmp_path / "none", "--near", "3", "--far", "1") == 2
     assert 0 < len(vertices(tmp_path / "near/planes_0/points.ply")) < measured.sum()
     np.testing.assert_array_equal(
         read_status(tmp_path / "a/planes_0/status.png"), read_status(made / "planes_0/status.png")

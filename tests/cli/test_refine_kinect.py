@@ -147,7 +147,8 @@ def test_a_warning_of_all_frames_is_printed_once(tmp_path: Path, capsys: pytest.
     err = capsys.readouterr().err
     assert err.count("the median depth is 7.5 m at 1000 codes per meter") == 2
     assert (
-        "warning: the median depth is 7.5 m at 1000 codes per meter; a depth scale of 5000 would fit (3 scenes;" in err
+        "warning: the median depth is 7.5 m at 1000 codes per meter; a depth scale of 5000 would fit; see "
+        "--depth-scale (3 scenes;" in err
     )
     assert err.count("3 of 3 frames have no intrinsics") == 1
     assert {row["intrinsics"] for row in rows(tmp_path / "r").values()} == {"typical"}
@@ -165,7 +166,10 @@ def test_single_frames_and_point_clouds(tmp_path: Path, capsys: pytest.CaptureFi
     assert capsys.readouterr().err.count("1 of 1 frames have no intrinsics") == 1
     clouds = [(tmp_path / "p" / "x" / "points.ply").read_bytes()]
     assert run(*one, "-o", tmp_path / "given", "--ply", "--intrinsics", "50,50,15,10") == 0
-    assert run(*one, "-o", tmp_path / "far", "--ply", "--near", "1.5", "-q") == 0
+    assert run(*one, "-o", tmp_path / "far", "--ply", "--near", "1.5") == 0
+    assert "points.ply has no points, the depths are 1 to 1 m; see --near" in capsys.readouterr().err
+    assert run(*one, "-o", tmp_path / "none", "--ply", "--near", "1.5", "--far", "1", "-q") == 2
+    assert "--near 1.5, --far 1: no depth lies between them" in capsys.readouterr().err
     assert b"element vertex 0\n" in (tmp_path / "far" / "x" / "points.ply").read_bytes()
     (tmp_path / "x" / "meta.json").write_text('{"fx": 50, "fy": 50, "cx": 15, "cy": 10}')
     assert run(*one, "-o", tmp_path / "meta", "--ply", "--mask", "measured") == 0
