@@ -47,7 +47,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from depthcli import programs  # noqa: F401  adds pipelines to the families of methods
-from depthcli.core.registry import Registry
+from depthcli.core.registry import Registry, plugin_of
 
 if TYPE_CHECKING:
     from depthcli.batch.command import Command
@@ -119,11 +119,13 @@ def find_command(name: str) -> Command | None:
 def help_of(name: str) -> str:
     """Return the first paragraph of its module's docstring, without importing it: ``--help`` shows all commands.
 
-    For a command of a plug-in it is that of its class.
+    For a command of a plug-in it is that of its class, with the package and its version.
     """
     if name not in command_names():
-        text = inspect.getdoc(type(load_command(name))) or ""
-        return " ".join(text.split("\n\n")[0].split())
+        kind = type(load_command(name))
+        text, plugin = inspect.getdoc(kind) or "", plugin_of(kind)
+        package = "" if plugin is None else f" ({plugin.package} {plugin.version})"
+        return " ".join(text.split("\n\n")[0].split()) + package
     spec = importlib.util.find_spec(f"{__name__}.{name.replace('-', '_')}")
     source = "" if spec is None or spec.origin is None else Path(spec.origin).read_text("utf-8")
     doc = source.split('"""')[1] if source.startswith('"""') else ""

@@ -11,6 +11,7 @@ from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import to_json
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
+from depthcli.core.registry import plugin_of
 
 if TYPE_CHECKING:
     from depthcli.core.columns import ColumnHelp
@@ -99,7 +100,8 @@ def _layouts() -> Page:
     """Return the layouts of folders that are recognized, and the files of each."""
     from depthcli.data.layouts import layouts
 
-    return {"Layouts (--layout NAME)": [(each.name, each.wants.replace("`", "")) for each in layouts()]}
+    rows = [(each.name, _with_package(type(each), each.wants.replace("`", ""))) for each in layouts()]
+    return {"Layouts (--layout NAME)": rows}
 
 
 def _presets() -> Page:
@@ -147,8 +149,12 @@ def _protocols() -> Page:
     """Return the protocols of evaluate, and how each scores."""
     from depthcli.evaluation.protocols import load, names
 
-    shown = [(name, load(name).presentation) for name in names()]
-    return {"Protocols (--protocol NAME)": [(n, ". ".join(filter(None, [p.title, p.note]))) for n, p in shown]}
+    rows = []
+    for name in names():
+        kind = load(name)
+        shown = kind.presentation
+        rows.append((name, _with_package(kind, ". ".join(filter(None, [shown.title, shown.note])))))
+    return {"Protocols (--protocol NAME)": rows}
 
 
 def _formats() -> Page:
@@ -175,7 +181,6 @@ def _formats() -> Page:
 def _methods() -> Page:
     """Return the methods of every family, with the packages of plug-ins."""
     from depthcli.core.method import Family
-    from depthcli.core.registry import plugin_of
 
     page: Page = {}
     for package in METHOD_PACKAGES:
@@ -183,10 +188,15 @@ def _methods() -> Page:
         rows = []
         for name in family.names():
             kind = family.load(name)
-            plugin, about = plugin_of(kind), " ".join((kind.__doc__ or "").split("\n\n")[0].split())
-            rows.append((name, about if plugin is None else f"({plugin.package} {plugin.version}) {about}"))
+            rows.append((name, _with_package(kind, " ".join((kind.__doc__ or "").split("\n\n")[0].split()))))
         page[family.group.removeprefix("depthcli.")] = rows
     return page
+
+
+def _with_package(kind: type, about: str) -> str:
+    """What is said of a class, behind package and version of the plug-in that it is of."""
+    plugin = plugin_of(kind)
+    return about if plugin is None else f"({plugin.package} {plugin.version}) {about}"
 
 
 def _exit_codes() -> Page:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from depthcli.commands import load_command
 from depthcli.core import registry
 from depthcli.core.config_file import load_config, parse_config
 from depthcli.core.errors import InputError
-from depthcli.core.method import used_plugins
+from depthcli.core.method import Family, used_plugins
 from depthcli.core.registry import groups, load_file
 from depthcli.data.formats.depth import read_depth
 from depthcli.data.formats.disparity import read_disparity, read_pfm, read_plane
@@ -174,6 +175,25 @@ def test_methods_of_every_command_are_configured(file: Path, command: str, text:
     config = load_config(load_command(command).config_model(), parse_config(text, "x"))  # type: ignore[attr-defined]
     assert {plugin.package for plugin in used_plugins(config)} == {"mine.py"}
     assert {plugin.name for plugin in used_plugins(config)} == {re.search("my_[a-z]+", text)[0]}
+
+
+def test_help_names_the_file(file: Path, capsys: pytest.CaptureFixture[str]):
+    for topic, said in (
+        ("methods", "my_feature  (mine.py "), ("layouts", "my-layout"), ("protocols", "my-protocol"),
+        ("formats", ".numbers"),
+    ):  # fmt: skip
+        assert main(["help", topic, "--plugin", str(file)]) == 0
+        text = " ".join(capsys.readouterr().out.replace("  (", "(").split())
+        assert " ".join(said.replace("  (", "(").split()) in text
+        assert topic == "formats" or "(mine.py " in text
+
+
+def test_a_process_without_the_plug_in_says_so(file: Path):
+    load_file(file)
+    (plugin, *_) = Family.of("depthcli.methods.confidence").plugins().values()
+    assert registry.versions_here([plugin]) == {"mine.py": plugin.version}
+    absent = replace(plugin, package="elsewhere")
+    assert registry.versions_here([plugin, absent]) == {"elsewhere": "missing", "mine.py": plugin.version}
 
 
 def test_a_scheduler_refuses_files(file: Path, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
