@@ -26,6 +26,7 @@ from depthcli.data.formats.stereo_images import pair_of
 from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.stages import Matcher as Method
+from depthcli.programs.program import ProgramRun
 
 End = int | Literal["auto"] | None
 """An end of the search range: pixels, "auto": from matched key points, or None: what the config says."""
@@ -223,7 +224,7 @@ class _Matching:
         ends = 0, min(top, _MAX_WARMUP_DISPARITY) if isinstance(top, int) and top > 0 else _MAX_WARMUP_DISPARITY
         noise = np.random.default_rng(0).integers(0, 256, (*_WARMUP_SHAPE, 3), np.uint8)
         limits = limits_of(self.config, self._free_memory(), self.device)
-        if isinstance(self.method, FusionWithVolumes):
+        if isinstance(self.method, FusionWithVolumes | ProgramRun):
             return
         for image in (noise[..., 0].copy(), noise):
             with self.turn, computing():

@@ -44,6 +44,9 @@ def _seconds(value: Any) -> Any:
 Seconds = Annotated[float, BeforeValidator(_seconds)]
 """A time in seconds; in a config with its unit, such as ``10 min``."""
 
+_Integer = Annotated[int, Field(ge=-(10**15), le=10**15)]
+_Number = Annotated[float, Field(ge=-1e300, le=1e300)]
+
 Format = Literal["pfm", "kitti", "npy", "tiff", "png"]
 
 _SUFFIXES: dict[Format, str] = {"pfm": ".pfm", "kitti": ".png", "npy": ".npy", "tiff": ".tiff", "png": ".png"}
@@ -80,14 +83,15 @@ class Program(ProgramRun):
 
     The first word is looked up in ``PATH``, or from the current folder where it has a slash. Other words that name
     a file, seen from the current folder, become its whole path. The content of all these files is part of the run:
-    scenes are computed again where it changes. A scratch folder is kept where the scene fails; the message names it.
+    scenes are computed again where it changes. The variable ``OMP_NUM_THREADS`` has the number of threads. A scratch
+    folder is kept where the scene fails; the message names it.
     """
 
     placeholders: ClassVar[tuple[str, ...]] = ("output", "scratch", "name", "threads", "cwd")
     """Names of the file to write, the folder that the program runs in, the scene, the number of threads, and the folder
     that depthcli was started in; subclasses add the inputs."""
 
-    parameters: dict[str, str | int | float | bool] = Field(
+    parameters: dict[str, str | bool | _Integer | _Number] = Field(
         default_factory=dict, description="further placeholders and their values, for --set and sweeps"
     )
     shell: bool = Field(False, description="whether the program is a line for /bin/sh; values are quoted for it")
@@ -109,7 +113,9 @@ class Program(ProgramRun):
         le=1e9,
         description="codes per unit of the map; null: floats 1, codes 256 a pixel or 1000 a meter",
     )
-    invalid: tuple[float, ...] = Field((), description="values of the file that mean no value, beside inf, nan, code 0")
+    invalid: tuple[_Number, ...] = Field(
+        (), description="values of the file that mean no value, beside inf, nan, code 0"
+    )
 
     @field_validator("parameters")
     @classmethod

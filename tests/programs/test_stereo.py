@@ -194,6 +194,16 @@ def test_it_is_a_method_for_python_matched_in_tiles_where_a_halo_is_given(here: 
     assert tiled.details.figures["tiles"] >= 1
 
 
+@pytest.mark.slow
+def test_a_matcher_for_loops_runs_it_for_pairs_alone(here: Path):
+    code = "import sys, numpy; open('../../ran', 'a').write('x'); numpy.save(sys.argv[1], numpy.ones((20, 30)))"
+    image = np.zeros((20, 30), np.uint8)
+    match = depthcli.matcher(program([sys.executable, "-c", code, "{output}"], format="npy"), max_disparity=15)
+    assert not (here / "ran").exists()
+    assert (match(image, image).values == 1).all()
+    assert (here / "ran").read_text() == "x"
+
+
 COPY = "import shutil, sys; shutil.copy(*sys.argv[1:])"
 
 
