@@ -1,12 +1,13 @@
 """Run one program until it and all processes that it started have ended; a script of the standard library alone.
 
 ``python _supervisor.py TASK`` with a JSON object: ``words``, ``folder``, ``timeout`` (seconds), ``memory`` (bytes or
-null). It prints a JSON object: ``ended`` (exit, timeout, memory, stayed, abandoned, or missing: it cannot be started),
+null). It prints a JSON object: ``ended`` (exit, timeout, memory, stayed, or missing: it cannot be started),
 ``code`` (exit code, negative for a signal) or ``why``, ``wall`` and ``cpu`` (seconds), ``memory`` (peak, bytes),
 ``stdout`` and ``stderr`` (their ends). On Linux the processes that outlive their parents become children of this one,
 so that none is missed; elsewhere only those of the program's own process group are ended, and memory is not limited.
 
-The end of standard input, which comes when the process that asked for the program dies, ends the program, too.
+The end of standard input, which comes when the process that asked for the program dies, ends the program, too; nothing
+is printed then.
 """
 
 from __future__ import annotations
@@ -156,4 +157,6 @@ def _run(words: list[str], folder: str, timeout: float, memory: float | None) ->
 
 
 if __name__ == "__main__":
-    print(json.dumps(_run(**json.loads(sys.argv[1]))), flush=True)
+    result = _run(**json.loads(sys.argv[1]))
+    if result["ended"] != "abandoned":  # nobody would read it
+        print(json.dumps(result), flush=True)

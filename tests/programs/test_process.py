@@ -157,7 +157,8 @@ def test_it_ends_with_the_process_that_wanted_it(tmp_path: Path):
         "import sys; from pathlib import Path; from depthcli.programs.process import run_program; "
         "run_program([sys.executable, 'program.py'], Path(sys.argv[1]), 300.0, None, {})"
     )
-    caller = subprocess.Popen([sys.executable, "-c", call, str(tmp_path)])
+    with open(tmp_path / "errors", "wb") as errors:
+        caller = subprocess.Popen([sys.executable, "-c", call, str(tmp_path)], stderr=errors)
     until = time.monotonic() + 60
     while not (tmp_path / "known").is_file() and time.monotonic() < until:
         time.sleep(0.01)
@@ -168,3 +169,5 @@ def test_it_ends_with_the_process_that_wanted_it(tmp_path: Path):
     while running(pid) and time.monotonic() < until:
         time.sleep(0.01)
     assert not running(pid)
+    time.sleep(0.2)
+    assert (tmp_path / "errors").read_text() == ""
