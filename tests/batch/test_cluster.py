@@ -245,3 +245,22 @@ def test_a_scene_that_kills_its_workers_fails_alone(tmp_path: Path):
     assert cluster.chunk(10_000) == 2
     cluster.each = 60.0
     assert cluster.chunk(10_000) == 1
+
+
+@pytest.mark.system
+def test_workers_without_an_installed_plug_in_are_refused(cluster: Cluster, tmp_path: Path, made_scenes: Path):
+    packages = tmp_path / "packages"
+    info = packages / "far_cost-1.2.dist-info"
+    info.mkdir(parents=True)
+    source = "from depthcli.methods.stereo.cost.census import Census\nclass Far(Census):\n    '''Far.'''\n"
+    (packages / "far_cost.py").write_text(source)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: far-cost\nVersion: 1.2\n")
+    (info / "entry_points.txt").write_text("[depthcli.stereo.cost]\nfar = far_cost:Far\n")
+    command = ["stereo", "fast", "-i", str(made_scenes), "-o", str(tmp_path / "out"), "--set", "cost=far"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(packages), os.environ["PYTHONPATH"]])}
+    done = subprocess.run(
+        [sys.executable, "-m", "depthcli", *command, "--scheduler", cluster.address],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert "has the plug-in far-cost missing, this machine 1.2; install the same there" in done.stderr
