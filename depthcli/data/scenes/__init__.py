@@ -108,5 +108,7 @@ def check_same_size(file: Path, shape: Sequence[int], other: Path, wanted: Seque
 
 def name_of(file: Path, generic: tuple[str, ...]) -> str:
     """Return the name of a single scene: its file's, or its folder's where that is a ``generic`` one."""
-    folder = file.absolute().parent.name
-    return folder if file.stem.lower() in generic and folder else file.stem
+    folder, stem = file.absolute().parent.name, file.stem
+    if file.suffix.lower() == ".gz":  # of a compressed file the other ending goes, too: scan.nii.gz is scan
+        stem = Path(stem).stem
+    return folder if stem.lower() in generic and folder else stem
