@@ -92,7 +92,7 @@ class Program(ProgramRun):
     that depthcli was started in; subclasses add the inputs."""
 
     parameters: dict[str, str | bool | _Integer | _Number] = Field(
-        default_factory=dict, description="further placeholders and their values, for --set and sweeps"
+        default_factory=dict, description="further placeholders and their values"
     )
     shell: bool = Field(False, description="whether the program is a line for /bin/sh; values are quoted for it")
     program: str | tuple[str, ...] = Field(

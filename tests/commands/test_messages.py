@@ -47,10 +47,12 @@ CALLERS = {
     "depthcli.evaluation.protocols": SCENES - {"depth", "rectify"} | {"evaluate"},
     "depthcli.evaluation.printing": {"evaluate"},
     "depthcli.report.page": SCENES - {"rectify"} | {"evaluate", "sweep"},
+    "depthcli.methods.stereo.networks": {"stereo"},  # fuse never has a device
+    "depthcli.programs": BATCH,
     "depthcli.methods.stereo.matching": {"stereo"},  # of fuse only where there is a device, which it never has
 }
 # Declarations and examples, not messages; options of compilers; topics of the documentation.
-PASSED_OVER = ("depthcli.cli", "depthcli.device.cuda", "depthcli.commands.help")
+PASSED_OVER = ("depthcli.cli", "depthcli.device.cuda", "depthcli.commands.help", "depthcli.testing")
 
 
 def texts(tree: ast.AST) -> Iterator[str]:
