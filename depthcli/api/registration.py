@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from depthcli.algorithms.resampling import block_means
 from depthcli.api import _save_registration as _save
+from depthcli.api._registration_figures import inside_figures
 from depthcli.api._registration_preview import registration_preview
 from depthcli.api._save import made
 from depthcli.api.arrays import as_volume
@@ -177,12 +178,13 @@ def measured_pair(config: RegisterConfidenceConfig, loaded: LoadedPair, clock: C
     """
     clock.start("other")
     result = config(loaded.pair)
+    result.figures.update(inside_figures(result, loaded))
     clock.include(result.seconds)
     warnings = []
     if result.figures["border"] > _MAX_BORDER_SHARE:
         warnings.append(
             f"{100 * result.figures['border']:.0f} % of the best matches lie on the border of the search: the "
-            "registration is off by more than its range; raise levels, radius or iso"
+            "registration may be off by more than its range; search farther by --set levels=..., radius=... or iso=..."
         )
     return RegistrationConfidence(loaded, result, dict(clock.seconds), tuple(warnings), config.neurological)
 

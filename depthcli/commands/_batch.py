@@ -48,6 +48,10 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
     def columns(self) -> tuple[Column, ...]:
         """Return the columns of the table, beside scene, status, seconds and memory."""
 
+    def page_columns(self) -> tuple[Column, ...]:
+        """Return the columns that a page of scenes without truth shows beside its own figures: all, unless fewer."""
+        return self.columns()
+
     def files(self, config: ConfigT, scene: SceneT) -> dict[str, Path]:
         """Return role -> file, for all files whose content the result depends on."""
         return scene.input_files
@@ -149,7 +153,8 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
                 reporter=reporter, kinds=tuple({type(scene) for scene in scenes}), page=page,
             )  # fmt: skip
             return report, None if page is None or not page.written else output / PAGE_FILE
-        reporter.info(f"{truth or 'scenes'}: no ground truth there, nothing to compare with")
+        shows = ": the page shows the maps without scores" if page is not None else ", nothing to compare with"
+        reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
         if page is None:
             return None, None
         try:
@@ -176,7 +181,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
                 shown.append(scene)
                 row_of[scene.name] = row
         (name,) = run_names([folder])
-        return RunWithoutTruth(name, folder, load(self.shown_as)(), self.palette(), shown, row_of, self.columns())
+        return RunWithoutTruth(name, folder, load(self.shown_as)(), self.palette(), shown, row_of, self.page_columns())
 
 
 class ConfigCommand(BatchCommand[ModelT, SceneT]):

@@ -17,7 +17,7 @@ from depthcli.data.pairs import TABLE_SUFFIXES
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.disparity_map import DisparityScene
 from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.walk import chosen_scenes, discover_scenes, matches_any, scenes_with_files
+from depthcli.data.walk import NoScenesError, chosen_scenes, discover_scenes, matches_any, scenes_with_files
 
 _MAP = "disp_left.pfm"
 
@@ -52,7 +52,11 @@ def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Repor
         raise ConfigError(f"--name is for a single scene, given by {single}")
     if evaluates and os.path.isfile(place):
         raise ConfigError(f"{place}: --evaluate needs a folder of scenes, with their ground truth")
-    return scenes_at(place, kinds, values["layout"], patterns, reporter)
+    try:
+        return scenes_at(place, kinds, values["layout"], patterns, reporter)
+    except NoScenesError as error:
+        remedy = f"; give files of other names by {kinds[0].named_by}" if kinds[0].named_by else ""
+        raise NoScenesError(f"{error}{remedy}") from error
 
 
 def scenes_at(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import Column, Reporter, percent
+from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import ConfigCommand
 from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
@@ -32,7 +34,8 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
     def options(self) -> tuple[Option, ...]:
         """The options of all batch commands, and ``--neurological``."""
         about = "Show the patient's right on the right in pictures."
-        return (*super().options, Option("neurological", bool, about, default=False, group="Output"))
+        given = (replace(o, help="Folder of scenes.") if o.name == "input" else o for o in super().options)
+        return (*given, Option("neurological", bool, about, default=False, group="Output"))
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Measure every pair; ``--neurological`` overrides the key of the config. Return the exit code."""
@@ -50,14 +53,24 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         return peak_bytes(config, *scene.size(config.max_voxels))
 
     def columns(self) -> tuple[Column, ...]:
-        """Return size, side of a working voxel, mean expected error, and share of best matches on the border."""
+        """Return size, expected error in the mask or body, where it is large, and share of matches on the border."""
+
+        def number(title: str, key: str) -> Column:
+            return Column(title, lambda row: f"{row[key]:.1f}" if key in row else "-")
 
         return (
             Column("size", lambda row: f"{row['width']}x{row['height']}x{row['slices']}" if "slices" in row else "-"),
-            Column("voxel mm", lambda row: f"{row['iso']:.2f}" if "iso" in row else "-"),
-            Column("expected mm", lambda row: f"{row['mean_error']:.2f}" if "mean_error" in row else "-"),
+            Column("mean mm", lambda row: f"{row['inside_mean']:.2f}" if "inside_mean" in row else "-"),
+            number("95 % mm", "inside_95"),
+            number("largest mm", "inside_max"),
+            number("above 3 mm, mL", "above_3mm"),
+            Column("center, LPS", _center),
             Column("at border", percent("border")),
         )
+
+    def page_columns(self) -> tuple[Column, ...]:
+        """Return the columns without mean and quantile, which the page has of its own."""
+        return tuple(column for column in self.columns() if column.title not in ("mean mm", "95 % mm"))
 
     def compute(self, config: RegisterConfidenceConfig, scene: VolumePairScene, folder: Path, memory: int) -> Outcome:
         """Compute confidence, expected error and shift of one pair.
@@ -82,6 +95,11 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         width, height, slices = loaded.grid.size
         facts = {"width": width, "height": height, "slices": slices, **found.details.figures}
         return Outcome(facts, clock.seconds, list(found.warnings))
+
+
+def _center(row: Row) -> str:
+    place = [row.get(f"above_{axis}") for axis in "xyz"]
+    return " ".join(f"{value:.0f}" for value in place if isinstance(value, int | float)) or "-"
 
 
 COMMAND = RegisterConfidenceCommand()

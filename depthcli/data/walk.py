@@ -19,6 +19,10 @@ _RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.batch.run_folder
 _MAX_RUN_BYTES = 1 << 20  # of it; those of all presets have below 10 kB
 
 
+class NoScenesError(InputError):
+    """A folder without any scene of the wanted kinds."""
+
+
 def discover_scenes(
     folder: Path | str,
     kinds: Iterable[type[Scene]] | None = None,
@@ -60,7 +64,7 @@ def discover_scenes(
         raise InputError(f"no layout called {layout!r}; one of: {names}")
     if not found:
         files = "; ".join(f"{each.name}: {each.wants.replace('`', '').partition(';')[0]}" for each in wanted)
-        raise InputError(f"{folder}: no scenes found in it or two levels below (looked for {files})")
+        raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {files})")
     return chosen_scenes(found, patterns, folder)
 
 

@@ -296,3 +296,31 @@ def test_a_volume_stored_upside_down_has_the_same_preview(pairs, run, tmp_path):
     assert first.shape == turned.shape and first.shape[1] >= 900
     # The middle one of an even number of slices is another one from the other side.
     assert abs(first - turned).mean() < 0.5 * abs(first - mirrored).mean()
+
+
+def test_reports_say_how_large_errors_are_in_the_body_and_where(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    grid = Grid((40, 36, 32), (1.5, 1.5, 2.0), (-20.0, 10.0, 5.0))
+    fixed = np.zeros(grid.shape, np.float32)
+    fixed[2:30, 4:32, 4:36] = rng.uniform(0.5, 1, (28, 28, 32))
+    warped = fixed.copy()
+    warped[8:24, 8:28, 20:34] = np.roll(fixed, 3, axis=2)[8:24, 8:28, 20:34]  # 4.5 mm
+    for name, values in (("ct_plan", fixed), ("ct_warped", warped)):
+        write_array(tmp_path / "pair" / f"{name}.mha", grid, values)
+    command = ["register-confidence", "intensity", "-o", str(tmp_path / "run")]
+    assert main([*command, "-i", str(tmp_path / "pair")]) == 2
+    assert "give files of other names by --fixed FILE --warped FILE" in capsys.readouterr().err
+    files = ["--fixed", str(tmp_path / "pair" / "ct_plan.mha"), "--warped", str(tmp_path / "pair" / "ct_warped.mha")]
+    assert main([*command, *files, "--html"]) == 0
+    shown = capsys.readouterr()
+    assert "no ground truth in the given files: the page shows the maps without scores" in shown.err
+    assert "95 % mm" in shown.out and "expected mm" not in shown.out
+    (row,) = json.loads((tmp_path / "run" / "report.json").read_text())["scenes"]
+    assert row["mean_error"] < row["inside_mean"] < row["inside_95"] <= row["inside_max"]
+    found = read_volume(tmp_path / "run" / "ct_plan" / "expected_error.mha").values
+    large = np.count_nonzero(found[fixed > 0] > 3) * 1.5 * 1.5 * 2 / 1000
+    assert row["above_3mm"] == pytest.approx(large, rel=0.1)
+    center = grid.to_point(np.array([[15.5, 17.5, 26.5]]))[0]
+    assert [row[f"above_{axis}"] for axis in "xyz"] == pytest.approx(center, abs=6)
+    page = (tmp_path / "run" / "evaluation" / "report.html").read_text()
+    assert "above 3 mm, mL" in page and "mean mm" not in page

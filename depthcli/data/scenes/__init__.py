@@ -37,6 +37,8 @@ class Scene(ABC):
     protocol: str = ""
     problem: str = ""
 
+    named_by: ClassVar[str] = ""  # options that name its files, for a message where a folder holds none of its scenes
+
     @property
     @abstractmethod
     def input_files(self) -> dict[str, Path]:

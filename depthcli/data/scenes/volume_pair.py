@@ -67,6 +67,8 @@ class VolumePairScene(Scene):
                group="Input"),
     )  # fmt: skip
 
+    named_by: ClassVar[str] = "--fixed FILE --warped FILE, a pair at a time"
+
     fixed: Path
     moving_warped: Path | None = None
     moving: Path | None = None

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.body import body
+from depthcli.algorithms.body import body_of_volume, grey_levels
 from depthcli.algorithms.resampling import trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import ENDS, PLANES, Grid
@@ -96,11 +96,7 @@ class RegistrationPresentation(Presentation):
         if not isinstance(scene, VolumePairScene):
             return None
         fixed = read_volume(scene.fixed)
-        values = fixed.grid.turned(fixed.values)
-        known = values[np.isfinite(values)]
-        low, high = np.percentile(known, (0.5, 99.5)) if known.size else (0.0, 1.0)
-        grey = (np.nan_to_num(values, nan=low) - low) * (255 / max(high - low, 1e-9))
-        return np.clip(grey, 0, 255).astype(np.uint8)
+        return grey_levels(fixed.grid.turned(fixed.values))
 
     def tables(self, run: str, kept: Sequence[tuple[Errors, Errors]]) -> list[Table]:
         """Return the confusion of the classes, and the expected against the true error in bins."""
@@ -168,9 +164,8 @@ class RegistrationProtocol(Protocol[Errors, PreparedTruth]):
         volume = read_volume(path)
         grid = volume.grid
         if scene.mask is None:
-            image = self.presentation.image(scene)
-            assert image is not None
-            inside = np.stack([body(plane) for plane in image])
+            fixed = read_volume(scene.fixed)
+            inside = body_of_volume(fixed.grid.turned(fixed.values))
         else:
             inside = grid.turned(read_volume(scene.mask).values) > 0
         values = np.where(inside, grid.turned(volume.values), np.float32(np.nan))
