@@ -83,7 +83,7 @@ def chosen_text(
             chosen = [replace(table, note=table.note.partition(TESTS_NOTE)[0].rstrip(". ")) for table in chosen]
     if caption is not None:
         if len(chosen) != 1:
-            raise ConfigError(f"--caption: is for one table, these are {len(chosen)}: choose one with --tables")
+            raise ConfigError(f"--caption: is for one table; give --tables {' or '.join(t.name for t in chosen)}")
         chosen = [replace(table, title=caption) for table in chosen]
     return "\n".join(table.text(_WIDTH) if form is None else FORMATS[form](table) for table in chosen)
 

@@ -584,6 +584,18 @@ def test_a_short_name_of_two_scenes_is_named_as_such(tmp_path: Path, truth: Path
     assert "several scenes are called a" in report.failed[0].error
 
 
+def test_a_warning_of_many_scenes_is_one_line(tmp_path: Path, truth: Path, capsys: pytest.CaptureFixture[str]):
+    maps = {}
+    for name in ("a", "b"):
+        maps[name] = exact(truth)
+        maps[name][: 10 + 3 * len(maps)] = -1
+    run_of(tmp_path / "run", maps)
+    assert main(["evaluate", str(tmp_path / "run"), "--truth", str(truth)]) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "of the pixels are -1" in line]
+    assert len(said) == 1
+    assert said[0].startswith("warning: run: a and 1 more: ")
+
+
 def test_seconds_of_the_report_are_shown(tmp_path: Path, truth: Path):
     run = run_of(tmp_path / "run", {"a": exact(truth), "b": exact(truth)})
     scenes = [{"scene": name, "status": "done", "seconds": {"cost": 1.5, "refinement": 0.5}} for name in ("a", "b")]
@@ -831,6 +843,9 @@ def test_a_table_for_a_paper(tmp_path: Path, truth: Path, capsys: pytest.Capture
     assert main([*command[:-1], "headline", "--columns", "nonocc,p (Holm)"]) == 0
     assert "Wilcoxon" in capsys.readouterr().out
     assert main([*command[:-1], "scenes", "--caption", "x"]) == 2
-    assert "--caption: is for one table, these are 3" in capsys.readouterr().err
+    assert (
+        "--caption: is for one table; give --tables scenes-nonocc or scenes-all or scenes-disc"
+        in capsys.readouterr().err
+    )
     assert main([*command, "--columns", "z"]) == 2
     assert "no z in these tables, which have a, b, mean of 2" in capsys.readouterr().err
