@@ -78,14 +78,14 @@ REGISTRATION = (
     Column("iso", "edge of a voxel of the grid that is searched", "mm"),
     Column("border", "share of the voxels whose best match lies on the border of the search", "0 to 1, printed %",
            ("at border",)),
-    Column("mean_error", "mean expected error over all measured voxels, without a mask with the air around the body; "
-           "of samples the mean true error", "mm", ("expected mm",)),
+    Column("mean_error", "mean expected error, without a mask that of air too; of samples the mean true error", "mm",
+           ("expected mm",)),
     Column("inside_mean", "mean expected error within the mask, or else within the body", "mm", ("mean mm",)),
     Column("inside_95", "expected error that 95 % of the voxels in the mask or body stay below", "mm", ("95 % mm",)),
     Column("inside_max", "largest expected error in the mask or body", "mm", ("largest mm",)),
     Column("above_3mm", "volume of the mask or body whose expected error is above 3 mm", "mL", ("above 3 mm, mL",)),
-    Column("above_x, above_y, above_z", "center of the largest connected region above 3 mm: x towards left, y towards "
-           "posterior, z towards superior, as ITK and DICOM count (LPS)", "mm", ("center, LPS",), "above_[xyz]"),
+    Column("above_x, above_y, above_z", "center of the largest connected region above 3 mm; towards left, posterior, "
+           "superior (LPS)", "mm", ("center, LPS",), "above_[xyz]"),
 )  # fmt: skip
 """Columns of ``register-confidence``."""
 

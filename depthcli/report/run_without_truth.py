@@ -18,7 +18,7 @@ from depthcli.evaluation.render import Number
 from depthcli.report.run_view import RunView
 
 _MAX_SHOWN = 300  # scenes with pictures; more would make the page slow
-_DOUBTS = {"mean_error": 1, "measured": -1, "density": -1}
+_DOUBTS = {"inside_mean": 1, "mean_error": 1, "measured": -1, "density": -1}
 """Columns of reports by which the scenes with pictures are chosen where there are too many; 1: larger is worse."""
 
 
