@@ -44,7 +44,7 @@ import importlib
 import importlib.util
 import inspect
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from depthcli import programs  # noqa: F401  adds pipelines to the families of methods
 from depthcli.core.registry import Registry, plugin_of
@@ -59,11 +59,12 @@ __all__ = [
 ]  # fmt: skip
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return a base class of commands; ``--help`` does without their imports."""
     if name not in ("BatchCommand", "ConfigCommand"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}._batch"), name)
+    base: object = getattr(importlib.import_module(f"{__name__}._batch"), name)
+    return base
 
 
 _GROUPS = {
@@ -75,7 +76,7 @@ _GROUPS = {
 """Headings of ``depthcli --help``; commands that are listed nowhere come last, under a heading of their own."""
 
 
-def _command_of(value: Any) -> Command:
+def _command_of(value: object) -> Command:
     from depthcli.batch.command import Command
 
     command = value() if isinstance(value, type) else value
@@ -84,7 +85,9 @@ def _command_of(value: Any) -> Command:
     return command
 
 
-REGISTRY = Registry[Any](__name__, lambda module: module.COMMAND, _command_of, ("depthcli.batch.command",))
+REGISTRY: Registry[Command] = Registry(
+    __name__, lambda module: _command_of(module.COMMAND), _command_of, ("depthcli.batch.command",)
+)
 """Our own commands, and those of plug-ins."""
 
 

@@ -136,8 +136,8 @@ def _sequence_range(
 
 
 def _pair_of(
-    rig: RectifiedRig, scene: StereoScene, left: NDArray[Any], right: NDArray[Any]
-) -> tuple[StereoPair, NDArray[Any]]:
+    rig: RectifiedRig, scene: StereoScene, left: NDArray[np.generic], right: NDArray[np.generic]
+) -> tuple[StereoPair, NDArray[np.generic]]:
     """Return the rectified pair, and its left image with the colors that the scene's has."""
     from depthcli.data.formats.stereo_images import pair_of
 

@@ -106,7 +106,7 @@ def positive(text: str) -> float:
     return value
 
 
-def _has_usual_map(folder: Path, protocol: AnyProtocol, names: Sequence[str]) -> bool:
+def _has_standard_map(folder: Path, protocol: AnyProtocol, names: Sequence[str]) -> bool:
     try:
         return protocol.files.find(folder, names) is not None
     except InputError:  # several files claim to be the map: an error of that scene alone
@@ -135,7 +135,7 @@ def recognized(
         Several patterns are as frequent, and not exactly one of them is that of files that can be read; the message
         names the files and gives a ``--maps``.
     """
-    if options.pattern or any(_has_usual_map(folder, *scene) for scene in scenes.values()):
+    if options.pattern or any(_has_standard_map(folder, *scene) for scene in scenes.values()):
         return options
     suffixes = tuple({suffix: None for protocol, _ in scenes.values() for suffix in protocol.files.endings})
     found = found_patterns(folder, {scene: names for scene, (_, names) in scenes.items()}, suffixes)

@@ -52,11 +52,11 @@ class EvaluateCommand(Command):
         SCENES,
         LAYOUT,
         Option("protocol", str, "How to score, such as kitti-2015. Default: by data set.", "NAME"),
-        Option("maps", str, "Path of a map: '{scene}/a.tiff', or NAME=PATTERN.", "PATTERN",
+        Option("maps", str, "Path of a map, '{scene}/a.tiff'. Of one run: NAME=...", "PATTERN",
                repeatable=True, group="Input"),
-        Option("scale", str, "Codes per unit of integer files; of one run, NAME=CODES.", "CODES", repeatable=True,
+        Option("scale", str, "Codes per unit of integer files. Of one run: NAME=...", "CODES", repeatable=True,
                group="Input"),
-        Option("invalid", str, "Value that means none, or nan; of one run, NAME=VALUE.", "VALUE", repeatable=True,
+        Option("invalid", str, "Value that means none, or nan. Of one run: NAME=...", "VALUE", repeatable=True,
                group="Input"),
         Option("resolution", str, "Size of Middlebury v3's truth. Default: by the width.", "F|H|Q"),
         Option("resize", str, "Bring depth maps and truth to this size.", "WxH"),
@@ -67,7 +67,8 @@ class EvaluateCommand(Command):
 
     examples = (
         "depthcli evaluate runs/accurate runs/fast --truth scenes -o results --html",
-        "depthcli evaluate runs/fast --truth scenes --format latex --quiet",
+        "depthcli evaluate a=maps/a b=maps/b --maps b='{scene}/d.tiff' --truth in",
+        "depthcli evaluate runs/fast --truth scenes --format latex --tables metrics",
     )
 
     def run(self, values: Values, reporter: Reporter) -> int:
