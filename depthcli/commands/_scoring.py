@@ -125,7 +125,7 @@ class Scoring:
         if self.page is not None:
             self.page.begin_scene(protocol, scene, truth)
         if self.output is not None and protocol.presentation.error_pictures and not self.sheet.is_full:
-            self.sheet.begin_scene(scene.name, protocol.presentation.image(scene))
+            self.sheet.begin_scene(scene.name, protocol.presentation.image(scene), protocol.true_values(truth))
         start = replace(start, warning="; ".join(lines))
         return [self._result(replace(start, run=run), protocol, scene, truth, names) for run in self.runs]
 
@@ -194,7 +194,7 @@ class Scoring:
             picture = protocol.picture(estimate, truth)
             if picture is not None:
                 write_png(self.output / result.picture, picture)
-                self.sheet.add_map(result.scene, result.run, path, picture)
+                self.sheet.add_map(result.scene, result.run, protocol.values(estimate, truth), picture)
             for (region, of), plot in result.plots.items():
                 lines = {c.confidence: c.line for c in result.curves if (c.region, c.of) == (region, of)}
                 write_text(self.output / plot, curve_plot(lines, f"{result.run}: {result.scene}, {region}", of))

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 from depthcli.batch.command import SOME_FAILED, Command, Values
 from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import to_csv, to_json
-from depthcli.batch.warning_counts import summarized
 from depthcli.commands._options import LAYOUT, SCENES
 from depthcli.commands._page import HTML, PAGE_FILE, RESULTS, new_page
 from depthcli.commands._tables import TABLES, check_tables, print_place, print_tables
@@ -155,12 +154,8 @@ def evaluate(
         report = _scored(
             Scoring(places, truth, folder, scored_by, settings, page, dict(map_options or {})), found, reporter
         )
-    for hint in report.hints:
-        reporter.info(f"warning: {hint}")
-    for run in places:
-        of_run = [(result.scene, result.warning) for result in report.results if result.run == run and result.warning]
-        for line in summarized(of_run):
-            reporter.info(f"warning: {run}: {line}")
+    for line in report.warning_lines:
+        reporter.info(f"warning: {line}")
     for result in report.failed:
         reporter.error(f"{result.run} {result.scene}: {result.error}")
     return report

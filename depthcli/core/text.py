@@ -1,7 +1,11 @@
-"""Text for people: foreign text made harmless for terminals, tables and spreadsheets; sizes in bytes."""
+"""Text for people: foreign text made harmless for terminals, tables and spreadsheets; sizes in bytes; like warnings."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+
+_NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
 _FORMULA_STARTS = ("=", "+", "-", "@")  # cells that begin so are computed by spreadsheets (OWASP, CSV injection)
 
 
@@ -49,3 +53,28 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def summarized(warnings: Iterable[tuple[str, str]]) -> list[str]:
+    """Return one line a kind of warning, that of its first scene, with the number of the other scenes that have it.
+
+    Parameters
+    ----------
+    warnings : scene and line
+    """
+    kinds: dict[str, list[tuple[str, str]]] = {}
+    for scene, line in warnings:
+        kinds.setdefault(kind_of_warning(scene, without_file(line)), []).append((scene, line))
+    more = {kind: len(of) - 1 for kind, of in kinds.items()}
+    return [f"{of[0][0]}{f' and {more[k]} more' if more[k] else ''}: {of[0][1]}" for k, of in kinds.items()]
+
+
+def kind_of_warning(scene: str, text: str) -> str:
+    """Return the text of a warning without numbers and the name of its scene."""
+    return _NUMBER.sub("#", re.sub(rf"(?<!\w){re.escape(scene)}(?!\w)", "#", text))
+
+
+def without_file(line: str) -> str:
+    """Return the line without the path that it begins with, if it does."""
+    start, colon, rest = line.partition(": ")
+    return rest if colon and "/" in start else line

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from depthcli.core.errors import InputError
+from depthcli.core.text import summarized
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.ranking import Ranking
 from depthcli.evaluation.results import COMMON_MEAN, MEAN, MapResult, Record
@@ -226,6 +227,15 @@ class EvaluationReport:
     def warnings(self) -> list[str]:
         """What looks wrong with the scenes and maps, one line each."""
         return [*self.hints, *(f"{r.run}: {r.scene}: {r.warning}" for r in self.results if r.warning)]
+
+    @property
+    def warning_lines(self) -> list[str]:
+        """``warnings``, where those of a run that differ in numbers and scenes alone are one line."""
+        by_run: dict[str, list[tuple[str, str]]] = {}
+        for result in self.results:
+            if result.warning:
+                by_run.setdefault(result.run, []).append((result.scene, result.warning))
+        return [*self.hints, *(f"{run}: {line}" for run, lines in by_run.items() for line in summarized(lines))]
 
     @property
     def n_scenes(self) -> int:

@@ -1,22 +1,21 @@
-"""One picture of an evaluation: a row for each scene with its image, and every run's map above its errors."""
+"""One picture of an evaluation: a row for each scene, image above truth, and every run's map above its errors."""
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.errors import InputError
-from depthcli.core.frames import color8
-from depthcli.data.formats.images import read_image, write_png
+from depthcli.data.formats.images import write_png
 from depthcli.data.formats.pictures import draw_text
+from depthcli.report.colors import map_picture
 
 Picture: TypeAlias = NDArray[np.uint8]
+Map: TypeAlias = NDArray[np.floating[Any]]
 
 _MAX_SCENES = 4  # rows: the sheet fits a screen
 _MAX_RUNS = 4
@@ -34,6 +33,7 @@ class ContactSheet:
 
     def __init__(self, runs: Sequence[str]) -> None:
         self._runs = list(runs)[:_MAX_RUNS]
+        self._ends = 0.0, 1.0
         self._rows: dict[str, dict[str, list[Picture]]] = {}
 
     @property
@@ -41,19 +41,30 @@ class ContactSheet:
         """True once no further scene has a row: its image need not be read."""
         return len(self._rows) >= _MAX_SCENES
 
-    def begin_scene(self, scene: str, image: NDArray[np.uint8] | None) -> None:
-        """Begin the row of a scene with its (H, W, 3) image; a scene without one, or a volume, has no row."""
-        if image is not None and image.ndim == 3 and image.shape[2] == 3 and not self.is_full:
-            self._rows[scene] = {"": [_small(image)]}
+    def begin_scene(self, scene: str, image: NDArray[np.uint8] | None, truth: Map | None) -> None:
+        """Begin the row of a scene; one without an image, or a volume, has no row.
 
-    def add_map(self, scene: str, run: str, map_file: Path, errors: NDArray[np.uint8]) -> None:
-        """Add a run's map, as the ``preview.png`` beside ``map_file`` shows it, and its (H, W, 3) error picture."""
+        Parameters
+        ----------
+        scene : its name
+        image : (H, W, 3), or None
+        truth : (H, W), NaN = unknown, whose range is that of the colors of all maps; or None
+        """
+        if image is None or image.ndim != 3 or image.shape[2] != 3 or self.is_full:
+            return
+        row = self._rows[scene] = {"": [_small(image)]}
+        if truth is not None and truth.ndim == 2 and np.isfinite(truth).any():
+            known = truth[np.isfinite(truth)]
+            self._ends = float(known.min()), float(known.max())
+            row[""].append(_small(map_picture(truth, *self._ends)))
+
+    def add_map(self, scene: str, run: str, values: Map | None, errors: NDArray[np.uint8]) -> None:
+        """Add a run's (H, W) map, NaN = no value, and its (H, W, 3) error picture."""
         if scene not in self._rows or run not in self._runs:
             return
-        pictures = [_small(errors)]
-        with contextlib.suppress(InputError):  # another program's map has no preview
-            pictures.insert(0, _small(color8(read_image(map_file.with_name("preview.png")))))
-        self._rows[scene][run] = pictures
+        has_map = values is not None and len(self._rows[scene][""]) > 1
+        self._rows[scene][run] = [_small(map_picture(values, *self._ends))] if has_map and values is not None else []
+        self._rows[scene][run].append(_small(errors))
 
     def write(self, path: Path) -> bool:
         """Write the sheet as PNG; False where there is nothing to show."""

@@ -6,31 +6,36 @@ from pathlib import Path
 
 import numpy as np
 
-from depthcli.data.formats.images import read_image, write_png
+from depthcli.data.formats.images import read_image
+from depthcli.report.colors import map_colors
 from depthcli.report.contact_sheet import ContactSheet
 
-RED, GREEN = (np.full((30, 40, 3), color, np.uint8) for color in ((255, 0, 0), (0, 255, 0)))
+GREEN = np.full((30, 40, 3), (0, 255, 0), np.uint8)
+TRUTH = np.tile(np.linspace(1, 3, 40, dtype=np.float32), (30, 1))
 
 
-def test_maps_stand_above_their_errors_in_the_column_of_the_run(tmp_path: Path):
+def test_maps_in_the_colors_of_the_truth_stand_above_their_errors(tmp_path: Path):
     sheet = ContactSheet(["first", "second"])
-    for run in ("first", "second"):
-        write_png(tmp_path / run / "preview.png", RED)
-    sheet.begin_scene("a", np.full((30, 40, 3), 9, np.uint8))
-    sheet.add_map("a", "second", tmp_path / "second" / "map.pfm", GREEN)
-    sheet.begin_scene("volume", np.zeros((3, 4, 5), np.uint8))  # no picture: no row
-    sheet.add_map("volume", "first", tmp_path / "first" / "map.pfm", GREEN)
+    sheet.begin_scene("a", np.full((30, 40, 3), 9, np.uint8), TRUTH)
+    sheet.add_map("a", "second", np.full((30, 40), 3, np.float32), GREEN)
+    sheet.begin_scene("volume", np.zeros((3, 4, 5), np.uint8), None)  # no picture: no row
+    sheet.add_map("volume", "first", TRUTH, GREEN)
     assert sheet.write(tmp_path / "sheet.png")
     made = read_image(tmp_path / "sheet.png").astype(int)
-    red, green = (np.argwhere(np.abs(made - color[0, 0]).sum(axis=2) < 10) for color in (RED, GREEN))
-    assert len(red) == len(green) == 240 * 180
-    assert red[:, 0].max() < green[:, 0].min()
-    assert set(red[:, 1]) == set(green[:, 1])
-    assert red[:, 1].min() > 240  # behind the image
+    yellow, green = (
+        np.argwhere(np.abs(made - color).sum(axis=2) < 10)[:, ::-1] for color in (map_colors()[-1], GREEN[0, 0])
+    )
+    assert len(green) == 240 * 180
+    in_column = yellow[yellow[:, 0] >= green[:, 0].min()]
+    assert len(in_column) == 240 * 180  # the largest value of the truth
+    assert in_column[:, 1].max() < green[:, 1].min()
+    of_truth = yellow[yellow[:, 0] < green[:, 0].min()]
+    assert len(of_truth) > 0
+    assert of_truth[:, 1].min() >= green[:, 1].min()  # in the row of the errors, below the image
 
 
 def test_nothing_to_show_writes_nothing(tmp_path: Path):
     sheet = ContactSheet(["run"])
-    sheet.begin_scene("a", None)
+    sheet.begin_scene("a", None, TRUTH)
     assert not sheet.write(tmp_path / "sheet.png")
     assert not list(tmp_path.iterdir())
