@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import pytest
 
+from depthcli.core import registry
 from depthcli.core.config_file import dump_config, load_config
 from depthcli.core.errors import ConfigError
 from depthcli.core.method import Family, RootConfig
@@ -93,6 +94,7 @@ def test_a_file_holds_one_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     (tmp_path / "family" / "both.py").write_text(head + method.format("A") + method.format("B"))
     (tmp_path / "family" / "none.py").write_text("x = 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(registry, "_registries", dict(registry._registries))  # the family is no one else's
     family = Family("family")
     with pytest.raises(TypeError, match=r"family\.both defines A and B; a file of a family holds one method"):
         family.load("both")

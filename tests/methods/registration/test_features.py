@@ -8,7 +8,7 @@ import pytest
 from depthcli.core.method import Family
 from depthcli.methods.registration.search import search
 
-FAMILY = Family("depthcli.methods.registration.feature")
+FAMILY = Family.of("depthcli.methods.registration.feature")
 
 
 def texture(seed, shape=(20, 20, 20)):
