@@ -243,7 +243,7 @@ def _source_digest_function() -> Callable[[], tuple[str, str]]:
         if "_source_digest" not in known:  # once a process: code that was loaded stays when its file changes
             folder, sha = Path(depthcli.__file__).parent, hashlib.sha256()
             for path in sorted(folder.rglob("*")):
-                if path.suffix in (".py", ".cl", ".yaml") or path.parent.name == "networks":
+                if path.suffix in (".py", ".cl", ".json", ".yaml"):
                     sha.update(f"{path.relative_to(folder).as_posix()} {path.stat().st_size} ".encode())
                     sha.update(path.read_bytes())
             known["_source_digest"] = depthcli.__version__, sha.hexdigest()

@@ -64,6 +64,8 @@ def overlaid(
 
 
 def _index(values: NDArray[np.floating[Any]], low: float, high: float, steps: int) -> NDArray[np.intp]:
-    share = (np.clip(np.nan_to_num(values, nan=low), low, max(high, low)) - low) / max(high - low, 1e-9)
+    share = (np.clip(np.nan_to_num(values.astype(np.float64), nan=low), low, max(high, low)) - low) / max(
+        high - low, 1e-9
+    )
     index: NDArray[np.intp] = np.clip((share * steps).astype(np.intp), 0, steps - 1)
     return index

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.frames import StereoPair
+from depthcli.kernels.jit import n_threads, set_threads
 from depthcli.methods.stereo.volume import CostVolume
 
 TestedT = TypeVar("TestedT")
@@ -76,12 +76,12 @@ def inside(shape: tuple[int, int, int]) -> NDArray[np.bool_]:
 @contextmanager
 def threads(count: int) -> Iterator[None]:
     """Run the block with so many threads of numba."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+    before = n_threads()
+    set_threads(count)
     try:
         yield
     finally:
-        numba.set_num_threads(before)
+        set_threads(before)
 
 
 def assert_pure(run: Callable[[], Any], *inputs: NDArray[Any]) -> None:

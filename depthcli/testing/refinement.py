@@ -18,7 +18,7 @@ def check_refinement(step: Refinement) -> None:
     run_checks(step, CHECKS)
 
 
-def _noisy_case(
+def noisy_case(
     height: int, width: int, disparities: int, seed: int = 0, color: bool = True
 ) -> tuple[DisparityMap, RefinementContext]:
     """Winners of random costs with holes of every kind, and what belongs to them."""
@@ -37,7 +37,7 @@ def tiny_maps_and_wide_ranges(step: Refinement) -> None:
     """Maps of any size stay within the range; no value is infinite."""
     for height, width, disparities in TINY:
         for color in (False, True):
-            disparity, evidence = _noisy_case(height, width, disparities, width, color)
+            disparity, evidence = noisy_case(height, width, disparities, width, color)
             result = step(disparity, evidence)
             assert result.values.shape == (height, width), f"want {(height, width)}, got {result.values.shape}"
             assert not np.isinf(result.values).any(), "a value is infinite"
@@ -51,7 +51,7 @@ def the_map_depends_on_the_halo_alone(step: Refinement) -> None:
     if halo is None:
         return
     height = 2 * halo + 40
-    disparity, context = _noisy_case(height, 60, 20, 4)
+    disparity, context = noisy_case(height, 60, 20, 4)
     rows = slice(9, height - 7)
     pair, volume = context.pair, context.volume
     assert isinstance(volume, CostVolume)
@@ -69,7 +69,7 @@ def the_map_depends_on_the_halo_alone(step: Refinement) -> None:
 
 def every_pixel_without_value_has_a_reason(step: Refinement) -> None:
     """Pixels without a value have a reason in the status, new values are marked as filled."""
-    disparity, evidence = _noisy_case(30, 50, 20, 1)
+    disparity, evidence = noisy_case(30, 50, 20, 1)
     result = step(disparity, evidence)
     reasons = Status.OCCLUDED | Status.MISMATCH | Status.OUT_OF_RANGE | Status.NO_DATA
     assert np.all(result.status[~result.valid] & reasons), "a pixel has neither value nor reason"
@@ -81,7 +81,7 @@ def every_pixel_without_value_has_a_reason(step: Refinement) -> None:
 
 def same_map_at_any_number_of_threads(step: Refinement) -> None:
     """The map does not depend on the number of threads, and the inputs stay as they were."""
-    disparity, evidence = _noisy_case(41, 70, 20, 2)
+    disparity, evidence = noisy_case(41, 70, 20, 2)
     volume = evidence.volume
     assert isinstance(volume, CostVolume)
 
@@ -109,7 +109,7 @@ def a_perfect_map_stays(step: Refinement) -> None:
 
 def a_map_without_any_value_is_no_error(step: Refinement) -> None:
     """A map without any value gives a map without infinite values."""
-    _, evidence = _noisy_case(12, 20, 8, 3)
+    _, evidence = noisy_case(12, 20, 8, 3)
     empty = DisparityMap(np.full((12, 20), np.nan, np.float32), np.full((12, 20), Status.MISMATCH, np.uint8))
     result = step(empty, evidence)
     assert not np.isinf(result.values).any(), "a value is infinite"

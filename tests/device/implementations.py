@@ -32,8 +32,8 @@ from depthcli.methods.stereo.refinement.median import Median
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
 from depthcli.methods.stereo.refinement.weighted_median import WeightedMedian
+from depthcli.testing.refinement import noisy_case
 from tests.methods.stereo._pairs import TINY, blocky_pair, methods, random_volume, texture
-from tests.methods.stereo.test_contract_refinement import noisy_case
 
 SIZES = [*TINY, (37, 61, 70)]
 FEW = [(1, 1, 5), (9, 1, 4), (3, 2, 17), (8, 40, 64), (37, 61, 70)]

@@ -119,16 +119,16 @@ def test_what_the_report_and_the_warnings_say(tmp_path: Path, capsys):
 @pytest.mark.parametrize("kind", ["planes", "curved"])
 def test_key_points_find_the_range(kind):
     scene = make_scene(kind, 1, 240, 180, 40)
-    found, matches = range_of_key_points(StereoPair(scene.left, scene.right))
+    found = range_of_key_points(StereoPair(scene.left, scene.right))
     true = np.quantile(scene.disparity_left, (0.01, 0.99))
-    assert matches > 16
-    assert found.min_disparity <= true[0]
-    assert true[1] <= found.max_disparity <= 1.6 * true[1] + 5
+    assert found.n_matches > 16
+    assert found.low <= true[0]
+    assert true[1] <= found.top <= 1.6 * true[1] + 5
     # Converging cameras: the same, moved.
     right = np.roll(scene.right, 20, axis=1)
-    moved, _ = range_of_key_points(StereoPair(scene.left, right))
-    assert abs(moved.min_disparity - found.min_disparity + 20) <= 3
-    assert abs(moved.max_disparity - found.max_disparity + 20) <= 6
+    moved = range_of_key_points(StereoPair(scene.left, right))
+    assert abs(moved.low - found.low + 20) <= 3
+    assert abs(moved.top - found.top + 20) <= 6
 
 
 def test_a_pair_without_matches_is_told():
