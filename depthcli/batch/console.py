@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from depthcli.batch.json_csv import Row
 from depthcli.batch.progress_bar import Progress
@@ -81,7 +81,7 @@ class Reporter:
         try:
             print(text, end="" if text.endswith("\n") else "\n", flush=True)
         except (OSError, ValueError) as error:  # ValueError: stdout was closed
-            self.close_stdout()
+            self.close(sys.stdout)
             number = getattr(error, "errno", None)
             if isinstance(error, OSError) and number not in (errno.EPIPE, errno.EBADF):
                 raise IncompleteError(f"stdout: cannot be written ({error.strerror or error})") from error
@@ -127,10 +127,10 @@ class Reporter:
                 print(text, file=sys.stderr, flush=True)
 
     @staticmethod
-    def close_stdout() -> None:
-        """Send the interpreter's last flush to the null device, where it cannot fail."""
+    def close(stream: TextIO) -> None:
+        """Send the interpreter's last flush of a stream to the null device, where it cannot fail."""
         with contextlib.suppress(OSError, ValueError, AttributeError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _is_terminal() -> bool:

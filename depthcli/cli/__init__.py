@@ -165,6 +165,10 @@ def main(arguments: list[str] | None = None) -> int:
     finally:
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
+        try:
+            sys.stderr.flush()
+        except (OSError, ValueError):  # else the interpreter's last flush fails, and with it the exit code
+            Reporter.close(sys.stderr)
 
 
 def _load_plugins(arguments: Sequence[str]) -> None:
@@ -199,7 +203,7 @@ def _run_typer(arguments: list[str] | None) -> int:
     except OSError as error:
         if error.filename is not None or error.errno not in _STREAM_ERRORS:
             raise
-        Reporter.close_stdout()
+        Reporter.close(sys.stdout)
         raise IncompleteError(f"stdout: cannot be written ({error.strerror})") from error
     except Exception as error:
         if getattr(error, "exit_code", None) != 2 or not hasattr(error, "show"):
