@@ -106,7 +106,8 @@ def scenes(tmp_path: Path, file: Path) -> Path:
 def test_every_group_has_a_plug_in(file: Path):
     load_file(file)
     with_plugins = {each.group for each in registry._registries.values() if each.plugins()}
-    assert set(groups()) - with_plugins <= {"depthcli.commands", "depthcli.stereo.cost", "depthcli.kinect.model"}
+    ours = {group for group in groups() if group.startswith("depthcli.")}  # other tests make groups of their own
+    assert ours - with_plugins <= {"depthcli.commands", "depthcli.stereo.cost", "depthcli.kinect.model"}
 
 
 def test_maps_of_a_format_are_read_everywhere(file: Path, tmp_path: Path):
