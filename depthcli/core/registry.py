@@ -130,9 +130,7 @@ class Registry(Generic[T]):
 
     def plugins(self) -> dict[str, Plugin]:
         """Return name -> plug-in, sorted; a name that another one has, too, is written ``package:name``."""
-        for path in _files():  # in a worker process they are not read yet
-            load_file(path)
-        found = [*_file_plugins.get(self.group, ()), *_installed(self.group)]
+        found = _plugins_in(self.group)
         names = [*self.own_names, *(plugin.name for plugin in found)]
         return {p.qualified if names.count(p.name) > 1 else p.name: p for p in sorted(found, key=lambda p: p.qualified)}
 
@@ -222,11 +220,9 @@ def versions_here(plugins: Iterable[Plugin]) -> dict[str, str]:
 
     In the process that found the plug-ins these are their own versions; a worker elsewhere may have others.
     """
-    for path in _files():
-        load_file(path)
     found = {}
     for plugin in plugins:
-        known = (*_file_plugins.get(plugin.group, ()), *_installed(plugin.group))
+        known = _plugins_in(plugin.group)
         found[plugin.package] = next((p.version for p in known if p.qualified == plugin.qualified), "missing")
     return dict(sorted(found.items()))
 
@@ -253,6 +249,13 @@ def _registries_of(kind: type) -> Iterator[Registry[Any]]:
 def groups() -> dict[str, str]:
     """Return group of entry points -> package that it adds to, of the registries that are known by now."""
     return {registry.group: registry.package for registry in _registries.values()}
+
+
+def _plugins_in(group: str) -> tuple[Plugin, ...]:
+    """Return the plug-ins of files and of installed packages that add to a group."""
+    for path in _files():  # in a worker process they are not read yet
+        load_file(path)
+    return (*_file_plugins.get(group, ()), *_installed(group))
 
 
 @cache
