@@ -4,12 +4,27 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 
+import _docs_examples
+import docs_reference
 import pytest
 
-DOCS = Path(__file__).parent.parent / "docs"
+import depthcli
+from depthcli.batch.command import EXIT_CODES
+from depthcli.batch.presets import list_presets
+from depthcli.commands import command_names, load_command
+from depthcli.commands.help import METHOD_PACKAGES, TOPICS
+from depthcli.core.maps import DEPTH_STATUS_HELP, STATUS_HELP
+from depthcli.core.method import Family
+from depthcli.data.layouts import layouts
+from depthcli.evaluation import protocols
+from depthcli.methods.registration.search import MEASURES
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
 
 
 @pytest.mark.parametrize("notebook", sorted(DOCS.glob("*.ipynb")), ids=lambda path: path.stem)
@@ -27,3 +42,80 @@ def test_notebooks_run(
     if notebook.stem == "first_steps":
         assert "accurate: " in capsys.readouterr().out
         assert (tmp_path / "first_steps" / "points.ply").stat().st_size > 1_000_000
+
+
+def test_every_name_of_the_program_is_in_the_reference():
+    """Commands with options, presets, methods with fields, layouts, protocols, columns, bits: asked of the code."""
+    pages = docs_reference.pages()
+    for name in command_names():
+        command = load_command(name)
+        section = pages["command_line"].partition(f"(command-{name})=")[2].partition("(command-")[0]
+        for option in (*command.options, *command.arguments):
+            assert option.help.split("|")[0].rstrip() in section, (name, option.name)
+    for command, preset, _ in list_presets():
+        assert f"### `{command} {preset}`" in pages["presets"]
+    sources = (path for path in (ROOT / "depthcli").rglob("__init__.py") if "method_of(" in path.read_text("utf-8"))
+    families = {".".join(path.parent.relative_to(ROOT).parts) for path in sources}
+    assert families <= set(METHOD_PACKAGES) | {"depthcli.core"}
+    for package in METHOD_PACKAGES:
+        family = Family.of(package)
+        text = "".join(text for page, text in pages.items() if page.startswith("methods/") and family.group in text)
+        for name in family.own_names:
+            section = text.partition(f"## `{name}`\n")[2].partition("\n## ")[0]
+            assert section, (package, name)
+            assert all(f"| `{field}` |" in section for field in family.load(name).model_fields), (package, name)
+    for found, page in (
+        ([each.name for each in layouts()], "data"),
+        (protocols.names(), "protocols"),
+        ([str(int(bit)) for bit in (*STATUS_HELP, *DEPTH_STATUS_HELP)], "outputs"),
+        (map(str, EXIT_CODES), "outputs"),
+        ([name for rows in TOPICS["columns"]().values() for name, _ in rows], "columns"),
+        ([name for rows in TOPICS["formats"]().values() for name, _ in rows], "data"),
+        (MEASURES, "methods/registration_feature"),
+    ):
+        assert all(f"`{name}`".replace("|", "\\|") in pages[page] for name in found), page
+    assert all(f"depthcli.{name}" in pages["python"] for name in depthcli.__all__ if name != "__version__")
+
+
+@pytest.fixture
+def page(tmp_path: Path):
+    def make(text: str) -> str:
+        return _docs_examples.Page("page.md", text, tmp_path / "run", (), tmp_path / "pictures", "/pictures").run()
+
+    return make
+
+
+def test_blocks_of_a_page_run_in_order_and_show_what_they_print(page, tmp_path: Path):
+    text = page(
+        "```yaml file=a/b.yaml\nbase: fast\n```\n"
+        "```console lines=2\n$ cat a/b.yaml; pwd\n$ seq 4\nold output\n```\n"
+        "```python\nx = 2\n```\n```python hidden\nopen('p.png', 'wb').write(b'p')\n```\n```python\nprint(x + 1)\n```\n"
+        "```sh exit=3\nexit 3\n```\n![p](p.png) ![q](q.png)\n```text\nas it is\n```\n"
+    )
+    assert "```{code-block} yaml\n:caption: a/b.yaml\n\nbase: fast\n```" in text
+    assert "```console\n$ cat a/b.yaml; pwd\nbase: fast\n/home/you/depth\n$ seq 4\n1\n2\n...\n```" in text
+    assert "```python\nx = 2\n```\n\n```python\nprint(x + 1)\n```\n\n```text\n3\n```\n```sh\nexit 3\n```\n" in text
+    assert "![p](/pictures/p.png) ![q](q.png)\n```text\nas it is\n```" in text
+    assert (tmp_path / "pictures/p.png").read_bytes() == b"p"
+
+
+@pytest.mark.parametrize(
+    ("block", "said"),
+    [
+        ("```console\n$ false\n```\n", "page.md:2: exit code 1, not 0"),
+        ("```sh exit=2\nexit 3\n```\n", "exit code 3, not 2"),
+        ("```python\nraise ValueError('no')\n```\n", "ValueError: no"),
+        ("```console\nnothing\n```\n", "no line begins with"),
+        ("```yaml\na: 1\n```\n", "neither run nor written"),
+        ("```sh quiet\ntrue\n```\n", "unknown setting quiet"),
+    ],
+)
+def test_an_example_that_fails_stops_the_page(page, block: str, said: str):
+    with pytest.raises(_docs_examples.ExampleError, match=re.escape(said)):
+        page("\n" + block)
+
+
+def test_flow_charts_draw_rows_of_boxes():
+    chart = _docs_examples.flow_chart("(image) -> cost -> map <1>\n\nmap -> check\n")
+    assert chart.count("<rect") == 5 and chart.count('marker-end="url(#arrow)"') == 3
+    assert chart.count("stroke-dasharray") == 1 and "map &lt;1&gt;" in chart

@@ -1,0 +1,221 @@
+"""Code blocks of the documentation's Markdown pages: run in order, with what they print and draw put into the page.
+
+A page runs from top to bottom in an empty folder of its own. What follows the language of a block says how:
+
+| block | what happens |
+|---|---|
+| ``console`` | lines behind ``$ `` are run by bash, one after the other; the page shows them with what they print |
+| ``sh`` | run by bash; the page shows the commands alone |
+| ``python`` | run in one interpreter for the whole page; what it prints is shown below |
+| any, with ``file=NAME`` | written into the folder, not run |
+| ``text``, ``bibtex``, ``math`` | shown |
+| ``flow`` | drawn: names with ``->`` between them, a row a line |
+
+``hidden`` runs a block without showing it, ``exit=N`` expects that exit code, ``lines=N`` shows at most so many lines
+of each output. An image of the page whose file the blocks wrote is taken from the folder.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+BLOCK = re.compile(
+    r"^(?P<fence>```+)(?P<head>[a-z]\w*)(?P<settings>[^\n`]*)\n(?P<text>.*?)^(?P=fence)[ ]*$", re.M | re.S
+)
+IMAGE = re.compile(r"(!\[[^\]]*\]\()([^)\s]+\.(?:png|svg))(\))")
+SHOWN_ONLY = ("text", "bibtex", "math")
+_NOISE = re.compile(r"first use of these settings here: compiling|compiled \d+ kernels in ")
+_INTERPRETER = """
+import contextlib, io, json, sys, traceback
+names = {"__name__": "__main__"}
+for line in sys.stdin:
+    printed, failed = io.StringIO(), False
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+        try:
+            exec(compile(json.loads(line), "page", "exec"), names)
+        except BaseException:
+            failed = True
+            traceback.print_exc()
+    print(json.dumps([failed, printed.getvalue()]), flush=True)
+"""
+
+
+class ExampleError(Exception):
+    """An example of a page that fails, or a block that nothing would run."""
+
+
+@dataclass
+class Page:
+    """One Markdown page and the folder that its blocks run in.
+
+    Attributes
+    ----------
+    name : of the page, for messages
+    text : the page as written
+    folder : empty, or not there yet
+    search_path : folders of programs that come before those of the system
+    pictures : where images that the blocks write are copied to
+    link : the same folder as the page's text has to name it
+    """
+
+    name: str
+    text: str
+    folder: Path
+    search_path: Sequence[Path]
+    pictures: Path
+    link: str
+    _interpreter: subprocess.Popen[str] | None = field(default=None, init=False)
+
+    def run(self) -> str:
+        """Run all blocks and return the page with their output.
+
+        Raises
+        ------
+        ExampleError
+            A block ends with another exit code than it should; the text says which, and what it printed.
+        """
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir(parents=True)
+        try:
+            text = BLOCK.sub(self._block, self.text)
+        finally:
+            if self._interpreter is not None:
+                self._interpreter.communicate()
+        return IMAGE.sub(self._image, text)
+
+    def _block(self, found: re.Match[str]) -> str:
+        language, text = found["head"], found["text"]
+        settings = dict(word.partition("=")[::2] for word in found["settings"].split())
+        unknown = settings.keys() - {"file", "hidden", "exit", "lines"}
+        if unknown:
+            raise ExampleError(f"{self._place(found)}: unknown setting {', '.join(sorted(unknown))}")
+        if "file" in settings:
+            file = self.folder / settings["file"]
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text, "utf-8")
+            shown = f"```{{code-block}} {language}\n:caption: {settings['file']}\n\n{text}```"
+        elif language in SHOWN_ONLY:
+            return found[0]
+        elif language == "flow":
+            shown = flow_chart(text)
+        elif language == "console":
+            lines = "".join(self._console(found, text, settings))
+            shown = f"```console\n{lines}```"
+        elif language == "sh":
+            self._shell(found, text, int(settings.get("exit", 0)))
+            shown = f"```sh\n{text}```"
+        elif language == "python":
+            output = self._clean(self._python(found, text), settings)
+            shown = f"```python\n{text}```" + (f"\n\n```text\n{output}```" if output else "")
+        else:
+            raise ExampleError(f"{self._place(found)}: a block of {language} is neither run nor written to a file=NAME")
+        return "" if "hidden" in settings else shown
+
+    def _console(self, found: re.Match[str], text: str, settings: dict[str, str]) -> Iterator[str]:
+        commands = re.findall(r"^\$ (.*(?:\\\n.*)*)\n", text, re.M)
+        if not commands:
+            raise ExampleError(f"{self._place(found)}: no line begins with '$ '")
+        for number, command in enumerate(commands):
+            wanted = int(settings.get("exit", 0)) if number == len(commands) - 1 else 0
+            yield f"$ {command}\n{self._clean(self._shell(found, command, wanted), settings)}"
+
+    def _shell(self, found: re.Match[str], text: str, wanted: int) -> str:
+        done = subprocess.run(
+            ["bash", "-eu", "-o", "pipefail", "-c", text], cwd=self.folder, env=self._environment(), text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, errors="replace", check=False,
+        )  # fmt: skip
+        if done.returncode != wanted:
+            raise ExampleError(
+                f"{self._place(found)}: exit code {done.returncode}, not {wanted}:\n{text}\n{done.stdout}"
+            )
+        return done.stdout
+
+    def _python(self, found: re.Match[str], text: str) -> str:
+        if self._interpreter is None:
+            self._interpreter = subprocess.Popen(
+                [sys.executable, "-c", _INTERPRETER], cwd=self.folder, env=self._environment(), text=True,
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+        assert self._interpreter.stdin is not None and self._interpreter.stdout is not None
+        self._interpreter.stdin.write(json.dumps(text) + "\n")
+        self._interpreter.stdin.flush()
+        answer = self._interpreter.stdout.readline()
+        failed, printed = json.loads(answer) if answer else (True, "the interpreter ended")
+        if failed:
+            raise ExampleError(f"{self._place(found)}:\n{text}\n{printed}")
+        return str(printed)
+
+    def _environment(self) -> dict[str, str]:
+        path = os.pathsep.join([*map(str, self.search_path), os.environ["PATH"]])
+        return os.environ | {"PATH": path, "COLUMNS": "100", "MPLBACKEND": "agg", "NO_COLOR": "1", "TERM": "dumb"}
+
+    def _clean(self, output: str, settings: dict[str, str]) -> str:
+        """What a command printed, without the folder's place and what is printed on the first run only."""
+        lines = [line for line in output.splitlines() if not _NOISE.match(line)]
+        most = int(settings.get("lines", 40))
+        if len(lines) > most:
+            lines = [*lines[:most], "..."]
+        text = "\n".join(lines).replace(str(self.folder), "/home/you/depth")
+        return f"{text}\n" if text.strip() else ""
+
+    def _image(self, found: re.Match[str]) -> str:
+        made = self.folder / found[2]
+        if not made.is_file():
+            return found[0]
+        copy = found[2].replace("/", "_")
+        self.pictures.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(made, self.pictures / copy)
+        return f"{found[1]}{self.link}/{copy}{found[3]}"
+
+    def _place(self, found: re.Match[str]) -> str:
+        return f"{self.name}:{self.text.count(chr(10), 0, found.start()) + 1}"
+
+
+_BOX, _GAP, _LINE, _MARGIN = 26, 34, 18, 12  # of a flow chart, pixels
+_CHARACTER = 7.4  # mean width, pixels, of the 13 px font
+
+
+def flow_chart(text: str) -> str:
+    """Return a picture (SVG inside HTML) of rows of boxes with arrows between them, in the colors of the page.
+
+    Parameters
+    ----------
+    text : ``a -> b -> c``, a row a line; a name between ``(`` and ``)`` is a file or an array and gets round corners
+    """
+    parts: list[str] = []
+    top, right = 0.0, 0.0
+    for row in filter(str.strip, text.splitlines()):
+        left = 1.0
+        for number, name in enumerate(map(str.strip, row.split("->"))):
+            is_data = name.startswith("(")
+            label = name.strip("()")
+            width = len(label) * _CHARACTER + 2 * _MARGIN
+            if number:
+                middle = top + _BOX / 2 + 1
+                parts.append(
+                    f'<path d="M{left - _GAP + 4:.0f} {middle:.0f}H{left - 10:.0f}" marker-end="url(#arrow)"/>'
+                )
+            corner, dashes = (13, ' stroke-dasharray="4 3"') if is_data else (3, "")
+            parts.append(
+                f'<rect x="{left:.0f}" y="{top + 1:.0f}" width="{width:.0f}" height="{_BOX}" rx="{corner}"'
+                f"{dashes}/>"
+                f'<text x="{left + width / 2:.0f}" y="{top + _LINE:.0f}">{html.escape(label)}</text>'
+            )
+            left += width + _GAP
+        right, top = max(right, left - _GAP), top + _BOX + 14
+    return (
+        f'<div class="flow"><svg viewBox="0 0 {right + 1:.0f} {top:.0f}" width="{right + 1:.0f}" role="img" '
+        f'aria-label="{html.escape(" ".join(text.split()))}"><defs><marker id="arrow" viewBox="0 0 8 8" refX="2" '
+        f'refY="4" markerWidth="7" markerHeight="7" orient="auto"><path d="M0 0L8 4L0 8z" class="head"/>'
+        f"</marker></defs>"
+        f"{''.join(parts)}</svg></div>"
+    )

@@ -1,0 +1,286 @@
+#!/usr/bin/env python3
+"""Write the reference of the documentation from the code itself: commands, presets, methods, data, outputs, Python.
+
+    scripts/docs_reference.py FOLDER
+
+``scripts/docs`` calls it. What a command prints under ``depthcli help TOPIC`` is not said twice: pages of the topics
+hold the same rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import re
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+import _env
+
+import depthcli
+from depthcli import testing
+from depthcli.batch.presets import find_config, list_presets
+from depthcli.cli import _COMMON
+from depthcli.commands import grouped_commands, help_of, load_command
+from depthcli.commands.help import METHOD_PACKAGES, TOPICS
+from depthcli.core.method import Family
+from depthcli.core.option import Option, OptionGroup
+from depthcli.data.layouts import layouts
+from depthcli.evaluation import protocols
+from depthcli.methods.registration.search import MEASURES
+
+CONFIGS = {
+    "stereo": depthcli.StereoConfig,
+    "fuse": depthcli.FuseConfig,
+    "refine-kinect": depthcli.RefineKinectConfig,
+    "transparent": depthcli.TransparentConfig,
+    "register-confidence": depthcli.RegisterConfidenceConfig,
+}
+"""Command -> class of its config."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the pages are written")
+    folder = parser.parse_args(arguments).folder
+    for name, text in pages().items():
+        file = folder / f"{name}.md"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(re.sub(r"\n{3,}", "\n\n", text).rstrip() + "\n", "utf-8")
+    return 0
+
+
+def pages() -> dict[str, str]:
+    """Return name -> Markdown of every page of the reference."""
+    families = {_family_name(package): family_page(package) for package in METHOD_PACKAGES}
+    found = {
+        "command_line": command_line(),
+        "presets": presets(),
+        "configs": configs(),
+        **{f"methods/{name}": text for name, text in families.items()},
+        "data": data(),
+        "protocols": protocol_page(),
+        "outputs": topic_page("Outputs", "outputs", "status", "exit-codes"),
+        "columns": topic_page("Columns of tables", "columns"),
+        "python": python_page(),
+        "plugins": plugins(),
+    }
+    tree = ["command_line", "python", "presets", "configs", "methods/index", "data", "protocols", "outputs", "columns",
+            "plugins"]  # fmt: skip
+    found["methods/index"] = _index(
+        "Methods", "The exchangeable parts of every command, by family; a config names them.", families
+    )
+    found["index"] = _index("Reference", "Generated from the code of the version that the page names.", tree)
+    return found
+
+
+def _index(title: str, about: str, names: Iterable[str]) -> str:
+    return f"# {title}\n\n{about}\n\n```{{toctree}}\n:maxdepth: 1\n\n" + "\n".join(names) + "\n```\n"
+
+
+def command_line() -> str:
+    """Return the page of all commands with their options."""
+    parts = [
+        "# Command line\n\nEvery command has `--help`; `depthcli help TOPIC` explains columns, layouts and more.\n"
+    ]
+    for group, names in grouped_commands().items():
+        parts.append(f"## {group}\n")
+        for name in names:
+            command = load_command(name)
+            parts.append(f"(command-{name})=\n### `depthcli {name}`\n\n{help_of(name)}\n")
+            options = [*command.arguments, *command.options]
+            for heading in get_args(OptionGroup):
+                found = [each for each in options if each.group == heading]
+                rows = [(f"`{_option(each, each in command.arguments)}`", _option_text(each)) for each in found]
+                parts.append(_table((heading, ""), rows) if rows else "")
+            parts.append("```text\n" + "\n".join(command.examples) + "\n```\n")
+    rows = [(f"`{_option(each, False)}`", _option_text(each)) for each in _COMMON]
+    parts.append("## Options of all commands\n\n" + _table(("Option", ""), rows))
+    return "\n".join(parts)
+
+
+def _option(option: Option, is_argument: bool) -> str:
+    value = option.metavar or option.name.upper()
+    if is_argument:
+        return value
+    names = ", ".join(filter(None, (option.short, option.flag)))
+    return names if option.type is bool else f"{names} {value}"
+
+
+def _option_text(option: Option) -> str:
+    default = "" if option.default in (None, False) else f" Default: `{option.default}`."
+    return option.help + (" Required." if option.required else default)
+
+
+def presets() -> str:
+    """Return the page of all presets with their files."""
+    parts = [
+        "# Presets\n\n`depthcli presets show COMMAND/NAME` prints one with all values filled in; a file of your own "
+        "begins with `base: NAME`.\n"
+    ]
+    shown = ""
+    for command, name, about in list_presets():
+        if command != shown:
+            parts.append(f"## `{command}`\n")
+            shown = command
+        text = find_config(command, name).read_text("utf-8").rstrip()
+        details = f"<details><summary>The file</summary>\n\n```yaml\n{text}\n```\n\n</details>"
+        parts.append(f"### `{command} {name}`\n\n{_markdown(about)}\n\n{details}\n")
+    return "\n".join(parts)
+
+
+def configs() -> str:
+    """Return the page of the keys that the config of each command has."""
+    parts = [
+        "# Configs\n\nThe keys at the root of a config; those of methods are on the pages of their families. Every "
+        "config also takes `base`, a preset or file that it begins from, and `plugins`, files of your own.\n"
+    ]
+    for command, model in CONFIGS.items():
+        parts.append(f"## `{command}`\n\n{_about(model)}\n\n{_fields(model)}")
+    return "\n".join(parts)
+
+
+def family_page(package: str) -> str:
+    """Return the page of a family of methods."""
+    family = Family.of(package)
+    title = _family_name(package).replace("_", " ").capitalize()
+    parts = [f"# {title}\n\n{_about(sys.modules[package])}\n\nIn a config: `{family.key}: NAME`. Entry points of "
+             f"plug-ins: `{family.group}`.\n"]  # fmt: skip
+    for name in family.own_names:
+        method = family.load(name)
+        aliases = f" Also called {', '.join(f'`{alias}`' for alias in method.aliases)}." if method.aliases else ""
+        source = _about(sys.modules[method.__module__])
+        parts.append(f"## `{name}`\n\n{_about(method)}{aliases}\n\n*Source:* {source}\n\n{_fields(method)}")
+    if package.endswith("registration.feature"):
+        parts.append("## Measures\n\n" + _table(("Measure", ""), ((f"`{n}`", text) for n, text in MEASURES.items())))
+    return "\n".join(parts)
+
+
+def _family_name(package: str) -> str:
+    words = package.removeprefix("depthcli.").replace("methods.", "").replace("algorithms.", "").split(".")
+    return "_".join(words)
+
+
+def _fields(model: Any) -> str:
+    """The fields of a config or method as a table: type and bounds, default, meaning."""
+    schema = model.model_json_schema()
+    rows = []
+    for name, field in schema.get("properties", {}).items():
+        default = json.dumps(field["default"]) if "default" in field else "required"
+        rows.append((f"`{name}`", _kind(field, schema.get("$defs", {})), f"`{default}`", field.get("description", "")))
+    return _table(("key", "value", "default", ""), rows) if rows else "No parameters.\n"
+
+
+def _kind(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    """The type of a value with its bounds, in a few words."""
+    if "$ref" in field:
+        name = field["$ref"].rpartition("/")[2]
+        inside = definitions.get(name, {}).get("properties")
+        return (
+            f"mapping of {', '.join(f'`{key}`' for key in inside)}" if inside else _kind(definitions[name], definitions)
+        )
+    if "anyOf" in field or "oneOf" in field:
+        return " or ".join(dict.fromkeys(_kind(each, definitions) for each in field.get("anyOf", field.get("oneOf"))))
+    if "enum" in field or "const" in field:
+        return " or ".join(f"`{value}`" for value in field.get("enum", [field.get("const")]))
+    bounds = [
+        f"{sign} {field[key]:g}"
+        for key, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
+        if key in field
+    ]
+    kind = {"integer": "integer", "number": "number", "string": "text", "boolean": "true or false", "null": "null"}.get(
+        field.get("type", ""), field.get("type", "a method")
+    )
+    if kind == "array":
+        inside = field.get("prefixItems")
+        items = (
+            [_kind(each, definitions) for each in inside] if inside else [_kind(field.get("items", {}), definitions)]
+        )
+        return f"{len(items)} × {items[0]}" if inside and len(set(items)) == 1 else f"list of {' and '.join(items)}"
+    return " ".join((kind, ", ".join(bounds))).strip() if bounds else str(kind)
+
+
+def data() -> str:
+    """Return the page of layouts and file formats."""
+    rows = [(f"`{each.name}`", each.wants) for each in layouts()]
+    text = "# Layouts and formats\n\n## Layouts\n\nRecognized by a folder's files, or named by `--layout NAME`.\n\n"
+    return text + _table(("Layout", "Files"), rows) + _topic("formats")
+
+
+def protocol_page() -> str:
+    """Return the page of the protocols of ``evaluate``."""
+    parts = ["# Protocols\n\nHow `depthcli evaluate` scores; chosen by the ground truth, or by `--protocol NAME`.\n"]
+    for name in protocols.names():
+        kind = protocols.load(name)
+        parts.append(
+            f"## `{name}`\n\n{kind.presentation.title}. {kind.presentation.note}\n\n{_about(kind, whole=True)}\n"
+        )
+    return "\n".join(parts)
+
+
+def topic_page(title: str, *topics: str) -> str:
+    """Return a page that holds what ``depthcli help`` prints of these topics."""
+    return f"# {title}\n\n" + "\n".join(_topic(topic) for topic in topics)
+
+
+def _topic(topic: str) -> str:
+    found = TOPICS[topic]().items()
+    return "\n".join(f"## {heading}\n\n{_table(('', ''), ((f'`{a}`', b) for a, b in rows))}" for heading, rows in found)
+
+
+def python_page() -> str:
+    """Return the page of Python's public names, which Sphinx fills."""
+    names = [name for name in depthcli.__all__ if name != "__version__"]
+    functions = sorted(name for name in names if inspect.isroutine(getattr(depthcli, name)))
+    classes = sorted(
+        name for name in names if name not in functions and name not in _configs() and name not in _errors()
+    )
+    parts = ["# Python\n\n`import depthcli` takes milliseconds; what a function needs is loaded when it is called.\n"]
+    for title, found, kind in (
+        ("Functions", functions, "autofunction"), ("Results", classes, "autoclass"), ("Errors", _errors(), "autoclass"),
+    ):  # fmt: skip
+        parts.append(f"## {title}\n")
+        more = "\n   :members:" if title == "Results" else ""
+        parts += [f"```{{eval-rst}}\n.. {kind}:: depthcli.{name}{more}\n```\n" for name in found]
+    listed = "\n".join(f"- `depthcli.{model.__name__}`: of `{command}`" for command, model in CONFIGS.items())
+    parts.append(f"## Configs\n\nPydantic models with the keys of [Configs](configs.md).\n\n{listed}\n")
+    return "\n".join(parts)
+
+
+def _configs() -> list[str]:
+    return [model.__name__ for model in CONFIGS.values()]
+
+
+def _errors() -> list[str]:
+    return sorted(n for n in depthcli.__all__ if n.endswith("Error"))
+
+
+def plugins() -> str:
+    """Return the page of the contract tests that plug-ins import."""
+    members = ".. automodule:: depthcli.testing\n   :members:\n   :imported-members:"
+    return f"# Tests of plug-ins\n\n{_about(testing)}\n\n```{{eval-rst}}\n{members}\n```\n"
+
+
+def _about(thing: Any, whole: bool = False) -> str:
+    """The first paragraph of a docstring, or all of it up to its first section, as Markdown."""
+    text = inspect.cleandoc(thing.__doc__ or "")
+    text = re.split(r"\n\n?[A-Z]\w+\n-{3,}", text)[0]
+    return _markdown(text if whole else text.split("\n\n")[0])
+
+
+def _markdown(text: str) -> str:
+    text = re.sub(r":\w+:`~?\.?([^`]+)`", r"`\1`", text).replace("``", "`")
+    return "\n\n".join(part if part.startswith("|") else " ".join(part.split()) for part in text.strip().split("\n\n"))
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *([cell.replace("|", "\\|") for cell in row] for row in rows)]
+    return "".join(f"| {' | '.join(' '.join(cell.split()) for cell in line)} |\n" for line in lines) + "\n"
+
+
+if __name__ == "__main__":
+    assert _env.ROOT
+    sys.exit(main())
