@@ -18,7 +18,7 @@ The life of a scene, from :func:`depthcli.batch.runner.run_scenes`, which gets a
 
 A kill at any moment leaves files that one of these steps recognizes when the same command is started again.
 
-Beside them: ``command`` is what a sub-command declares, ``resources`` are cores and memory, ``json_csv`` writes rows,
-``warning_counts`` prints each kind of warning once, ``presets`` finds the configs that are shipped, ``combinations``
-are the settings of a sweep and their effects.
+Beside them: ``command`` is what a sub-command declares, ``cluster_worker`` what a cluster's worker runs, ``resources``
+are cores and memory, ``json_csv`` writes rows, ``warning_counts`` prints each kind of warning once, ``presets`` finds
+the configs that are shipped, ``combinations`` are the settings of a sweep and their effects.
 """

@@ -11,22 +11,17 @@ import logging
 import operator
 import os
 import pickle
-import platform
-import shutil
-import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from depthcli.batch import records, resources, run_folder
+from depthcli.batch.cluster_worker import RUNNING_FILE, chunk_function, folder_digest, source_digest_function
 from depthcli.batch.console import Reporter
 from depthcli.batch.install import discard
 from depthcli.batch.json_csv import Row
-from depthcli.batch.processes import compile_watch, report_compilation, use_threads
-from depthcli.batch.reports import finished_row
-from depthcli.batch.task import BUG, Run, Task, run_task
+from depthcli.batch.processes import report_compilation
+from depthcli.batch.task import BUG, Run, Task
 from depthcli.core.errors import ConfigError, IncompleteError
 from depthcli.core.registry import versions_here
 
@@ -35,10 +30,7 @@ _MAX_CHUNK = 500  # scenes of a chunk
 _CHUNKS_PER_WORKER = 2  # one that is computed, one that waits
 _POLL_SECONDS = 0.05
 _COUNT_SECONDS = 1.0  # between two counts of the workers
-_RUNNING_FILE = "goes-on"  # in the workspace; workers stop when it is gone, since the run has ended then
 _CONNECT_TIMEOUT = "20s"
-
-_compute_lock = threading.Lock()  # threads of one worker share kernels and buffers
 
 
 class _Chunk(NamedTuple):
@@ -64,7 +56,7 @@ def compute(tasks: list[Task], run: Run, reporter: Reporter, claim: Callable[[Ta
     if files := sorted({plugin.package for plugin in run.plugins if plugin.is_file}):
         raise ConfigError(f"--scheduler: {', '.join(files)}: workers have no plug-in files; install it as a package")
     workspace.mkdir(parents=True, exist_ok=True)
-    (workspace / _RUNNING_FILE).touch()
+    (workspace / RUNNING_FILE).touch()
     client = _connected(scheduler or "")
     cluster = _Cluster(client, run)
     waiting, ready = list(reversed(tasks)), list[Task]()
@@ -103,7 +95,7 @@ class _Cluster:
 
     def __init__(self, client: Any, run: Run) -> None:
         self.client, self.run = client, run
-        self.sources, self.function = _source_digest_function()()[1], _chunk_function()
+        self.sources, self.function = source_digest_function()()[1], chunk_function()
         self.running: dict[Any, list[Task]] = {}
         self.each: float | None = None  # seconds of one scene
         self.workers, self.counted = 1, 0.0
@@ -115,7 +107,7 @@ class _Cluster:
         """
         scheduler = self.run.options.scheduler
         try:
-            found = self.client.run(_source_digest_function())
+            found = self.client.run(source_digest_function())
             for address, (version, sources) in sorted(found.items()):
                 if sources != self.sources:
                     raise ConfigError(f"{scheduler}: {_other_code(f'{address} (version {version})')}")
@@ -125,7 +117,7 @@ class _Cluster:
                         has = f"has the plug-in {package} {versions[package]}, this machine {version}"
                         raise ConfigError(f"{scheduler}: worker {address} {has}; install the same there")
             identities = self.client.run(operator.attrgetter("identity"), self.run)
-            folders = self.client.run(_folder_digest, str(output.absolute()))
+            folders = self.client.run(folder_digest, str(output.absolute()))
         except ConfigError:
             raise
         except Exception as error:
@@ -135,7 +127,7 @@ class _Cluster:
             if identity != self.run.identity:
                 raise ConfigError(f"{scheduler}: {_other_code(address)}")
         for address, folder in sorted(folders.items()):
-            if folder != _folder_digest(str(output.absolute())):
+            if folder != folder_digest(str(output.absolute())):
                 raise ConfigError(
                     f"{scheduler}: worker {address} does not see the run folder {output.absolute()}; "
                     "want a file system that all share"
@@ -225,83 +217,3 @@ def _other_code(worker: str) -> str:
         f"worker {worker} has another depthcli, or other versions of Python and its libraries, than this machine; "
         "end it or install the same there; the same command goes on where it stopped"
     )
-
-
-def _source_digest_function() -> Callable[[], tuple[str, str]]:
-    """Return a function that returns version and digest of the sources of depthcli where it is called.
-
-    It is a local one so that dask sends its code: a worker with another depthcli would know another by its name.
-    """
-
-    def source_digest() -> tuple[str, str]:
-        import hashlib
-        from pathlib import Path
-
-        import depthcli
-
-        known: dict[str, tuple[str, str]] = vars(depthcli)
-        if "_source_digest" not in known:  # once a process: code that was loaded stays when its file changes
-            folder, sha = Path(depthcli.__file__).parent, hashlib.sha256()
-            for path in sorted(folder.rglob("*")):
-                if path.suffix in (".py", ".cl", ".json", ".yaml"):
-                    sha.update(f"{path.relative_to(folder).as_posix()} {path.stat().st_size} ".encode())
-                    sha.update(path.read_bytes())
-            known["_source_digest"] = depthcli.__version__, sha.hexdigest()
-        return known["_source_digest"]
-
-    return source_digest
-
-
-def _chunk_function() -> Callable[[str, bytes], tuple[list[Row], int, float] | str]:
-    """Return the function that computes a chunk on a worker, or returns which process it is where its code differs."""
-    source_digest = _source_digest_function()
-
-    def compute_chunk(sources: str, data: bytes) -> tuple[list[Row], int, float] | str:
-        import os
-        import pickle
-        import platform
-
-        if source_digest()[1] != sources:
-            return f"{platform.node()}, process {os.getpid()},"
-        from depthcli.batch import cluster
-
-        try:
-            chunk, run, folder = pickle.loads(data)
-        except ImportError:  # a plug-in that this worker does not have
-            return f"{platform.node()}, process {os.getpid()},"
-        return cluster._compute_chunk(chunk, run, folder)
-
-    return compute_chunk
-
-
-def _folder_digest(output: str) -> str:
-    """Return the digest of the run folder's config as this process sees it."""
-    return records.digest(run_folder.saved_config(Path(output)).encode())
-
-
-def _compute_chunk(chunk: list[Task], run: Run, folder: str) -> tuple[list[Row], int, float] | str:
-    """Return, on a worker, the rows of the chunk's scenes, the number of compiled kernels, and the time for these.
-
-    Return which process it is where versions of its libraries differ.
-    """
-    from distributed import get_worker
-
-    if chunk[0].run != run.identity:
-        return f"{platform.node()}, process {os.getpid()},"
-    own = f"{platform.node()}-{os.getpid()}"
-    rows: list[Row] = []
-    with _compute_lock, compile_watch(lambda watch: None) as watch:
-        os.chdir(folder)  # paths may be relative to where the run was started
-        use_threads(run.options.threads or get_worker().state.nthreads)
-        for task in chunk:
-            if not (task.workspace / _RUNNING_FILE).exists():
-                break
-            known = records.read_record(task.target)
-            if known is not None and known.is_done(task.target, task.run, task.inputs):
-                rows.append(finished_row(known, {"source": task.source}))  # by a worker that died with its chunk
-                continue
-            # A worker that was believed to be dead may still compute the scene in its own workspace.
-            mine = replace(task, workspace=task.workspace / own)
-            shutil.rmtree(mine.hidden, ignore_errors=True)
-            rows.append(run_task(mine, run, run.options.max_memory or resources.available_memory()))
-    return rows, watch.calls, watch.seconds

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TextIO
 from depthcli.batch.json_csv import Row
 from depthcli.batch.progress_bar import Progress
 from depthcli.core.errors import IncompleteError
-from depthcli.core.registry import PluginWarning
+from depthcli.core.plugins import PluginWarning
 from depthcli.core.text import one_line, printable
 
 if TYPE_CHECKING:

@@ -22,7 +22,8 @@ from depthcli.batch.records import RECORD_FILE, RUN_FILE, digest, read_record, r
 from depthcli.batch.reports import REPORT_FILES, read_report
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.registry import Plugin, versions_here
+from depthcli.core.plugins import Plugin
+from depthcli.core.registry import versions_here
 
 LEGEND_FILE = "legend.png"
 # Packages whose versions decide what a run computes; part of the run's identity.

@@ -23,7 +23,7 @@ from depthcli.batch.sharing import Shard
 from depthcli.core import memory
 from depthcli.core.errors import DepthcliError, OutputError
 from depthcli.core.method import used_plugins
-from depthcli.core.registry import Plugin
+from depthcli.core.plugins import Plugin
 from depthcli.core.text import show_bytes
 from depthcli.data.formats.files import collected_warnings
 from depthcli.data.formats.map_format import format_plugins

@@ -27,7 +27,7 @@ from depthcli.cli.help_text import write_command_help, write_main_help
 from depthcli.commands import REGISTRY, command_names, find_command, help_of, load_command
 from depthcli.core.errors import DepthcliError, IncompleteError
 from depthcli.core.option import Option
-from depthcli.core.registry import load_file
+from depthcli.core.plugins import load_file
 
 PLUGIN = Option(
     "plugin", Path, "Python file with methods, layouts, protocols or commands of your own; repeatable.", "FILE.py",

@@ -21,7 +21,7 @@ from pydantic import BaseModel, ValidationError
 
 from depthcli.core.config_errors import explain
 from depthcli.core.errors import ConfigError
-from depthcli.core.registry import is_file_loaded, load_file
+from depthcli.core.plugins import is_file_loaded, load_file
 from depthcli.core.yaml_source import (
     Builder,
     ConfigData,

@@ -3,7 +3,7 @@
 A *method* is one algorithm: one module with one frozen pydantic model, whose fields are its parameters and whose
 ``__call__`` runs it. A *family* is the package that the modules lie in. In a config a method is written as its module's
 name, ``census``, or with parameters, ``{method: census, window: [9, 7]}``. Adding a method is adding a file; nothing
-else is edited. Installed packages and files of users add methods, too (see ``registry``).
+else is edited. Installed packages and files of users add methods, too (see ``plugins``).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import importlib.util
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -30,9 +30,10 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from depthcli.core.plugins import Plugin
 from depthcli.core.registry import (
-    Plugin,
     Registry,
+    plain_name,
     plugin_of,
     plugins_in_use,
     registered_name,
@@ -111,19 +112,8 @@ class Family(Registry[type[Method]]):
             raise TypeError(f"want a class derived from a method of {self.package}, got {value!r}")
         return value
 
-    def find(self, name: str) -> str | None:
-        """Return the name of the method that ``name`` stands for, None where there is none.
-
-        ``name`` may be in any case, with hyphens or underscores, ``package:name``, or one of the method's ``aliases``.
-        """
-        known = super().find(name) if name.lower().replace("-", "_") in self.own_names else None
-        if known is not None:
-            return known
-        plain = name.lower().replace("-", "_").replace(" ", "_")
-        for each in self.own_names:  # only now are all methods of the family imported
-            if plain in (alias.lower().replace("-", "_") for alias in self.load(each).aliases):
-                return each
-        return super().find(name)
+    def _find_alias(self, plain: str, names: Iterable[str]) -> str | None:
+        return next((name for name in names if plain in map(plain_name, self.load(name).aliases)), None)
 
     def parse(self, value: Any) -> Method:
         """Return the method that a config's ``value`` describes: a name, a mapping, or a method itself.

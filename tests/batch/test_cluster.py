@@ -17,7 +17,8 @@ from typing import Any, ClassVar
 import pytest
 
 from depthcli.batch import records, run_folder
-from depthcli.batch.cluster import _chunk_function, _Cluster, _source_digest_function
+from depthcli.batch.cluster import _Cluster
+from depthcli.batch.cluster_worker import chunk_function, source_digest_function
 from depthcli.batch.console import Reporter
 from depthcli.batch.reports import REPORT_FILES
 from depthcli.batch.task import Run, RunOptions, Task
@@ -164,8 +165,8 @@ def test_a_worker_of_other_code_that_joins_late_is_refused(cluster: Cluster, tmp
 @pytest.mark.slow
 def test_other_code_is_found_by_a_worker_whatever_its_version(tmp_path: Path):
     cloudpickle = pytest.importorskip("cloudpickle", reason="no dask.distributed (the extra 'cluster')")
-    (tmp_path / "function").write_bytes(cloudpickle.dumps(_chunk_function()))
-    sources = _source_digest_function()()[1]
+    (tmp_path / "function").write_bytes(cloudpickle.dumps(chunk_function()))
+    sources = source_digest_function()()[1]
     data = cloudpickle.dumps(([], None, "."))
     code = f"""
 import cloudpickle, pickle

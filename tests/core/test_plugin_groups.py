@@ -16,7 +16,8 @@ from depthcli.core import registry
 from depthcli.core.config_file import load_config, parse_config
 from depthcli.core.errors import InputError
 from depthcli.core.method import Family, used_plugins
-from depthcli.core.registry import groups, load_file
+from depthcli.core.plugins import load_file
+from depthcli.core.registry import groups
 from depthcli.data.formats.depth import read_depth
 from depthcli.data.formats.disparity import read_disparity, read_pfm, read_plane
 from depthcli.data.formats.map_format import map_suffixes

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from depthcli.cli import main
-from depthcli.core import registry
+from depthcli.core import plugins, registry
 from depthcli.core.config_file import dump_config, load_config, parse_config
 from depthcli.core.errors import ConfigError
 from depthcli.core.method import Family, used_plugins
@@ -80,13 +80,13 @@ def install(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, entries: s
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\n")
     (info / "entry_points.txt").write_text(entries)
     monkeypatch.syspath_prepend(str(folder))
-    registry._installed.cache_clear()
-    registry._is_any_installed.cache_clear()
+    plugins._installed.cache_clear()
+    plugins._is_any_installed.cache_clear()
 
 
 def test_classes_of_a_file_are_found_by_their_names(file: Path, tmp_path: Path):
-    registry.load_file(file)
-    registry.load_file(file)  # again: nothing happens
+    plugins.load_file(file)
+    plugins.load_file(file)  # again: nothing happens
     assert COSTS.names()[-1] == "wide_census"
     config = load_config(
         StereoConfig, parse_config("pipeline: local\ncost: {method: Wide-Census, window: [5, 3]}\n", "x")
@@ -105,7 +105,7 @@ def test_classes_of_a_file_are_found_by_their_names(file: Path, tmp_path: Path):
 
 
 def test_a_mistake_names_the_plugin_s_keys_and_methods(file: Path):
-    registry.load_file(file)
+    plugins.load_file(file)
     for text, said in (
         ("cost: wide_censu", r"no method called 'wide_censu'; did you mean 'wide_census'"),
         ("cost: {method: wide_census, windw: 3}", r"cost\.windw: no such key .*did you mean 'window'"),
@@ -135,10 +135,10 @@ def test_a_file_that_is_no_plugin(text: str, said: str, tmp_path: Path):
     path = tmp_path / "mine.py"
     path.write_text(text)
     with pytest.raises(ConfigError, match=said):
-        registry.load_file(path)
+        plugins.load_file(path)
     assert not os.environ["DEPTHCLI_PLUGIN_FILES"]
     path.write_text(FILE)
-    registry.load_file(path)  # mended, in the same process
+    plugins.load_file(path)  # mended, in the same process
     assert "wide_census" in COSTS.names()
 
 
@@ -160,20 +160,28 @@ def test_an_installed_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert used_plugins(COSTS.parse("census")) == set()
 
 
+def test_aliases_of_plugins_are_names_after_ours(file: Path):
+    file.write_text(FILE.replace('wide."""', 'wide."""\n\n    aliases = ("AD", "WC-5")'))
+    plugins.load_file(file)
+    assert COSTS.find("wc 5") == "wide_census"
+    assert COSTS.find("ad") == "absolute_difference"
+    assert COSTS.find("mine.py:wc-5") is None
+
+
 def test_a_broken_package_costs_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     entries = "[depthcli.stereo.cost]\nfar = strange_broken:Far\n[depthcli.layouts]\nodd = strange_broken:Odd\n"
     install(tmp_path, monkeypatch, "strange-broken", entries, "import nowhere_at_all\n")
-    with pytest.warns(registry.PluginWarning, match=r"far of strange-broken 1\.2 cannot be loaded: ModuleNotFound"):
+    with pytest.warns(plugins.PluginWarning, match=r"far of strange-broken 1\.2 cannot be loaded: ModuleNotFound"):
         assert "far" not in COSTS.names()
     with pytest.raises(ConfigError, match="far of strange-broken"):
         COSTS.parse("far")
-    with pytest.warns(registry.PluginWarning, match="odd of strange-broken"):
+    with pytest.warns(plugins.PluginWarning, match="odd of strange-broken"):
         assert layouts.layouts() == layouts.own_layouts()
 
 
 def test_an_object_of_another_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     install(tmp_path, monkeypatch, "strange-int", "[depthcli.layouts]\nodd = strange_int:x\n", "x = 3\n")
-    with pytest.warns(registry.PluginWarning, match="want a class derived from depthcli.data.layouts.Layout, got 3"):
+    with pytest.warns(plugins.PluginWarning, match="want a class derived from depthcli.data.layouts.Layout, got 3"):
         layouts.layouts()
 
 
@@ -188,9 +196,9 @@ def test_a_run_records_its_plugins(file: Path, tmp_path: Path, capsys: pytest.Ca
     run = ["stereo", str(config), "-i", str(scenes), "-o", str(out), "--plugin", str(file), "-q", "--jobs", "2"]
     assert main(run) == 0
     assert "\n    mine.py: " in (out / "run.yaml").read_text()
-    registry.load_file(file)
-    for name in ("_file_plugins", "_read_files", "_plugin_by_class"):
-        getattr(registry, name).clear()
+    plugins.load_file(file)
+    for known in (plugins._file_plugins, plugins._read_files, registry._plugin_by_class):
+        known.clear()
     del sys.modules["depthcli_plugin_mine"]
     file.write_text(FILE + "# changed\n")
     assert main(run) == 2
@@ -208,8 +216,8 @@ def test_a_config_names_its_plugins(file: Path, tmp_path: Path, capsys: pytest.C
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "run.yaml").write_text(text)
     assert load_config(StereoConfig, tmp_path / "run" / "run.yaml") == config  # the files are in use already
-    for name in ("_file_plugins", "_read_files", "_plugin_by_class"):
-        getattr(registry, name).clear()
+    for known in (plugins._file_plugins, plugins._read_files, registry._plugin_by_class):
+        known.clear()
     with pytest.raises(ConfigError, match=r"run\.yaml:\d+: plugins: mine\.py is no file in .*; --plugin FILE"):
         load_config(StereoConfig, tmp_path / "run" / "run.yaml")
     (tmp_path / "low.yaml").write_text("plugins: [3]\npipeline: local\n")

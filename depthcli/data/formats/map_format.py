@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.errors import DepthcliError, InputError
-from depthcli.core.registry import Plugin, Registry, registered_name
+from depthcli.core.plugins import Plugin
+from depthcli.core.registry import Registry, registered_name
 from depthcli.data.formats.files import open_regular, shown
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 
@@ -65,8 +66,7 @@ class _Formats(Registry[MapFormat]):
         return ()
 
 
-_REGISTRY = _Formats(__name__, lambda module: module.FORMAT, _checked)
-_REGISTRY.group = "depthcli.formats"
+_REGISTRY = _Formats(__name__, lambda module: module.FORMAT, _checked, group="depthcli.formats")
 
 
 def map_formats() -> dict[str, MapFormat]:
