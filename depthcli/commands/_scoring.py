@@ -43,6 +43,7 @@ class Scoring:
     map_options : run -> how its maps are named and coded, of those that it was given for, or that were recognized
     protocols : name -> protocol, of those that were used
     hints : what was assumed, one line each
+    maps : the files that were read as maps of the runs
     _misfits : name of a protocol -> scenes that it scored, with what they look like instead
     """
 
@@ -55,6 +56,7 @@ class Scoring:
     map_options: dict[str, MapOptions] = field(default_factory=dict)
     protocols: dict[str, AnyProtocol] = field(default_factory=dict)
     hints: list[str] = field(default_factory=list)
+    maps: set[Path] = field(default_factory=set)
     _misfits: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
 
     @cached_property
@@ -166,6 +168,7 @@ class Scoring:
             if path is None:
                 reason = f": the run failed there: {row['error']}" if row.get("error") else files.searched(names)
                 raise InputError(f"{place}: no map of scene {scene.name}{reason}")
+            self.maps.add(path)
             estimate: object = self._reader(protocol, options).read(path, scene, truth)
         except DepthcliError as error:
             missing, dense = tuple(protocol.missing(truth)), tuple(protocol.missing(truth, dense=True))

@@ -182,20 +182,20 @@ def _scored(scoring: Scoring, scenes: Sequence[Scene], reporter: Reporter) -> Ev
             if value not in (None, False) and scoring.protocols and not taken:
                 reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
         hints = (*scoring.hints, *scoring.misfits)
-        plugins = versions_here(_plugins(scoring.protocols.values(), scenes))
+        plugins = versions_here(_plugins(scoring, scenes))
         report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth, hints, plugins)
         _write(report, scoring, reporter)
     return report
 
 
-def _plugins(protocols: Iterable[AnyProtocol], scenes: Sequence[Scene]) -> set[Plugin]:
-    """The plug-ins that found the scenes, read their truth, or score them."""
+def _plugins(scoring: Scoring, scenes: Sequence[Scene]) -> set[Plugin]:
+    """The plug-ins that found the scenes, read their truth and the maps of the runs, or scored them."""
     from depthcli.data.formats.map_format import format_plugins
     from depthcli.data.layouts import layout_plugins
 
-    files = (value for scene in scenes for value in vars(scene).values() if isinstance(value, Path))
-    own = (plugin_of(type(protocol)) for protocol in protocols)
-    return {plugin for plugin in own if plugin is not None} | layout_plugins(scenes) | format_plugins(files)
+    files = {value for scene in scenes for value in vars(scene).values() if isinstance(value, Path)}
+    own = {plugin for protocol in scoring.protocols.values() if (plugin := plugin_of(type(protocol))) is not None}
+    return own | layout_plugins(scenes) | format_plugins(files | scoring.maps)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

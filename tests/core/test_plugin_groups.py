@@ -19,7 +19,7 @@ from depthcli.core.method import Family, used_plugins
 from depthcli.core.plugins import load_file
 from depthcli.core.registry import groups
 from depthcli.data.formats.depth import read_depth
-from depthcli.data.formats.disparity import read_disparity, read_pfm, read_plane
+from depthcli.data.formats.disparity import read_disparity, read_pfm, read_plane, write_pfm
 from depthcli.data.formats.map_format import map_suffixes
 
 pytestmark = [pytest.mark.usefixtures("forget_plugins"), pytest.mark.slow]
@@ -151,6 +151,19 @@ def test_a_run_of_all_of_it(file: Path, scenes: Path, tmp_path: Path, capsys: py
     capsys.readouterr()
     assert main([*run]) == 0
     assert "2 of 2 scenes are done already" in capsys.readouterr().err
+
+
+def test_an_evaluation_records_the_format_of_a_run_s_maps(file: Path, made_scenes: Path, tmp_path: Path):
+    size = read_pfm(made_scenes / "planes_0" / "disp_left.pfm").shape
+    for ending in ("pfm", "numbers"):
+        (tmp_path / ending).mkdir()
+    write_pfm(tmp_path / "pfm" / "planes_0.pfm", np.full(size, 5, np.float32))
+    np.savetxt(tmp_path / "numbers" / "planes_0.numbers", np.full(size, 5))
+    for ending, used in (("pfm", []), ("numbers", ["mine.py"])):
+        out = tmp_path / f"of_{ending}"
+        run = ["evaluate", str(tmp_path / ending), "--truth", str(made_scenes), "--scenes", "planes_0", "-o", str(out)]
+        assert main([*run, "-q", "--plugin", str(file)]) == 0
+        assert list(json.loads((out / "scores.json").read_text())["plugins"]) == used
 
 
 def test_a_layout_alone_is_recorded(file: Path, scenes: Path, tmp_path: Path):
