@@ -64,7 +64,6 @@ def env(tmp_path_factory: pytest.TempPathFactory) -> Environment:
         write_png(folder / "first.png", pair.left)
         write_png(folder / "second.png", pair.right)
         np.savetxt(folder / "first_truth.table", np.full((48, 64), shift))
-    (made.place / "five.yaml").write_text("disparity: 5\n")
     return made
 
 
@@ -79,7 +78,11 @@ def test_it_is_listed(env: Environment):
     methods = env.run("help", "methods").stdout
     assert re.search(r"squared_difference +\(depthcli-example 1\.0\)", methods), methods
     assert "two-files" in env.run("help", "layouts").stdout
-    assert ".table" in env.run("help", "formats").stdout
+    assert re.search(r"\.table +\(depthcli-example 1\.0\)", env.run("help", "formats").stdout)
+    presets = env.run("presets").stdout
+    assert re.search(r"stereo squared +\(depthcli-example 1\.0\) Squared differences, averaged", presets), presets
+    assert "cost:\n  # ``(I(y, x)" in env.run("presets", "show", "depthcli-example:squared").stdout
+    assert "# disparity of every pixel, pixels\ndisparity: 5.0" in env.run("presets", "show", "five").stdout
     assert "eighth-pixel" in env.run("help", "protocols").stdout
 
 
@@ -91,13 +94,15 @@ def test_it_runs_is_evaluated_and_is_refused_with_another_version(env: Environme
     assert "    depthcli-example: '1.0'\n" in (env.place / "squared" / "run.yaml").read_text()
     scores = json.loads((env.place / "squared" / "evaluation" / "scores.json").read_text())
     assert scores["plugins"] == {"depthcli-example": "1.0"}
-    constant = ["constant", "five.yaml", "-i", "scenes", "-o", "constant", "--jobs", "2"]
+    constant = ["constant", "five", "-i", "scenes", "-o", "constant", "--jobs", "2"]
     assert env.run(*constant).returncode == 0
     compared = env.run("evaluate", "squared", "constant", "--truth", "scenes", "--json")
     assert {result["protocol"] for result in json.loads(compared.stdout)["results"]} == {"eighth-pixel"}
     assert "2 of 2 scenes are done already" in env.run(*stereo).stderr
     typo = env.run(*stereo[:-1], "cost=squared-differense")
-    assert "did you mean 'squared_difference'" in typo.stderr
+    assert "did you mean 'squared_difference'?; one of: " in typo.stderr
+    assert "squared_difference (depthcli-example)" in typo.stderr
+    assert env.run("stereo", "squared", "-i", "scenes", "-o", "preset").returncode == 0
 
     write_version(env.place / "mine", "1.1")
     env.install()

@@ -1,17 +1,21 @@
-"""Presets: the configs that are shipped with the package."""
+"""Presets: the configs that are shipped with the package, and those of plug-ins."""
 
 from __future__ import annotations
 
 import difflib
+import importlib.util
 import itertools
 import textwrap
+import warnings
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import BaseModel
 
 from depthcli.core.config_file import to_yaml
 from depthcli.core.errors import ConfigError
+from depthcli.core.plugins import Plugin, PluginWarning, plugins_in
 
 
 def preset_folder() -> Path:
@@ -25,31 +29,83 @@ THESIS = "thesis/"
 """Prefix of presets that reproduce a table or figure of the thesis."""
 
 
+_GROUP = "depthcli.presets"  # of entry points such as "package:folder", which holds COMMAND/NAME.yaml
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A file with a config of ``command``, ours or of the package of a plug-in."""
+
+    command: str
+    name: str
+    file: Path
+    plugin: Plugin | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names that it may be called by."""
+        return self.name, self.file.stem if self.plugin is None else f"{self.plugin.package}:{self.file.stem}"
+
+    def is_called(self, name: str) -> bool:
+        """Return whether ``name`` is one of its names; case and underscores do not matter."""
+        return name.lower().replace("_", "-") in (each.lower().replace("_", "-") for each in self.names)
+
+
+def presets() -> list[Preset]:
+    """Return our presets, then those of plug-ins; one whose name is taken is called ``package:name``."""
+    root, found = preset_folder(), []
+    for file in (*root.glob("*/*.yaml"), *root.glob(f"*/{THESIS}*.yaml")):
+        command, _, name = file.relative_to(root).with_suffix("").as_posix().partition("/")
+        found.append(Preset(command, name, file))
+    found.sort(key=lambda preset: (preset.command, preset.name.startswith(THESIS), preset.name))
+    others = [(plugin, file) for plugin in plugins_in(_GROUP) for file in _files_of(plugin)]
+    taken = [(of.command, name) for of in found for name in of.names] + [(f.parent.name, f.stem) for _, f in others]
+    for plugin, file in others:
+        command, name = file.parent.name, file.stem
+        own = name if taken.count((command, name)) == 1 else f"{plugin.package}:{name}"
+        found.append(Preset(command, own, file, plugin))
+    return found
+
+
+def _files_of(plugin: Plugin) -> list[Path]:
+    module, _, folder = plugin.reference.partition(":")
+    try:
+        spec = importlib.util.find_spec(module)
+    except Exception:  # a stranger's code may raise anything
+        spec = None
+    places = [Path(place, folder) for place in (spec and spec.submodule_search_locations) or ()]
+    files = sorted(file for place in places for file in place.glob("*/*.yaml"))
+    if not files:
+        text = f"presets of {plugin.package} {plugin.version}: no COMMAND/NAME.yaml in {plugin.reference}"
+        warnings.warn(text, PluginWarning, stacklevel=2)
+    return files
+
+
 def list_presets(command: str | None = None) -> list[tuple[str, str, str]]:
-    """Return command, name and first comment line of every preset, by command, those of the thesis last."""
-    root = preset_folder()
+    """Return command, name and first comment line of every preset.
+
+    They are ordered by command, those of the thesis behind the others; those of plug-ins come last, with package and
+    version before the comment.
+    """
     found = []
-    for file in sorted((*root.glob("*/*.yaml"), *root.glob(f"*/{THESIS}*.yaml"))):
-        of, _, name = file.relative_to(root).with_suffix("").as_posix().partition("/")
-        if command in (None, of):
-            first = file.read_text("utf-8").partition("\n")[0]
-            found.append((of, name, first.removeprefix("#").strip()))
-    return sorted(found, key=lambda preset: (preset[0], preset[1].startswith(THESIS), preset[1]))
+    for preset in presets():
+        if command in (None, preset.command):
+            about = preset.file.read_text("utf-8", "replace").partition("\n")[0].removeprefix("#").strip()
+            of = "" if preset.plugin is None else f"({preset.plugin.package} {preset.plugin.version}) "
+            found.append((preset.command, preset.name, of + about))
+    return found
 
 
 def find_preset(command: str, name: str) -> Path | None:
     """Return the file of a preset, or None; case, underscores and the prefix ``thesis/`` do not matter."""
-    wanted = name.lower().replace("_", "-")
-    for of, preset, _ in list_presets(command):
-        if wanted in (preset, preset.removeprefix(THESIS)):
-            return preset_folder() / of / f"{preset}.yaml"
-    return None
+    found = (preset.file for preset in presets() if preset.command == command and preset.is_called(name))
+    return next(found, None)
 
 
 def preset_of(command: str, config: str) -> str:
-    """Return the preset that a CONFIG argument names, as ``command/name``; "" where it names none."""
-    found = find_preset(command, config)
-    return "" if found is None else found.relative_to(preset_folder()).with_suffix("").as_posix()
+    """Return our own preset that a CONFIG argument names, as ``command/name``; "" where it names none."""
+    ours = (preset for preset in presets() if preset.plugin is None and preset.command == command)
+    return next((f"{command}/{preset.name}" for preset in ours if preset.is_called(config)), "")
 
 
 def find_config(command: str, config: str) -> Path:

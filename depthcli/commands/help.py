@@ -11,7 +11,7 @@ from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import to_json
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
-from depthcli.core.registry import plugin_of
+from depthcli.core.registry import with_package
 
 if TYPE_CHECKING:
     from depthcli.core.columns import ColumnHelp
@@ -100,7 +100,7 @@ def _layouts() -> Page:
     """Return the layouts of folders that are recognized, and the files of each."""
     from depthcli.data.layouts import layouts
 
-    rows = [(each.name, _with_package(type(each), each.wants.replace("`", ""))) for each in layouts()]
+    rows = [(each.name, with_package(type(each), each.wants.replace("`", ""))) for each in layouts()]
     return {"Layouts (--layout NAME)": rows}
 
 
@@ -153,25 +153,27 @@ def _protocols() -> Page:
     for name in names():
         kind = load(name)
         shown = kind.presentation
-        rows.append((name, _with_package(kind, ". ".join(filter(None, [shown.title, shown.note])))))
+        rows.append((name, with_package(kind, ". ".join(filter(None, [shown.title, shown.note])))))
     return {"Protocols (--protocol NAME)": rows}
 
 
 def _formats() -> Page:
     """Return the kinds of files that are read."""
     from depthcli.data.formats.images import IMAGE_SUFFIXES
-    from depthcli.data.formats.map_format import map_suffixes
+    from depthcli.data.formats.map_format import MAP_SUFFIXES, map_formats
     from depthcli.data.formats.volumes import VOLUME_SUFFIXES
     from depthcli.evaluation.protocols import load, names
 
+    others = [(suffix, with_package(type(of), _first_paragraph(type(of)))) for suffix, of in map_formats().items()]
     maps: dict[str, list[str]] = {}
     for name in names():
         maps.setdefault(" ".join(load(name).files.endings), []).append(name)
     return {
         "Files, by their endings; the content decides": [
             ("images", " ".join(IMAGE_SUFFIXES)),
-            ("disparity and depth maps", f"{' '.join(map_suffixes())}: PFM and floats hold pixels or meters, integers "
+            ("disparity and depth maps", f"{' '.join(MAP_SUFFIXES)}: PFM and floats hold pixels or meters, integers "
              "codes"),
+            *others,
             ("volumes", " ".join(VOLUME_SUFFIXES)),
         ],
         "Maps of a run, by the protocol that scores them": [(", ".join(which), ends) for ends, which in maps.items()],
@@ -188,15 +190,13 @@ def _methods() -> Page:
         rows = []
         for name in family.names():
             kind = family.load(name)
-            rows.append((name, _with_package(kind, " ".join((kind.__doc__ or "").split("\n\n")[0].split()))))
+            rows.append((name, with_package(kind, _first_paragraph(kind))))
         page[family.group.removeprefix("depthcli.")] = rows
     return page
 
 
-def _with_package(kind: type, about: str) -> str:
-    """What is said of a class, behind package and version of the plug-in that it is of."""
-    plugin = plugin_of(kind)
-    return about if plugin is None else f"({plugin.package} {plugin.version}) {about}"
+def _first_paragraph(kind: type) -> str:
+    return " ".join((kind.__doc__ or "").split("\n\n")[0].split())
 
 
 def _exit_codes() -> Page:

@@ -41,24 +41,25 @@ class PresetsCommand(Command):
 
 def _show(name: str) -> str:
     """Return a preset as YAML with every field and its description; ``name`` may be ``command/name``."""
-    from depthcli.batch.presets import THESIS, describe, find_config, find_preset, leading_comment, list_presets
-    from depthcli.commands import load_command
+    from depthcli.batch.presets import describe, find_preset, leading_comment, presets
+    from depthcli.commands import find_command
     from depthcli.commands._batch import ConfigCommand
     from depthcli.core.config_file import load_config
 
-    found = [(c, p) for c, p, _ in list_presets() if name.lower() in (p, f"{c}/{p}", p.removeprefix(THESIS))]
+    found = [p for p in presets() if p.is_called(name) or p.is_called(name.removeprefix(f"{p.command}/"))]
     if not found:
         raise ConfigError(f"no preset called {name!r}; see: depthcli presets")
     if len(found) > 1:
-        names = " or ".join(f"{command}/{preset}" for command, preset in found)
+        names = " or ".join(f"{preset.command}/{preset.name}" for preset in found)
         raise ConfigError(f"several commands have a preset {name!r}; give depthcli presets show {names}")
-    ((command, preset),) = found
-    batch = load_command(command)
-    assert isinstance(batch, ConfigCommand)
-    file = find_config(command, preset)
-    title = [leading_comment(file.read_text("utf-8"))]
-    title.append(f"Use it as it is: depthcli {command} {preset} ...; or save, change and name this text as a file.")
-    config = load_config(batch.config_model(), file, find=lambda base: find_preset(command, base))
+    (preset,) = found
+    command = find_command(preset.command)
+    if not isinstance(command, ConfigCommand):
+        raise ConfigError(f"{preset.file}: no command called {preset.command!r} that has configs")
+    title = [leading_comment(preset.file.read_text("utf-8"))]
+    use = f"depthcli {preset.command} {preset.name} ..."
+    title.append(f"Use it as it is: {use}; or save, change and name this text as a file.")
+    config = load_config(command.config_model(), preset.file, find=lambda base: find_preset(preset.command, base))
     return describe(config, "\n".join(title))
 
 

@@ -13,6 +13,7 @@ from depthcli.commands._batch import BatchCommand
 from depthcli.commands._options import DRY_RUN, OUTPUT, RUN
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
+from depthcli.core.registry import with_package
 from depthcli.data.generated.samples import SampleScene, samples
 
 
@@ -32,7 +33,7 @@ class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
         own: dict[str, Option] = {}
         for name, sample in sorted(samples().items(), key=lambda item: item[0] != "stereo"):
             if name != "stereo":
-                own[name] = Option(name, bool, sample.about, default=False)
+                own[name] = Option(name, bool, with_package(type(sample), sample.about), default=False)
             for option in sample.options:
                 own.setdefault(option.name, option)
         return (OUTPUT, *(replace(each, group="Scenes") for each in own.values()), *RUN, DRY_RUN)

@@ -133,14 +133,25 @@ class Family(Registry[type[Method]]):
             raise self._error("method_name", "want '{key}' in this mapping")
         own = self.find(name) if isinstance(name, str) else None
         if own is None:
-            near = difflib.get_close_matches(str(name), self.names(), 1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise self._error("method_name", "no {key} called {name}{hint}", name=repr(name), hint=hint)
+            raise self._error("method_name", "no {key} called {name}", name)
         return self.load(own).model_validate(fields)
 
-    def _error(self, kind: Literal["method_type", "method_name"], text: LiteralString, **values: str) -> Exception:
-        values |= {"key": self.key, "names": ", ".join(self.names())}
-        return PydanticCustomError(kind, text + "; one of: {names}", values)
+    def suggestions(self, name: object, *others: str) -> str:
+        """Return the end of a message about an unknown name: the one that may be meant, and all, with their packages.
+
+        Parameters
+        ----------
+        name : the unknown one; None: there was none
+        others : further names that may stand there
+        """
+        names, plugins = [*others, *self.names()], self.plugins()
+        near = difflib.get_close_matches(str(name), names, 1)
+        shown = (f"{each} ({plugins[each].package})" if each in plugins else each for each in names)
+        return (f"; did you mean {near[0]!r}?" if near else "") + f"; one of: {', '.join(shown)}"
+
+    def _error(self, kind: Literal["method_type", "method_name"], text: LiteralString, name: Any = None) -> Exception:
+        values = {"key": self.key, "name": repr(name), "suggestions": self.suggestions(name)}
+        return PydanticCustomError(kind, text + "{suggestions}", values)
 
 
 def _method_in(module: ModuleType) -> type[Method]:

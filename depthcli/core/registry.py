@@ -152,6 +152,12 @@ def plugin_of(kind: type) -> Plugin | None:
     return _plugin_by_class[kind][1] if kind in _plugin_by_class else None
 
 
+def with_package(kind: type, about: str) -> str:
+    """Return what is said of a class, behind the package and version of the plug-in that it came from."""
+    plugin = plugin_of(kind)
+    return about if plugin is None else f"({plugin.package} {plugin.version}) {about}"
+
+
 def registered_name(kind: type) -> str:
     """Return the name of a class, or of the object of that class, in its registry: its module's, or the plug-in's."""
     plugin = plugin_of(kind)

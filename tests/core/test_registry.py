@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from depthcli.batch import presets
 from depthcli.cli import main
 from depthcli.core import plugins, registry
 from depthcli.core.config_file import dump_config, load_config, parse_config
@@ -107,7 +108,8 @@ def test_classes_of_a_file_are_found_by_their_names(file: Path, tmp_path: Path):
 def test_a_mistake_names_the_plugin_s_keys_and_methods(file: Path):
     plugins.load_file(file)
     for text, said in (
-        ("cost: wide_censu", r"no method called 'wide_censu'; did you mean 'wide_census'"),
+        ("cost: wide_censu", r"no method called 'wide_censu'; did you mean 'wide_census'.* wide_census \(mine\.py\)"),
+        ("cost: census\nconfidence: [pkrr]", r"no confidence measure called 'pkrr'; did you mean 'pkrn?'\?; one of: "),
         ("cost: {method: wide_census, windw: 3}", r"cost\.windw: no such key .*did you mean 'window'"),
     ):
         with pytest.raises(ConfigError, match=said):
@@ -177,6 +179,34 @@ def test_a_broken_package_costs_a_warning(tmp_path: Path, monkeypatch: pytest.Mo
         COSTS.parse("far")
     with pytest.warns(plugins.PluginWarning, match="odd of strange-broken"):
         assert layouts.layouts() == layouts.own_layouts()
+
+
+def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    for command, name in (("stereo", "fast"), ("stereo", "elas"), ("nowhere", "odd")):
+        file = tmp_path / "strange_kit" / "mine" / command / f"{name}.yaml"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("# Another one.\npipeline: opencv_bm\n")
+    install(tmp_path, monkeypatch, "strange-kit", "[depthcli.presets]\nx = strange_kit:mine\n", "")
+    (tmp_path / "strange_kit.py").rename(tmp_path / "strange_kit" / "__init__.py")
+    of_package = [preset[:2] for preset in presets.list_presets() if "strange-kit 1.2" in preset[2]]
+    assert of_package == [("nowhere", "odd"), ("stereo", "elas"), ("stereo", "strange-kit:fast")]
+    assert presets.find_preset("stereo", "fast") == presets.preset_folder() / "stereo" / "fast.yaml"
+    for name in ("Elas", "strange-kit:elas", "Strange_Kit:fast"):
+        found = presets.find_preset("stereo", name)
+        assert found is not None and found.is_relative_to(tmp_path) and presets.preset_of("stereo", name) == ""
+    assert main(["presets"]) == 0
+    assert "stereo elas " in capsys.readouterr().out
+    assert main(["presets", "show", "stereo/elas"]) == 0
+    assert "depthcli stereo elas ..." in capsys.readouterr().out
+    assert main(["presets", "show", "odd"]) == 2
+    assert "odd.yaml: no command called 'nowhere' that has configs" in capsys.readouterr().err
+
+
+def test_a_package_without_its_presets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    entries = "[depthcli.presets]\nx = strange_none:mine\ny = nowhere_at_all.a:mine\n"
+    install(tmp_path, monkeypatch, "strange-none", entries, "")
+    with pytest.warns(plugins.PluginWarning, match=r"strange-none 1\.2: no COMMAND/NAME\.yaml in \w"):
+        assert presets.find_preset("stereo", "fast") is not None
 
 
 def test_an_object_of_another_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

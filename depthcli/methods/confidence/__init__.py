@@ -87,7 +87,7 @@ def measure_name(name: str, *others: str) -> str:
         return name.lower()
     known = _FAMILY.find(name)
     if known is None:
-        raise ValueError(f"no confidence measure called {name!r}; one of: {', '.join((*others, *_FAMILY.names()))}")
+        raise ValueError(f"no confidence measure called {name!r}{_FAMILY.suggestions(name, *others)}")
     _FAMILY.load(known)
     return known
 
