@@ -1,7 +1,7 @@
 """A cost measure, a confidence measure, a layout, a protocol and a command are one file each: no other is edited.
 
-The package is copied, the files of ``new_files`` (and the cost measure of CONTRIBUTING.md) are put beside the others,
-and used as a user would.
+The package is copied; the files of ``new_files``, command and layout of the plug-in template, and the cost measure of
+CONTRIBUTING.md are put beside the others, and used as a user would.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from tests.methods.stereo._pairs import shifted_pair
 
 ROOT = Path(__file__).parents[2]
 NEW = Path(__file__).parent / "new_files"
+TEMPLATE = ROOT / "docs" / "plugin_template" / "depthcli_example"
 SQUARED = """\
 pipeline: local
 cost: squared_difference
@@ -42,8 +43,11 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("depthcli", "configs"):
         shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", root)
-    shutil.copytree(NEW, root / "depthcli", dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__", "configs"))
-    shutil.copytree(NEW / "configs", root / "configs", dirs_exist_ok=True)
+    shutil.copytree(NEW, root / "depthcli", dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+    command = (TEMPLATE / "command.py").read_text("utf-8")
+    (root / "depthcli" / "commands" / "constant.py").write_text(f"{command}\n\nCOMMAND = ConstantCommand()\n")
+    shutil.copy(TEMPLATE / "layout.py", root / "depthcli" / "data" / "layouts" / "two_files.py")
+    shutil.copytree(TEMPLATE / "presets" / "constant", root / "configs" / "constant")
     (cost,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "CONTRIBUTING.md").read_text("utf-8"), re.M | re.S)
     (root / "depthcli" / "methods" / "stereo" / "cost" / "squared_difference.py").write_text(cost)
     (root / "squared.yaml").write_text(SQUARED)

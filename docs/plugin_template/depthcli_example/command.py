@@ -1,4 +1,4 @@
-"""A command that goes through scenes: progress, resuming, reports and workers come from ``ConfigCommand``."""
+"""Write the same disparity everywhere."""
 
 from __future__ import annotations
 
@@ -26,11 +26,14 @@ class ConstantConfig(RootConfig):
 
 
 class ConstantCommand(ConfigCommand[ConstantConfig, StereoScene]):
-    """Write the same disparity everywhere."""
+    """Write the same disparity everywhere.
+
+    ``ConfigCommand`` goes through the scenes, with progress, resuming, reports and workers.
+    """
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (StereoScene,)
     results = ("disp_left.pfm",)
-    examples = ("depthcli constant five.yaml -i scenes -o runs/five",)
+    examples = ("depthcli constant five -i scenes -o runs/five",)
 
     def config_model(self) -> type[ConstantConfig]:
         """Return the model of the config file."""
