@@ -29,7 +29,7 @@ from depthcli.methods.stereo.tiling.plan import BIN, BLOCK, Candidates, Memory
 from depthcli.methods.stereo.tiling.tile_by_tile import Prior, match_by_costs, match_by_patches, refined_map
 from depthcli.methods.stereo.volume import StereoResult
 
-# Set by hand so that the maps of large pairs are near those of whole pairs (README: Aloe at several sizes).
+# Set by hand so that the maps of large pairs are near those of whole pairs (docs/figures.md, large images).
 _MIN_DISPARITIES = 256  # smaller ranges are searched whole
 _MIN_SIDE = 128  # pixels; smaller images are not halved
 _ISLAND_SIZE = 20  # pixels that must belong together to be a candidate at half the size
