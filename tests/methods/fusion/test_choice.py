@@ -19,31 +19,14 @@ from depthcli.core.networks import TrainedNetwork
 from depthcli.data.formats.networks import network_path, read_network, write_network
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.evaluation.curves import sparsification
-from depthcli.methods.fusion.choice import Proposals
 from depthcli.methods.fusion.choice._inputs import PIXEL_PLANES, PROPOSAL_PLANES, RELATIVE, NetworkInputs, input_names
 from depthcli.methods.fusion.choice.network import NetworkChoice, log_odds_of
 from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.map_costs import matching_costs
 from depthcli.methods.fusion.support import ColorSupport
-from tests.methods.stereo._pairs import assert_pure, blocky_pair, random_volume, texture
+from depthcli.testing.choices import CHOICE_CHECKS, KINDS, random_proposals
+from tests.methods.stereo._pairs import assert_pure, texture
 from tests.naive import choice as naive
-
-KINDS = ("median", "own", "local", "felzenszwalb")
-
-
-def proposals(height=9, width=21, n_disparities=12, count=4, seed=0):
-    rng = np.random.default_rng(seed)
-    base = rng.uniform(0, n_disparities - 1, (height, width))
-    values = np.clip(base + rng.normal(0, 1.5, (count, height, width)), 0, n_disparities - 1).astype(np.float32)
-    return Proposals(
-        (KINDS * 4)[:count],
-        values,
-        rng.integers(0, 3, values.shape).astype(np.uint8),
-        np.ones(count, np.float32),
-        blocky_pair(height, width, True, seed),
-        random_volume(height, width, n_disparities),
-        rng.integers(0, n_disparities, (height, width)).astype(np.uint16),
-    )
 
 
 def random_network(kinds, units=(8, 4), seed=0):
@@ -61,8 +44,13 @@ def random_network(kinds, units=(8, 4), seed=0):
     return TrainedNetwork(kinds, input_names(kinds), some(size), np.abs(some(size)), layers)
 
 
+@pytest.mark.parametrize("check", CHOICE_CHECKS, ids=lambda check: check.__name__)
+def test_contract(check):
+    check(NetworkChoice().with_network(random_network(KINDS), KINDS))
+
+
 def test_inputs_agree_with_the_reference():
-    given = proposals()
+    given = random_proposals()
     count, height, width = given.values.shape
     inputs = NetworkInputs.of(given)
     own = dict(zip(PROPOSAL_PLANES, inputs.own.reshape(len(PROPOSAL_PLANES), count, height, width), strict=True))
@@ -87,7 +75,7 @@ def test_inputs_agree_with_the_reference():
 
 
 def test_rows_hold_the_planes_in_the_order_of_their_names():
-    given = proposals()
+    given = random_proposals()
     inputs = NetworkInputs.of(given)
     names = input_names(given.kinds)
     pixels = np.array([0, 5, 188], np.int64)
@@ -108,7 +96,7 @@ def test_rows_hold_the_planes_in_the_order_of_their_names():
 
 @pytest.mark.parametrize(("height", "width", "count"), [(9, 21, 4), (1, 1, 2), (3, 5, 16), (40, 33, 3)])
 def test_log_odds_agree_with_the_reference(height, width, count):
-    given = proposals(height, width, 12, count)
+    given = random_proposals(height, width, 12, count)
     weights = random_network(given.kinds)
     inputs = NetworkInputs.of(given)
     rows = inputs.rows(np.arange(height * width, dtype=np.int64))
@@ -117,7 +105,7 @@ def test_log_odds_agree_with_the_reference(height, width, count):
 
 
 def test_the_likeliest_proposal_is_taken_with_its_probability():
-    given = proposals()
+    given = random_proposals()
     trained = random_network(given.kinds)
     method = NetworkChoice().with_network(trained, given.kinds)
     chosen = method(given)
@@ -185,7 +173,7 @@ def test_a_network_takes_only_the_inputs_it_was_trained_for():
     with pytest.raises(InputError, match="another version"):
         NetworkChoice().with_network(random_network(KINDS, units=(6, 4)), KINDS)
     with pytest.raises(ValueError, match="with_network first"):
-        NetworkChoice()(proposals())
+        NetworkChoice()(random_proposals())
 
 
 def test_networks_with_the_input_names_of_version_0_1_0_are_taken():
@@ -194,8 +182,8 @@ def test_networks_with_the_input_names_of_version_0_1_0_are_taken():
     assert set(former) < set(trained.inputs)
     old = replace(trained, inputs=tuple(former.get(name, name) for name in trained.inputs))
     np.testing.assert_array_equal(
-        NetworkChoice().with_network(old, KINDS)(proposals()).values,
-        NetworkChoice().with_network(trained, KINDS)(proposals()).values,
+        NetworkChoice().with_network(old, KINDS)(random_proposals()).values,
+        NetworkChoice().with_network(trained, KINDS)(random_proposals()).values,
     )
 
 

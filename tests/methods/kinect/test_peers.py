@@ -51,22 +51,6 @@ def test_all_fill_gaps_and_leave_the_input_alone(method, sample):
     np.testing.assert_array_equal(refined.depth.values, method(frame).depth.values)
 
 
-@pytest.mark.parametrize("method", METHODS, ids=repr)
-@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (4, 5)])
-def test_tiny_and_narrow_frames(method, shape):
-    depth = np.full(shape, 2.0, np.float32)
-    if depth.size > 1:
-        depth.flat[depth.size // 2] = np.nan
-    values = method(RgbdFrame(np.zeros((*shape, 3), np.uint8), depth)).depth.values
-    np.testing.assert_allclose(values[~np.isnan(values)], 2, rtol=1e-4)
-
-
-@pytest.mark.parametrize("method", METHODS, ids=repr)
-def test_nothing_known_is_an_error(method):
-    with pytest.raises(ValueError, match="no pixel"):
-        method(RgbdFrame(np.zeros((8, 9, 3), np.uint8), np.full((8, 9), np.nan, np.float32)))
-
-
 def test_joint_bilateral_is_its_formula():
     rng = np.random.default_rng(1)
     color = rng.integers(100, 140, (24, 26, 3), dtype=np.uint8)

@@ -13,14 +13,13 @@ from depthcli.algorithms.plane_fitting.samples import Samples
 from depthcli.batch.presets import find_config, list_presets
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import SparseFrame
-from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.arrays.transparent_scenes import sparse_samples
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.walk import discover_scenes
 from depthcli.methods.transparent.config import TransparentConfig
 from depthcli.methods.transparent.unreliable import UnreliableRegions, sample_noise
-from tests.methods.stereo._pairs import assert_pure
-from tests.methods.transparent._frames import NOISE, glass
+from depthcli.testing import pipelines
+from depthcli.testing.frames import NOISE, glass
 from tests.scenes import DATA
 
 PRESETS = [name for command, name, _ in list_presets() if command == "transparent" and name != "kinect"]
@@ -37,26 +36,9 @@ def errors(values, truth, mask, sensor):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_every_pixel_has_a_depth_and_a_status_that_fits(name):
-    frame, _, _ = glass()
-    result = pipeline(name)(frame)
-    depth, status = result.depth.values, result.depth.status
-    assert depth.shape == result.sigma.shape == frame.shape
-    assert np.isfinite(depth).all()
-    kept = status == DepthStatus.KEPT
-    np.testing.assert_array_equal(depth[kept], frame.depth[kept])
-    np.testing.assert_array_equal((status & DepthStatus.GAP_FILLED) > 0, np.isnan(frame.depth))
-    np.testing.assert_array_equal(result.pictures["unreliable"] > 0, (status & DepthStatus.CORRECTED) > 0)
-    sampled = (status & DepthStatus.SAMPLED) > 0
-    assert sampled.any()
-    assert not (sampled & (kept | np.isnan(frame.sparse))).any()
-    assert set(result.seconds)
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_same_bytes_at_any_thread_count_and_inputs_untouched(name):
-    frame, _, _ = glass(3)
-    assert_pure(lambda: pipeline(name)(frame).depth.values, frame.color, frame.depth, frame.sparse)
+@pytest.mark.parametrize("check", pipelines.TRANSPARENT_CHECKS, ids=lambda check: check.__name__)
+def test_contract(name, check):
+    check(pipeline(name))
 
 
 @pytest.mark.parametrize("name", ["sparse", "crf"])
