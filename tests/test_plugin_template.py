@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -14,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from depthcli import testing
+from depthcli.core.registry import registry_of
 from depthcli.data.formats.images import write_png
 from depthcli.testing.inputs import shifted_pair
 
@@ -71,6 +74,16 @@ def test_its_own_tests_pass(env: Environment):
     done = env.run("-q", "-p", "no:cacheprovider", "mine/tests", module="pytest")
     assert done.returncode == 0, done.stdout[-3000:]
     assert "5 passed" in done.stdout
+
+
+def test_its_readme_names_every_group_with_its_base_and_its_test():
+    rows = re.findall(r"^\| `(depthcli\.\S+)` \| `(\S+)`.* \| `(\w+)` \|$", (ROOT / "docs" / "plugin_template" /
+                      "README.md").read_text("utf-8"), re.MULTILINE)  # fmt: skip
+    for group, base, _ in rows:
+        module, _, name = base.rpartition(".")
+        registry = registry_of(getattr(importlib.import_module(module), name))
+        assert registry is not None and registry.group == group
+    assert {check for _, _, check in rows} == set(testing.__all__)
 
 
 def test_it_is_listed(env: Environment):

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, BeforeValidator
 
 from depthcli.core.method import Family
+from depthcli.core.plugins import is_file_loaded, is_installed
 from depthcli.core.yaml_source import OVERRIDES, ConfigData, Location, dotted, short
 
 
@@ -49,6 +50,25 @@ def explain(model: type[BaseModel], config: ConfigData, error: Any) -> str:
     named = place.startswith(OVERRIDES) and (not path or f"{path}.".startswith(f"{key}."))
     prefix = place if named or not key else f"{place}: {key}"
     return f"{prefix}: {what}{shown}{hint}"
+
+
+def missing_packages(config: ConfigData) -> list[str]:
+    """Return a line for every package, or plug-in file, that the run of a run.yaml was made with and that is not here.
+
+    Their methods are unknown here, which the other errors say.
+    """
+    run = config.data.get("run")
+    versions = run.get("versions") if isinstance(run, dict) else None
+    lines = []
+    for package, version in versions.items() if isinstance(versions, dict) else ():
+        place = f"{config.place(('run', 'versions', package))}: run.versions.{package}"
+        made = f"{place}: the run was made with {package} {version}, which is not"
+        if str(package).endswith(".py"):
+            if not is_file_loaded(str(package)):
+                lines.append(f"{made} loaded; --plugin FILE.py says where it is")
+        elif package != "python" and not is_installed(str(package)):
+            lines.append(f"{made} installed")
+    return lines
 
 
 def _resolve(model: type[BaseModel], data: Any, loc: Location, missing: bool) -> Location:

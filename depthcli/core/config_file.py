@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from depthcli.core.config_errors import explain
+from depthcli.core.config_errors import explain, missing_packages
 from depthcli.core.errors import ConfigError
 from depthcli.core.plugins import is_file_loaded, load_file
 from depthcli.core.yaml_source import (
@@ -199,6 +199,7 @@ def validate(model: type[_Model], config: ConfigData) -> _Model:
         value = model.model_validate(config.data)
     except ValidationError as error:
         problems += [explain(model, config, each) for each in error.errors(include_url=False)]
+        problems += missing_packages(config)
     if problems:
         raise ConfigError("\n".join(sorted(dict.fromkeys(problems), key=_line_number)))
     return value

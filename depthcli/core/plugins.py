@@ -123,6 +123,17 @@ def _installed(group: str) -> tuple[Plugin, ...]:
     return tuple(sorted(found, key=lambda plugin: plugin.qualified))
 
 
+def is_installed(package: str) -> bool:
+    """Return whether a distribution of that name is installed."""
+    from importlib import metadata  # as above
+
+    try:
+        metadata.distribution(package)
+    except (metadata.PackageNotFoundError, ValueError):
+        return False
+    return True
+
+
 @cache
 def _is_any_installed() -> bool:
     """Return whether any installed package may have entry points of a group of ours, by a look at their files."""

@@ -255,6 +255,22 @@ def test_a_config_names_its_plugins(file: Path, tmp_path: Path, capsys: pytest.C
         load_config(StereoConfig, tmp_path / "low.yaml")
 
 
+def test_the_config_of_a_run_names_packages_that_are_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    config = tmp_path / "run.yaml"
+    config.write_text(
+        "pipeline: local\ncost: far\nrun:\n  versions:\n    python: 3.11.7\n    numpy: 1.0\n    strange-cost: '1.2'\n"
+        "    mine.py: 0123456789ab\n"
+    )
+    assert main(["stereo", str(config), "-i", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert [line.partition("run.yaml:")[2] for line in said if "made with" in line] == [
+        "7: run.versions.strange-cost: the run was made with strange-cost 1.2, which is not installed",
+        "8: run.versions.mine.py: the run was made with mine.py 0123456789ab, which is not loaded; --plugin FILE.py "
+        "says where it is",
+    ]
+    assert len(said) == 3 and "no method called 'far'" in said[0]
+
+
 def test_a_higher_room_provides_objects_under_their_modules_names(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(registry, "_provided", {})
     registry.provide("depthcli.methods.stereo.cost", "depthcli.elsewhere.thermal", "depthcli.methods.kinect.layers")
