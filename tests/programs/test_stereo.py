@@ -313,3 +313,30 @@ def test_a_method_of_the_middlebury_sdk_runs_as_it_is(here: Path, made_scenes: P
     shutil.move(folder / "m.py", folder / "gone.py")
     assert stereo("middlebury-sdk", made_scenes, "failed", *options) == 3
     assert "run ended with exit code 2" in rows(here / "failed")["planes_0"]["error"]
+
+
+@pytest.mark.slow
+def test_a_run_script_of_the_middlebury_sdk_writes_disp0_beside_a_sparse_map(here: Path, made_scenes: Path, capsys):
+    """The SDK's own ``alg-ELAS/run`` does; ``runalg`` adds the name of the method to the files afterwards."""
+    folder = here / "sdk" / "alg-Two"
+    folder.mkdir(parents=True)
+    (folder / "write.py").write_text(
+        "import sys, cv2, numpy as np\n"
+        "h, w = cv2.imread(sys.argv[1]).shape[:2]\n"
+        "for name, value in (('disp0', 5), ('disp0_s', 1)):\n"
+        "    values = np.full((h, w), value, '<f4').tobytes()\n"
+        "    open(f'{sys.argv[2]}/{name}.pfm', 'wb').write(b'Pf\\n%d %d\\n-1\\n' % (w, h) + values)\n"
+    )
+    run = folder / "run"
+    run.write_text(
+        "#!/bin/sh\n"
+        'if [ $# -ne 4 ]; then echo "usage: $0 im0.png im1.png ndisp outdir" >&2; exit 1; fi\n'
+        f'{sys.executable} alg-Two/write.py "$1" "$4" && echo 0.25 > "$4/time.txt"\n'
+    )
+    run.chmod(0o755)
+    options = ("--set", "program=sdk/alg-Two", "--scenes", "planes_0")
+    assert stereo("middlebury-sdk", made_scenes, "two", *options) == 0
+    assert (read_pfm(here / "two" / "planes_0" / "disp_left.pfm") == 5).all()
+    run.write_text(run.read_text() + 'mv "$4/disp0.pfm" "$4/disp0Other.pfm"\n')
+    assert stereo("middlebury-sdk", made_scenes, "other", *options) == 3
+    assert "wrote 2 maps, but neither disp0Two.pfm nor disp0.pfm" in rows(here / "other")["planes_0"]["error"]

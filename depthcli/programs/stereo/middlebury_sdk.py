@@ -23,9 +23,10 @@ _PREFIX = "alg-"
 class MiddleburySdk(ProgramRun, StereoPipeline):
     """A method as the Middlebury SDK (MiddEval3) has it: a folder ``alg-NAME`` with a program ``run``.
 
-    It gets ``im0.png``, ``im1.png``, the number of disparities and a folder into which it writes ``disp0NAME.pfm``;
-    ``timeNAME.txt`` beside it is not read. It runs in the folder that holds ``alg-NAME``. All files in ``alg-NAME``
-    that can be executed are part of the run: scenes are computed again where they change.
+    It gets ``im0.png``, ``im1.png``, the number of disparities and a folder into which it writes ``disp0.pfm`` (which
+    ``runalg`` then renames), or ``disp0NAME.pfm``; a sparse map ``disp0_s.pfm`` and ``time.txt`` beside it are not
+    read. It runs in the folder that holds ``alg-NAME``. All files in ``alg-NAME`` that can be executed are part of the
+    run: scenes are computed again where they change.
     """
 
     program: str = Field(description="the folder alg-NAME, seen from the current folder", min_length=1)
@@ -69,7 +70,9 @@ class MiddleburySdk(ProgramRun, StereoPipeline):
 
 def _map_in(folder: Path, name: str) -> Path:
     """Return the map that a program called ``name`` wrote; the only one there where it has another name."""
-    path, others = folder / f"disp0{name}.pfm", sorted(folder.glob("disp0*.pfm"))
-    if not path.is_file() and len(others) > 1:
-        raise ProgramError(f"the program wrote {len(others)} maps, but no {path.name}")
-    return path if path.is_file() or not others else others[0]
+    usual = [folder / f"disp0{name}.pfm", folder / "disp0.pfm"]
+    others = sorted(folder.glob("disp0*.pfm"))
+    found = next((path for path in usual if path.is_file()), None)
+    if found is None and len(others) > 1:
+        raise ProgramError(f"the program wrote {len(others)} maps, but neither {usual[0].name} nor disp0.pfm")
+    return found or (others[0] if others else usual[1])
