@@ -9,6 +9,7 @@ import textwrap
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from pydantic import BaseModel
@@ -67,6 +68,7 @@ def presets() -> list[Preset]:
     return found
 
 
+@cache
 def _files_of(plugin: Plugin) -> list[Path]:
     module, _, folder = plugin.reference.partition(":")
     try:

@@ -98,7 +98,7 @@ def command_names() -> list[str]:
 
 def grouped_commands() -> dict[str, list[str]]:
     """Return heading -> names of its commands, in the order of ``depthcli --help``; every command is under one."""
-    names = [*command_names(), *(name.replace("_", "-") for name in REGISTRY.plugins())]
+    names = [name.replace("_", "-") for name in REGISTRY.names()]
     groups = {heading: [name for name in group if name in names] for heading, group in _GROUPS.items()}
     if more := [name for name in names if not any(name in group for group in groups.values())]:
         groups["More"] = more

@@ -56,7 +56,7 @@ def _show(name: str) -> str:
     command = find_command(preset.command)
     if not isinstance(command, ConfigCommand):
         raise ConfigError(f"{preset.file}: no command called {preset.command!r} that has configs")
-    title = [leading_comment(preset.file.read_text("utf-8"))]
+    title = [leading_comment(preset.file.read_text("utf-8", "replace"))]
     use = f"depthcli {preset.command} {preset.name} ..."
     title.append(f"Use it as it is: {use}; or save, change and name this text as a file.")
     config = load_config(command.config_model(), preset.file, find=lambda base: find_preset(preset.command, base))

@@ -181,6 +181,22 @@ def test_a_broken_package_costs_a_warning(tmp_path: Path, monkeypatch: pytest.Mo
         assert layouts.layouts() == layouts.own_layouts()
 
 
+def test_a_broken_command_is_left_out_of_the_help(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    install(
+        tmp_path, monkeypatch, "strange-command", "[depthcli.commands]\nbow = strange_command:Bow\n", "import nowhere\n"
+    )
+    with pytest.warns(
+        plugins.PluginWarning, match=r"bow of strange-command 1\.2 cannot be loaded: ModuleNotFoundError"
+    ):
+        assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert "refine-kinect" in text and "bow" not in text
+    assert main(["bow"]) == 2
+    assert "bow of strange-command 1.2 cannot be loaded" in capsys.readouterr().err
+
+
 def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     for command, name in (("stereo", "fast"), ("stereo", "elas"), ("nowhere", "odd")):
         file = tmp_path / "strange_kit" / "mine" / command / f"{name}.yaml"
@@ -198,6 +214,9 @@ def test_presets_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ca
     assert "stereo elas " in capsys.readouterr().out
     assert main(["presets", "show", "stereo/elas"]) == 0
     assert "depthcli stereo elas ..." in capsys.readouterr().out
+    (tmp_path / "strange_kit" / "mine" / "stereo" / "elas.yaml").write_bytes(b"# \xff\npipeline: local\n")
+    assert main(["presets", "show", "elas"]) == 2
+    assert "elas.yaml:1: not UTF-8 text" in capsys.readouterr().err
     assert main(["presets", "show", "odd"]) == 2
     assert "odd.yaml: no command called 'nowhere' that has configs" in capsys.readouterr().err
 
