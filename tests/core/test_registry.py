@@ -181,18 +181,16 @@ def test_a_broken_package_costs_a_warning(tmp_path: Path, monkeypatch: pytest.Mo
         assert layouts.layouts() == layouts.own_layouts()
 
 
+@pytest.mark.filterwarnings("always::depthcli.core.plugins.PluginWarning")
 def test_a_broken_command_is_left_out_of_the_help(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    install(
-        tmp_path, monkeypatch, "strange-command", "[depthcli.commands]\nbow = strange_command:Bow\n", "import nowhere\n"
-    )
-    with pytest.warns(
-        plugins.PluginWarning, match=r"bow of strange-command 1\.2 cannot be loaded: ModuleNotFoundError"
-    ):
-        assert main(["--help"]) == 0
-    text = capsys.readouterr().out
-    assert "refine-kinect" in text and "bow" not in text
+    entries = "[depthcli.commands]\nbow = strange_command:Bow\n"
+    install(tmp_path, monkeypatch, "strange-command", entries, "import nowhere\n")
+    assert main(["--help"]) == 0
+    out, err = capsys.readouterr()
+    assert "refine-kinect" in out and "bow" not in out
+    assert "warning: plug-in bow of strange-command 1.2 cannot be loaded: ModuleNotFoundError" in err
     assert main(["bow"]) == 2
     assert "bow of strange-command 1.2 cannot be loaded" in capsys.readouterr().err
 
