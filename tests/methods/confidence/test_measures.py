@@ -127,7 +127,7 @@ def test_ranks_survive_a_positive_factor(factor, seed):
 
 def test_unknown_names_are_refused_with_the_names_there_are():
     costs = random_costs((4, 5), np.uint8)
-    with pytest.raises(ValueError, match="no confidence measure called 'pkrr'; one of: aml, apkr"):
+    with pytest.raises(ValueError, match=r"called 'pkrr'; did you mean 'pkr'\?; one of: aml, apkr"):
         confidence_maps(costs[None], ["pkrr"])
     with pytest.raises(ValueError, match=r"\(H, W, D\)"):
         confidence_maps(costs, ["pkr"])
