@@ -186,8 +186,12 @@ def _has(data: Any, location: Location) -> bool:
     return True
 
 
-def validate(model: type[_Model], config: ConfigData) -> _Model:
+def validate(model: type[_Model], config: ConfigData, folder: Path | None = None) -> _Model:
     """Return ``config`` as ``model``, checked.
+
+    Parameters
+    ----------
+    folder : of the config's file, None where it is none; validators find it as ``folder`` in their context
 
     Raises
     ------
@@ -196,7 +200,7 @@ def validate(model: type[_Model], config: ConfigData) -> _Model:
     """
     problems = list(config.problems)
     try:
-        value = model.model_validate(config.data)
+        value = model.model_validate(config.data, context={"folder": folder})
     except ValidationError as error:
         problems += [explain(model, config, each) for each in error.errors(include_url=False)]
         problems += missing_packages(config)
@@ -238,7 +242,7 @@ def load_config(
                 defaults = model.model_validate(config.data).model_dump(mode="json", by_alias=True)
         overlay(config, settings, defaults)
         overlay_values(config, values or {}, defaults)
-    return validate(model, config)
+    return validate(model, config, source.parent if isinstance(source, Path) else None)
 
 
 def dump_config(model: BaseModel) -> str:

@@ -25,6 +25,7 @@ from pydantic import (
     Field,
     SerializeAsAny,
     SerializerFunctionWrapHandler,
+    ValidationInfo,
     model_serializer,
     model_validator,
 )
@@ -115,8 +116,12 @@ class Family(Registry[type[Method]]):
     def _find_alias(self, plain: str, names: Iterable[str]) -> str | None:
         return next((name for name in names if plain in map(plain_name, self.load(name).aliases)), None)
 
-    def parse(self, value: Any) -> Method:
+    def parse(self, value: Any, context: Any = None) -> Method:
         """Return the method that a config's ``value`` describes: a name, a mapping, or a method itself.
+
+        Parameters
+        ----------
+        context : of the validation, for the validators of the method
 
         Raises
         ------
@@ -134,7 +139,7 @@ class Family(Registry[type[Method]]):
         own = self.find(name) if isinstance(name, str) else None
         if own is None:
             raise self._error("method_name", "no {key} called {name}", name)
-        return self.load(own).model_validate(fields)
+        return self.load(own).model_validate(fields, context=context)
 
     def suggestions(self, name: object, *others: str) -> str:
         """Return the end of a message about an unknown name: the one that may be meant, and all, with their packages.
@@ -148,6 +153,10 @@ class Family(Registry[type[Method]]):
         near = difflib.get_close_matches(str(name), names, 1)
         shown = (f"{each} ({plugins[each].package})" if each in plugins else each for each in names)
         return (f"; did you mean {near[0]!r}?" if near else "") + f"; one of: {', '.join(shown)}"
+
+    def parse_field(self, value: Any, info: ValidationInfo) -> Method:
+        """Return the method that a field's ``value`` describes, as :meth:`parse`, in the context of its config."""
+        return self.parse(value, info.context)
 
     def _error(self, kind: Literal["method_type", "method_name"], text: LiteralString, name: Any = None) -> Exception:
         values = {"key": self.key, "name": repr(name), "suggestions": self.suggestions(name)}
@@ -187,7 +196,7 @@ def method_of(package: str, key: str = "method") -> Any:
     >>> class Config(BaseModel):
     ...     cost: Annotated[CostMeasure, *method_of("depthcli.methods.stereo.cost")]
     """
-    return (BeforeValidator(Family(package, key).parse), SerializeAsAny())  # type: ignore[type-arg]  # a class at run time, an alias to mypy
+    return (BeforeValidator(Family(package, key).parse_field), SerializeAsAny())  # type: ignore[type-arg]  # a class at run time, an alias to mypy
 
 
 class RootConfig(BaseModel):

@@ -81,10 +81,10 @@ class ProgramRun(BaseModel):
 class Program(ProgramRun):
     """A program that is run for every scene, in a scratch folder of its own.
 
-    The first word is looked up in ``PATH``, or from the current folder where it has a slash. Other words that name
-    a file, seen from the current folder, become its whole path. The content of all these files is part of the run:
-    scenes are computed again where it changes. The variable ``OMP_NUM_THREADS`` has the number of threads. A scratch
-    folder is kept where the scene fails; the message names it.
+    The first word is looked up in ``PATH``, or where it has a slash from the folder of the config file, and then from
+    the current folder. Other words that name a file, seen from one of these two, become its whole path. The
+    content of all these files is part of the run: scenes are computed again where it changes. The variable
+    ``OMP_NUM_THREADS`` has the number of threads. A scratch folder is kept where the scene fails; the message names it.
     """
 
     placeholders: ClassVar[tuple[str, ...]] = ("output", "scratch", "name", "threads", "cwd")
@@ -142,7 +142,11 @@ class Program(ProgramRun):
                 near = difflib.get_close_matches(name, known, 1)
                 hint = f"did you mean {{{near[0]}}}?" if near else f"there are: {', '.join(known)}"
                 raise ValueError(f"no placeholder {{{name}}}; {hint}")
-        return program
+        if shell:
+            return program
+        first = beside_config(words[0], info) if "/" in words[0] else words[0]
+        found = (first, *(beside_config(word, info) for word in words[1:]))
+        return program if found == words else found
 
     def used_files(self) -> dict[str, Path]:
         """Return role -> file, of the words that are files; none for a shell.
@@ -158,7 +162,9 @@ class Program(ProgramRun):
         found = shutil.which(first)
         if found is None:
             where = (
-                "no such file, or it cannot be run" if "/" in first else "not in PATH; for a file here write ./ before"
+                f"no such file, or it cannot be run, neither seen from the config file nor from {os.getcwd()}"
+                if "/" in first
+                else "not in PATH; for a file here write ./ before"
             )
             raise ConfigError(f"program: {first}: {where}")
         files = [Path(found), *(Path(word) for word in others if os.path.isfile(word))]
@@ -196,6 +202,17 @@ class Program(ProgramRun):
     def read_map(self, path: Path, shape: tuple[int, int], codes_per_unit: float) -> NDArray[np.float32]:
         """Return the map that the program wrote, as :func:`read_map`, by the format and scale of the config."""
         return read_map(path, shape, self.scale, 256.0 if self.format == "kitti" else codes_per_unit, self.invalid)
+
+
+def beside_config(name: str, info: ValidationInfo) -> str:
+    """Return the whole path of a file or folder that lies beside the config file; ``name`` as it is where none does.
+
+    A name that means the same seen from the current folder stays as it is, too.
+    """
+    folder = (info.context or {}).get("folder")
+    path = os.path.abspath(os.path.join(folder or "", name))
+    is_here = path == os.path.abspath(name)
+    return name if folder is None or is_here or "\0" in name or not os.path.exists(path) else path
 
 
 def read_map(

@@ -340,3 +340,33 @@ def test_a_run_script_of_the_middlebury_sdk_writes_disp0_beside_a_sparse_map(her
     run.write_text(run.read_text() + 'mv "$4/disp0.pfm" "$4/disp0Other.pfm"\n')
     assert stereo("middlebury-sdk", made_scenes, "other", *options) == 3
     assert "wrote 2 maps, but neither disp0Two.pfm nor disp0.pfm" in rows(here / "other")["planes_0"]["error"]
+
+
+@pytest.mark.slow
+def test_programs_are_found_beside_the_config_before_the_current_folder(
+    here: Path, made_scenes: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    work = here / "study"
+    work.mkdir()
+    for folder, value in ((work, 4), (here, 7)):
+        (folder / "plane").write_text(f'#!/bin/sh\nexec {sys.executable} "$1" "$2" {value}\n')
+        (folder / "plane").chmod(0o755)
+    (work / "plane.py").write_text(
+        "import sys, numpy as np\nnp.save(sys.argv[1], np.full((64, 96), float(sys.argv[2]), np.float32))\n"
+    )
+    config = {"pipeline": "command", "run": ["./plane", "plane.py", "{output}"], "format": "npy"}
+    (work / "plane.yaml").write_text(json.dumps(config))
+    assert stereo("study/plane.yaml", made_scenes, "run", "--jobs", "2") == 0
+    for scene in rows(here / "run"):
+        assert (read_pfm(here / "run" / scene / "disp_left.pfm") == 4).all()
+    assert str(work / "plane.py") in (here / "run" / "run.yaml").read_text()
+    capsys.readouterr()
+    monkeypatch.chdir(work)
+    assert stereo(str(here / "run" / "run.yaml"), made_scenes, str(here / "run")) == 0  # from anywhere: nothing to do
+    monkeypatch.chdir(here)
+    (work / "plane").unlink()  # then the one in the current folder
+    assert stereo("study/plane.yaml", made_scenes, "other", "--scenes", "planes_0") == 0
+    assert (read_pfm(here / "other" / "planes_0" / "disp_left.pfm") == 7).all()
+    setting = "run=[./absent, '{output}']"
+    assert stereo("study/plane.yaml", made_scenes, "none", "--set", setting) == 2
+    assert f"neither seen from the config file nor from {here}" in capsys.readouterr().err

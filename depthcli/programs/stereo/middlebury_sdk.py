@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
@@ -14,7 +14,7 @@ from depthcli.data.formats.disparity import KITTI_SCALE
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.programs.process import ProgramError
-from depthcli.programs.program import ProgramRun, read_map, scratch_folder, write_input
+from depthcli.programs.program import ProgramRun, beside_config, read_map, scratch_folder, write_input
 from depthcli.programs.stereo.command import MAP_BYTES, disparity_map
 
 _PREFIX = "alg-"
@@ -29,7 +29,14 @@ class MiddleburySdk(ProgramRun, StereoPipeline):
     run: scenes are computed again where they change.
     """
 
-    program: str = Field(description="the folder alg-NAME, seen from the current folder", min_length=1)
+    program: str = Field(
+        description="the folder alg-NAME, seen from that of the config file or from the current one", min_length=1
+    )
+
+    @field_validator("program")
+    @classmethod
+    def _beside_config(cls, program: str, info: ValidationInfo) -> str:
+        return beside_config(program, info)
 
     def __call__(self, pair: StereoPair, max_disparity: int) -> StereoResult:
         """Write the images, run the program, read its map; ProgramError where it failed."""
