@@ -77,9 +77,9 @@ class MiddleburySdk(ProgramRun, StereoPipeline):
 
 def _map_in(folder: Path, name: str) -> Path:
     """Return the map that a program called ``name`` wrote; the only one there where it has another name."""
-    usual = [folder / f"disp0{name}.pfm", folder / "disp0.pfm"]
+    expected = [folder / f"disp0{name}.pfm", folder / "disp0.pfm"]
     others = sorted(folder.glob("disp0*.pfm"))
-    found = next((path for path in usual if path.is_file()), None)
+    found = next((path for path in expected if path.is_file()), None)
     if found is None and len(others) > 1:
-        raise ProgramError(f"the program wrote {len(others)} maps, but neither {usual[0].name} nor disp0.pfm")
-    return found or (others[0] if others else usual[1])
+        raise ProgramError(f"the program wrote {len(others)} maps, but neither {expected[0].name} nor disp0.pfm")
+    return found or (others[0] if others else expected[1])
