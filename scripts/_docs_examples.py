@@ -121,7 +121,7 @@ class Page:
         return "" if "hidden" in settings else shown
 
     def _console(self, found: re.Match[str], text: str, settings: dict[str, str]) -> Iterator[str]:
-        commands = re.findall(r"^\$ (.*(?:\\\n.*)*)\n", text, re.M)
+        commands = re.findall(r"^\$ ((?:.*\\\n)*.*)\n", text, re.M)
         if not commands:
             raise ExampleError(f"{self._place(found)}: no line begins with '$ '")
         for number, command in enumerate(commands):

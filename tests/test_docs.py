@@ -115,6 +115,11 @@ def test_an_example_that_fails_stops_the_page(page, block: str, said: str):
         page("\n" + block)
 
 
+def test_a_command_of_several_lines_is_one_command(page):
+    text = page("```console\n$ echo a \\\n    b\n$ echo c\n```\n").run()
+    assert "$ echo a \\\n    b\na b\n$ echo c\nc\n" in text
+
+
 def test_flow_charts_draw_rows_of_boxes():
     chart = _docs_examples.flow_chart("(image) -> cost -> map <1>\n\nmap -> check\n")
     assert chart.count("<rect") == 5 and chart.count('marker-end="url(#arrow)"') == 3
