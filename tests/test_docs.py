@@ -116,7 +116,7 @@ def test_an_example_that_fails_stops_the_page(page, block: str, said: str):
 
 
 def test_a_command_of_several_lines_is_one_command(page):
-    text = page("```console\n$ echo a \\\n    b\n$ echo c\n```\n").run()
+    text = page("```console\n$ echo a \\\n    b\n$ echo c\n```\n")
     assert "$ echo a \\\n    b\na b\n$ echo c\nc\n" in text
 
 
