@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
+from depthcli.api.wording import worded
 from depthcli.batch.presets import find_config, find_preset
 from depthcli.core import config_file
 from depthcli.core.config_file import ConfigData
@@ -26,6 +27,7 @@ _COMMANDS = {
 }
 
 
+@worded
 def load_config(
     model: type[ModelT], preset: str | Path | ModelT, overrides: Overrides | None = None, **fields: object
 ) -> ModelT:

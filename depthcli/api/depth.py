@@ -15,6 +15,7 @@ from depthcli.api.config import Overrides, load_config
 from depthcli.api.masks import masked
 from depthcli.api.results import RefinedDepth
 from depthcli.api.running import computing
+from depthcli.api.wording import worded
 from depthcli.batch.resources import available_memory, check_memory
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.kinect import sensor_fb
@@ -52,6 +53,7 @@ def refine_depth(
     fb: float | None = None,
     **fields: object,
 ) -> list[RefinedDepth]: ...
+@worded
 def refine_depth(
     color: Image | Sequence[Image],
     depth: Image | Sequence[Image],
@@ -116,6 +118,7 @@ def refine_depth(
     return refined
 
 
+@worded
 def complete_transparent(
     color: Image,
     depth: Image,

@@ -19,6 +19,7 @@ from depthcli.api._save import made
 from depthcli.api.arrays import as_volume
 from depthcli.api.config import Overrides, load_config
 from depthcli.api.running import computing
+from depthcli.api.wording import worded
 from depthcli.batch.resources import available_memory, check_memory
 from depthcli.core.errors import InputError
 from depthcli.core.result import Clock
@@ -100,6 +101,7 @@ class RegistrationConfidence:
         return png_bytes(registration_preview(self.details, self.loaded, self.neurological))
 
 
+@worded
 def registration_confidence(
     fixed: Any,
     warped: Any,

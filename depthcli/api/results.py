@@ -19,8 +19,8 @@ from depthcli.core.frames import Image
 from depthcli.core.maps import DepthMap, DisparityMap, MatchedMap
 from depthcli.core.result import RefinedDepth as RefinedDepthDetails
 from depthcli.data.formats.depth import MILLIMETERS
-from depthcli.data.formats.images import png_bytes
-from depthcli.data.formats.pair_geometry import read_geometry
+from depthcli.data.formats.images import png_bytes, write_png
+from depthcli.data.formats.pair_geometry import read_geometry, write_geometry
 from depthcli.data.formats.pictures import preview_depth
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
@@ -85,6 +85,7 @@ class Disparity(DisparityMap):
     seconds : stage -> time
     warnings : what looks wrong, one line each
     key_points : number of matches, and the range of their disparities, where an end of the range was "auto"; else empty
+    geometry : of the rectified views, where a calibration was given; ``left`` is the rectified image then
     """
 
     left: Image
@@ -93,6 +94,7 @@ class Disparity(DisparityMap):
     seconds: Mapping[str, float]
     warnings: tuple[str, ...] = ()
     key_points: Mapping[str, int] = field(default_factory=dict)
+    geometry: PairGeometry | None = None
 
     @property
     def confidence(self) -> Mapping[str, NDArray[np.float32]]:
@@ -114,7 +116,7 @@ class Disparity(DisparityMap):
         Parameters
         ----------
         calibration : calib.txt of Middlebury, ETH3D or ``depthcli rectify``, or KITTI's projections; instead of the
-            numbers below
+            numbers below. Neither is needed where the pair was rectified by a calibration
         focal, baseline : focal length, pixels, and distance of the cameras, meters
         doffs : x of the right principal point minus that of the left one, pixels
         principal_point : x and y of the left camera's, pixels; None: the center of the image
@@ -137,12 +139,15 @@ class Disparity(DisparityMap):
         5.0
         """
         height, width = self.values.shape
-        if (calibration is None) == (focal is None or baseline is None):
+        numbers = focal is not None and baseline is not None
+        if (calibration is not None) + numbers > 1 or not (calibration or numbers or self.geometry):
             raise ConfigError("to_depth wants either a calibration file, or focal (pixels) and baseline (meters)")
         if calibration is not None:
             geometry = read_geometry(Path(calibration), (2, 3))
+        elif focal is None or baseline is None:
+            assert self.geometry is not None
+            geometry = self.geometry
         else:
-            assert focal is not None and baseline is not None
             x, y = principal_point or ((width - 1) / 2, (height - 1) / 2)
             geometry = PairGeometry(Intrinsics(focal, focal, x, y), baseline, doffs)
         geometry = geometry.for_size(width, height)
@@ -164,7 +169,11 @@ class Disparity(DisparityMap):
         folder : created where it is missing
         """
         result = replace(self.details, disparity=DisparityMap(self.values, self.status))
-        _save.save_stereo(result, _save.made(folder), self.search.min_disparity, self.search.max_disparity)
+        made = _save.made(folder)
+        _save.save_stereo(result, made, self.search.min_disparity, self.search.max_disparity)
+        if self.geometry is not None:
+            write_png(made / "left.png", self.left)
+            write_geometry(made / "calib.txt", self.geometry)
 
     def __repr__(self) -> str:
         return described(self, f"searched {self.search.min_disparity} to {self.search.max_disparity} px")

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from depthcli.api.arrays import as_map, as_volume
 from depthcli.api.results import Depth, Disparity, RefinedDepth
+from depthcli.api.wording import worded
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
 from depthcli.data.formats.images import png_bytes
@@ -81,6 +82,7 @@ class Scores:
         return None if self.picture is None else png_bytes(self.picture)
 
 
+@worded
 def evaluate(
     estimate: ArrayLike | Disparity | Depth | RefinedDepth,
     truth: ArrayLike,

@@ -16,8 +16,10 @@ from numpy.typing import ArrayLike
 from depthcli.api.arrays import as_image
 from depthcli.api.config import Overrides, load_config
 from depthcli.api.matching import device_of, limits_of, match_pair, with_address, with_network
+from depthcli.api.rectification import rectified_rig
 from depthcli.api.results import Disparity
 from depthcli.api.running import computing
+from depthcli.api.wording import worded
 from depthcli.batch.resources import available_memory
 from depthcli.core.errors import ConfigError
 from depthcli.core.frames import StereoPair
@@ -35,6 +37,7 @@ _WARMUP_SHAPE = (32, 96)  # pixels, of the pairs that load the kernels
 _MAX_WARMUP_DISPARITY = 32
 
 
+@worded
 def stereo(
     left: ArrayLike,
     right: ArrayLike,
@@ -43,7 +46,7 @@ def stereo(
     overrides: Overrides | None = None,
     **fields: object,
 ) -> Disparity:
-    """Match a rectified pair.
+    """Match a pair, rectified or, with ``calibration="stereo.yml"``, as the cameras took it.
 
     Parameters
     ----------
@@ -53,7 +56,8 @@ def stereo(
         says, else "auto", with a warning
     preset : name of a preset of ``depthcli stereo``, path of a YAML file, or a config
     overrides : config keys -> values, as ``--set`` has them, such as ``{"cost.window": 9}``
-    **fields : the same for keys that are Python names, such as ``min_disparity=-8``
+    **fields : the same for keys that are Python names, such as ``min_disparity=-8``, or ``calibration``: a file, a list
+        of files, or a mapping as in a config; the map is then that of the rectified left image
 
     Returns
     -------
@@ -79,6 +83,7 @@ def stereo(
     return _Matching(with_address(config))(left, right)
 
 
+@worded
 def fuse(
     left: ArrayLike,
     right: ArrayLike,
@@ -127,6 +132,7 @@ class Matcher:
         self._matching = _Matching(config)
         self._matching.load_kernels()
 
+    @worded
     def __call__(self, left: ArrayLike, right: ArrayLike) -> Disparity:
         """Match a pair as :func:`stereo` does, with the same result.
 
@@ -142,6 +148,7 @@ class Matcher:
         return self._matching(left, right)
 
 
+@worded
 def matcher(
     preset: str | Path | StereoConfig | FuseConfig = "accurate",
     max_disparity: End = None,
@@ -153,7 +160,7 @@ def matcher(
     Parameters
     ----------
     preset : as for :func:`stereo`; or a ``FuseConfig``
-    max_disparity, overrides, **fields : as for :func:`stereo`
+    max_disparity, overrides, **fields : as for :func:`stereo`. "auto" finds the range of every pair anew
 
     Raises
     ------
@@ -182,8 +189,6 @@ class _Matching:
     """A config, made ready to match pairs."""
 
     def __init__(self, config: StereoConfig | FuseConfig, volumes: Mapping[str, ArrayLike] | None = None) -> None:
-        if config.calibration is not None:
-            raise ConfigError("calibration: Python's functions match rectified pairs; rectify them before")
         self.config = config
         self._memory = 0, 0.0
         self.method: Method = config.pipeline if isinstance(config, StereoConfig) else config
@@ -199,12 +204,16 @@ class _Matching:
     def __call__(self, left: ArrayLike, right: ArrayLike) -> Disparity:
         images = as_image(left, "left"), as_image(right, "right")
         floats = np.asarray(left).dtype.kind == "f"  # dark ones use all 16 bits, too
-        pair = pair_of(*images, (Path("left"), Path("right")), 16 if floats else None)
+        rig = None if self.config.calibration is None else rectified_rig(self.config.calibration, *images)
+        views = images if rig is None else rig.images(*images)
+        pair = pair_of(views[0], views[1], (Path("left"), Path("right")), 16 if floats else None)
         given = self.config.max_disparity
         ends = self.config.min_disparity or 0, "auto" if given is None else given
         limits = limits_of(self.config, self._free_memory(), self.device)
         with self.turn, computing():
             found = match_pair(self.method, pair, ends, limits, Clock())
+        if rig is not None:
+            found = replace(found, geometry=rig.geometry)
         if given is not None:
             return found
         text = f'max_disparity is not given: "auto" was taken, which gives {found.search.max_disparity} px'

@@ -111,7 +111,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Run as every such command; a calibration that cannot be read is an error before any scene is opened."""
-        from depthcli.commands._rectified import read_rig
+        from depthcli.api.rectification import read_rig
 
         calibration = self.config(values).calibration
         if calibration is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from depthcli.core.cameras.rig import RectifiedRig, Rig
+    from depthcli.core.cameras.rig import RectifiedRig
     from depthcli.core.frames import StereoPair
     from depthcli.data.scenes.stereo import StereoScene
     from depthcli.methods.stereo.config import Calibration
@@ -33,42 +32,6 @@ def check_unit(unit: str) -> None:
     """Raise ConfigError where ``--unit`` names no unit of length that calibrations have."""
     if unit not in ("m", "cm", "mm"):
         raise ConfigError(f"--unit: must be m, cm or mm (got {unit!r})")
-
-
-def read_rig(calibration: Calibration) -> Rig:
-    """Read the two cameras of a calibration; InputError where it cannot be read."""
-    from depthcli.data.formats import rigs
-
-    paths = [Path(file) for file in calibration.files]
-    return rigs.read_rig(paths, calibration.unit, calibration.fisheye, calibration.cameras)
-
-
-def rectified_rig(calibration: Calibration, left: NDArray[np.generic], right: NDArray[np.generic]) -> RectifiedRig:
-    """Return how images of these sizes are rectified; InputError where the calibration is not theirs.
-
-    The latest one is kept, with its maps, for the following images of the same sizes, until the files change.
-    """
-    sizes = (left.shape[1], left.shape[0]), (right.shape[1], right.shape[0])
-    return _rectified_rig(calibration, _states(*map(Path, calibration.files)), *sizes)
-
-
-@lru_cache(maxsize=1)  # of 12 megapixels the maps take 190 MB
-def _rectified_rig(
-    calibration: Calibration, files: object, size: tuple[int, int], right_size: tuple[int, int]
-) -> RectifiedRig:
-    return read_rig(calibration).rectified(size, right_size, calibration.alpha)
-
-
-def _states(*files: Path) -> tuple[object, ...]:
-    """Return what changes when the files do: time, size and number of each; nothing of one that is missing."""
-    found = []
-    for file in files:
-        try:
-            state = os.stat(file)
-            found.append((state.st_mtime_ns, state.st_size, state.st_ino))
-        except (OSError, ValueError):  # reading it says why
-            found.append((0, 0, 0))
-    return tuple(found)
 
 
 def rectified_pair(
@@ -89,6 +52,8 @@ def rectified_pair(
     InputError
         The images or the calibration cannot be used.
     """
+    from depthcli.api.rectification import rectified_rig
+
     left, right = scene.load_views()
     found = rectified_rig(calibration, left, right)
     pair, view = _pair_of(found, scene, left, right)
@@ -108,16 +73,19 @@ def sequence_range(calibration: Calibration | None, frames: Sequence[StereoScene
     ----------
     calibration : rectifies the frames; None: they are rectified
     """
+    from depthcli.api.rectification import file_states
+
     files = {file for frame in frames for file in frame.input_files.values()}
     if calibration is not None:
         files |= {Path(file) for file in calibration.files}
-    return _sequence_range(calibration, tuple(frames), _states(*sorted(files)))
+    return _sequence_range(calibration, tuple(frames), file_states(*sorted(files)))
 
 
 @lru_cache(maxsize=1)
 def _sequence_range(
     calibration: Calibration | None, frames: tuple[StereoScene, ...], files: object
 ) -> KeyPointRange | None:
+    from depthcli.api.rectification import rectified_rig
     from depthcli.methods.stereo.search_range import range_of_key_points
 
     found: KeyPointRange | None = None

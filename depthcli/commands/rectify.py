@@ -168,7 +168,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         left: NDArray[np.generic],
         right: NDArray[np.generic],
     ) -> RectifiedRig | RectifyingHomographies:
-        from depthcli.commands._rectified import rectified_rig
+        from depthcli.api.rectification import rectified_rig
         from depthcli.methods.stereo.rectification import rectify_uncalibrated
 
         if not config["uncalibrated"]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import pickle
+import re
 import threading
 import time
 from pathlib import Path
@@ -15,10 +17,12 @@ from numpy.typing import NDArray
 
 import depthcli
 from depthcli.algorithms.filters import single_thread
+from depthcli.api.wording import in_python
 from depthcli.cli import main
 from depthcli.core import memory
 from depthcli.data.formats.images import read_image
 from depthcli.kernels import jit
+from tests.commands.test_messages import texts
 
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
@@ -113,8 +117,7 @@ def test_overrides_are_those_of_set(pair: Images):
         ({"optimization": {"p2": -1}}, r"override optimization.p2: should be greater than 0 \(got -1\)"),
         ({"overrides": {"cost.": 1}}, "want the name of a key"),
         ({"max_disparity": 0}, "should be greater than the smallest disparity, 0"),
-        ({"calibration": "rig.yml"}, "rectify them before"),
-        ({"device": "cuda:99"}, "cuda"),
+        ({"device": "cuda:99"}, "^device cuda:99: "),
     ],
 )
 def test_wrong_configs_are_refused(pair: Images, arguments: dict[str, object], message: str):
@@ -232,3 +235,17 @@ def test_opencv_gets_its_threads_back_when_the_last_has_left():
             outer.pop_all().close()  # the one that came first leaves first
             assert cv2.getNumThreads() == 1
         assert cv2.getNumThreads() == before
+
+
+def test_messages_name_keywords_not_options():
+    """Every option that a message of a module below the interface can name becomes a keyword, or is left out."""
+    assert in_python("1 GiB; see --max-memory, --jobs, --max-disparity") == "1 GiB; see max_disparity"
+    assert in_python("see --min-disparity") == "see min_disparity"
+    assert in_python("a; see --max-memory, --jobs") == "a"
+    assert in_python("1 GiB; see --max-memory, --jobs, max_voxels, iso") == "1 GiB; see max_voxels, iso"
+    assert in_python("by --set levels=... or iso=...") == "by levels=... or iso=..."
+    assert in_python("no value -1, a-b --") == "no value -1, a-b --"
+    rooms = ("core", "methods", "algorithms", "device", "programs")
+    for file in (file for room in rooms for file in (Path(depthcli.__file__).parent / room).rglob("*.py")):
+        for text in texts(ast.parse(file.read_text("utf-8"))):
+            assert "--" not in re.sub("-{3,}", "", in_python(text)), (file, text)

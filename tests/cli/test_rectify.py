@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+import depthcli
 from depthcli.cli import main
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
@@ -287,6 +288,23 @@ def test_stereo_takes_the_unit_that_it_asks_for(pinhole: Shot, tmp_path: Path, c
     assert run(*run_it, "-o", tmp_path / "run", "--unit", "inch") == 2
     assert run("stereo", "opencv-bm", *images, "-o", tmp_path / "run", "--unit", "mm") == 2
     assert "give --calibration FILE" in capsys.readouterr().err
+
+
+def test_python_rectifies_as_the_command_does(pinhole: Shot, tmp_path: Path):
+    """The same files, and metric depth without further numbers."""
+    file = opencv(tmp_path / "c.yml", pinhole.rig)
+    images = ("--left", pinhole.left, "--right", pinhole.right, "--name", "room", "--max-disparity", "30", "-q")
+    assert run("stereo", "fast", *images, "--calibration", file, "-o", tmp_path / "run") == 0
+    assert run("depth", tmp_path / "run", "-o", tmp_path / "depth", "-q") == 0
+    views = [read_image(side) for side in (pinhole.left, pinhole.right)]
+    found = depthcli.stereo(*views, 30, "fast", calibration=str(file))
+    found.save(tmp_path / "python")
+    found.to_depth().save(tmp_path / "metric")
+    for name in ("disp_left.pfm", "status.png", "left.png", "calib.txt"):
+        assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "run/room" / name).read_bytes()
+    assert (tmp_path / "metric/depth.pfm").read_bytes() == (tmp_path / "depth/room/depth.pfm").read_bytes()
+    with pytest.raises(depthcli.InputError, match="unit"):
+        depthcli.stereo(*views, 30, "fast", calibration=str(opencv(tmp_path / "mm.yml", pinhole.rig, unit=0.001)))
 
 
 @pytest.fixture
