@@ -23,3 +23,4 @@ axes[1].imshow(disparity.values, cmap="turbo")
 axes[2].imshow(disparity.measured, cmap="gray")
 for axis, title in zip(axes, ("left image", "disparity, pixels", "white: seen by both cameras"), strict=True):
     axis.set(title=title, xticks=[], yticks=[])
+plt.show()

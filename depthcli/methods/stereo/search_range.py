@@ -179,5 +179,10 @@ def complete_range(
         max_disparity = found.top if max_disparity == "auto" else max_disparity
     assert isinstance(min_disparity, int) and isinstance(max_disparity, int)
     if max_disparity <= min_disparity:
+        if columns and columns["range_top"] <= min_disparity:
+            raise InputError(
+                f"key points have disparities from {columns['range_low']} to {columns['range_top']}, but "
+                f"{min_disparity} is the smallest that is searched: views swapped? else see --min-disparity"
+            )
         raise InputError(f"disparities from {min_disparity} to {max_disparity} are to be searched, which are none")
     return SearchRange(min_disparity, max_disparity), columns

@@ -1,0 +1,35 @@
+"""
+Fusion of measures
+==================
+
+Two matching costs alone, with equal weights, and fused by consensus, where the measures of a pixel vote for each other.
+"""
+
+import subprocess
+
+import cv2
+import matplotlib.pyplot as plt
+
+import depthcli
+
+size = "--width 200 --height 150 --max-disparity 24 --noise 4 --radiometric 0.3"
+subprocess.run(f"depthcli sample -o fusion/scenes -n 1 --kind foreground {size} --quiet".split(), check=True)
+folder = "fusion/scenes/foreground_0"
+left, right = (cv2.imread(f"{folder}/{side}.png")[..., ::-1] for side in ("left", "right"))
+truth = cv2.imread(f"{folder}/disp_left.pfm", cv2.IMREAD_UNCHANGED)
+
+maps = {
+    "census alone": depthcli.fuse(left, right, 24, "thesis/single-census"),
+    "four measures, equal weights": depthcli.fuse(left, right, 24, "thesis/equal"),
+    "four measures, consensus": depthcli.fuse(left, right, 24, "thesis/consensus"),
+}
+figure, axes = plt.subplots(2, 3, figsize=(11, 5.5), layout="constrained")
+for column, (name, disparity) in zip(axes.T, maps.items(), strict=True):
+    scores = depthcli.evaluate(disparity, truth)
+    column[0].imshow(disparity.values, cmap="turbo", vmin=0, vmax=24)
+    column[0].set(title=name)
+    column[1].imshow(scores.error, cmap="magma", vmin=0, vmax=4)
+    column[1].set(title=f"error; {scores.value('bad', 'all', 1.0):.1f} % above 1 pixel")
+    for axis in column:
+        axis.set(xticks=[], yticks=[])
+plt.show()
