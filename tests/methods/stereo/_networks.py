@@ -12,7 +12,7 @@ import numpy as np
 _END = np.iinfo(np.int64).max
 
 
-class _Graph:
+class Graph:
     def __init__(self) -> None:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
@@ -63,7 +63,7 @@ def block_matcher(
     factor : of the output
     multiple : fails where the height is no multiple of it
     """
-    graph = _Graph()
+    graph = Graph()
     height, width = size or ("H", "W")
     image: tuple[Any, ...] = (1, 3, height, width)
     inputs: dict[str, Sequence[Any]]
@@ -110,7 +110,7 @@ def block_matcher(
 
 def local_features(path: Path, channels: int | None = 3, pads: int = 0, stride: int = 1) -> Path:
     """Write a network that gives the 3 x 3 window of every pixel; channels None: its input is (H, W)."""
-    graph = _Graph()
+    graph = Graph()
     image = "image"
     if channels is None:
         image = graph.add("Unsqueeze", image, graph.constant([0, 1], np.int64))

@@ -19,7 +19,7 @@ from depthcli.methods.stereo.networks.profiles import PROFILES
 from depthcli.methods.stereo.networks.runtime import network_device
 from depthcli.methods.stereo.pipeline.local import Local
 from depthcli.methods.stereo.pipeline.onnx import Onnx
-from tests.methods.stereo._networks import block_matcher, has_onnx, local_features
+from tests.methods.stereo._networks import Graph, block_matcher, has_onnx, local_features
 from tests.methods.stereo._pairs import assert_pure, inside, shifted_pair
 
 needs_onnx = pytest.mark.skipif(not has_onnx(), reason="onnxruntime or onnx is not installed")
@@ -148,6 +148,13 @@ def test_what_is_no_network_of_this_kind_is_refused(tmp_path: Path, monkeypatch:
     features = local_features(tmp_path / "features.onnx")
     with pytest.raises(InputError, match="want one input of 2 or 6 channels, two images, or four"):
         pipeline(features).prepare("cpu")
+    graph = Graph()
+    image, flow = (1, 3, 8, 8), (1, 2, 4, 4)
+    parts = graph.save(
+        tmp_path / "part.onnx", {"left": image, "right": image, "flow_init": flow}, graph.add("Abs", "left")
+    )
+    with pytest.raises(InputError, match=r"flow_init \(1, 2, 4, 4\); is it one part of a network in two files"):
+        pipeline(parts).prepare("cpu")
     with pytest.raises(InputError, match="one image as its input"):
         OnnxCost(model=str(tmp_path / "net.onnx")).prepare("cpu")
     with pytest.raises(InputError, match="want a vector for each pixel"):

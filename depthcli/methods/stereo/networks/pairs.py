@@ -122,8 +122,10 @@ def _feeds(ports: list[Port], model: str) -> tuple[Feed, ...]:
         order = sorted(range(4), key=lambda k: (_area(targets[k]), "init" not in targets[k].port.name.lower(), k))
         return _two([targets[k] for k in order[:2]], half=True) + _two([targets[k] for k in order[2:]], half=False)
     shown = ", ".join(f"{port.name} {port.shape}".replace("None", "?") for port in ports)
+    # CREStereo is also exported in two files, of which the second takes two images and the flow of the first.
+    part = "; is it one part of a network in two files? take one file with four images" if len(targets) == 3 else ""
     raise InputError(
-        f"{model}: want one input of 2 or 6 channels, two images, or four with two at half size; it has {shown}"
+        f"{model}: want one input of 2 or 6 channels, two images, or four with two at half size; it has {shown}{part}"
     )
 
 
