@@ -5,7 +5,7 @@ The functions and classes for Python stand in ``__init__.pyi``, with their modul
 
 from importlib import import_module
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _MODULES = {
     "api.config": ("load_config",),

@@ -48,6 +48,9 @@ class Command(ABC):
     examples: ClassVar[tuple[str, ...]] = ()
     """One to three command lines, at most 77 characters each, that the help shows."""
 
+    page: ClassVar[str] = "index"
+    """Page of the documentation that the help names, without its ending."""
+
     @property
     def name(self) -> str:
         """Name on the command line."""

@@ -8,8 +8,8 @@ from depthcli.batch.command import Command
 from depthcli.commands import grouped_commands, help_of
 from depthcli.core.option import Option, OptionGroup
 
-DOCUMENTATION = "README.md of depthcli"
-"""Where the documentation is, as the last line of every help text names it."""
+DOCUMENTATION = "docs/{page}.md of depthcli's repository"
+"""Where a page of the documentation is, as the last line of every help text names it."""
 
 START = (
     "depthcli sample --output scenes",
@@ -44,7 +44,7 @@ def write_command_help(formatter: Any, command: Command, common: tuple[Option, .
         if found:
             with formatter.section(group):
                 formatter.write_dl(found, width)
-    _write_end(formatter, command.examples)
+    _write_end(formatter, command.examples, command.page)
 
 
 def write_main_help(formatter: Any, about: str, options: list[tuple[str, str]]) -> None:
@@ -60,14 +60,14 @@ def write_main_help(formatter: Any, about: str, options: list[tuple[str, str]]) 
             formatter.write_dl([(f"{name:<{width}}", help_of(name)) for name in names])
     with formatter.section("Options"):
         formatter.write_dl(options)
-    _write_end(formatter, START)
+    _write_end(formatter, START, "tutorial")
 
 
-def _write_end(formatter: Any, examples: tuple[str, ...]) -> None:
+def _write_end(formatter: Any, examples: tuple[str, ...], page: str) -> None:
     with formatter.section("Examples"):
         for example in examples:
             formatter.write(f"  {example}\n")
-    formatter.write(f"\nDocumentation: {DOCUMENTATION}\n")
+    formatter.write(f"\nDocumentation: {DOCUMENTATION.format(page=page)}\n")
 
 
 def _usage(command: Command) -> str:

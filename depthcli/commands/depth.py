@@ -81,6 +81,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         DRY_RUN,
     )  # fmt: skip
 
+    page = "how_to/rig_to_meters"
     examples = (
         "depthcli depth runs/accurate --output depth --ply --far 10",
         "depthcli depth disp_left.pfm --focal 700 --baseline 0.12 --output depth",

@@ -10,6 +10,7 @@ from depthcli.batch.json_csv import Row, to_json
 class DevicesCommand(Command):
     """Lists devices by their drivers, and copies an array on each."""
 
+    page = "how_to/gpu"
     examples = ("depthcli devices",)
 
     def run(self, values: Values, reporter: Reporter) -> int:

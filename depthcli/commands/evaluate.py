@@ -65,6 +65,7 @@ class EvaluateCommand(Command):
         *HTML,
     )  # fmt: skip
 
+    page = "how_to/compare_maps"
     examples = (
         "depthcli evaluate runs/accurate runs/fast --truth scenes -o results --html",
         "depthcli evaluate a=maps/a b=maps/b --maps b='{scene}/d.tiff' --truth in",

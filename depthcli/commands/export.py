@@ -42,6 +42,7 @@ class ExportCommand(Command):
         Option("overwrite", bool, "Replace the archive.", default=False, group="Output"),
     )
 
+    page = "how_to/submit"
     examples = ("depthcli export runs/accurate --for eth3d --method accurate -o eth3d.zip",)
 
     def run(self, values: Values, reporter: Reporter) -> int:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 class FuseCommand(PairCommand["FuseConfig"]):
     """Fusion of measures computed here and of volumes made elsewhere."""
 
+    page = "how_it_works/fusion"
     examples = (
         "depthcli fuse accurate --input scenes --output runs/fused --evaluate",
         "depthcli fuse cross-modal --input color-infrared --output runs/infrared",

@@ -22,6 +22,7 @@ class MergeCommand(Command):
     """``depthcli merge RUN``."""
 
     arguments = (Option("run", Path, "Run folder.", "RUN", required=True, group="Input"),)
+    page = "how_to/cluster"
     examples = ("depthcli merge runs/accurate",)
 
     def run(self, values: Values, reporter: Reporter) -> int:

@@ -66,6 +66,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         DRY_RUN,
     )  # fmt: skip
 
+    page = "how_to/rig_to_meters"
     examples = (
         "depthcli rectify --input photos --calibration stereo.yaml --output rectified",
         "depthcli rectify --left l.jpg --right r.jpg --uncalibrated --output pair",

@@ -37,6 +37,7 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
     results: ClassVar[tuple[str, ...]] = (*DEPTH_RESULTS, *(f"*/{name}" for name in DEPTH_RESULTS))
     shown_as: ClassVar[str] = "depth"
 
+    page = "how_to/kinect"
     examples = (
         "depthcli refine-kinect accurate --input frames --output runs/refined",
         "depthcli refine-kinect fast --color color.png --depth depth.png -o one --ply",

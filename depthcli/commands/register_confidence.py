@@ -25,6 +25,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
     results: ClassVar[tuple[str, ...]] = ("confidence.*", "expected_error.*", "shift.*", "preview.png", "points.csv")
     shown_as: ClassVar[str] = "registration"
 
+    page = "how_to/registration"
     examples = (
         "depthcli register-confidence mind --input volumes --output runs/mind",
         "depthcli register-confidence mind --fixed a.nii.gz --warped b.nii.gz -o one",

@@ -22,6 +22,7 @@ class SampleCommand(BatchCommand["Mapping[str, object]", SampleScene]):
 
     results: ClassVar[tuple[str, ...]] = ("*.png", "*.pfm", "*.nii.gz", "meta.json", "calib.json")
 
+    page = "tutorial"
     examples = (
         "depthcli sample --output scenes --count 4 --noise 2",
         "depthcli sample --kinect --output frames",

@@ -24,6 +24,7 @@ _DEVICE = Option(
 class StereoCommand(PairCommand["StereoConfig"]):
     """Stereo matching by a pipeline of ``methods/stereo/pipeline/``, here or on a device."""
 
+    page = "tutorial"
     examples = (
         "depthcli stereo accurate --input scenes --output runs/accurate --html",
         "depthcli stereo fast --left l.png --right r.png --max-disparity 64 -o pair",

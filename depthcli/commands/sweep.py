@@ -56,6 +56,7 @@ class SweepCommand(Command):
         *HTML,
     )  # fmt: skip
 
+    page = "how_to/sweep"
     examples = ("depthcli sweep accurate --over optimization.p2=2,4,8 -i scenes -o sweep",)
 
     def run(self, values: Values, reporter: Reporter) -> int:

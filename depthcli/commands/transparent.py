@@ -24,6 +24,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
     """Completes the depth of transparent objects from sparse depth, given or matched between color and infrared."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (RgbdScene,)
+    page = "how_to/glass"
     examples = (
         "depthcli transparent kinect --input frames --output runs/kinect",
         "depthcli transparent sparse --input frames --output runs/sparse --evaluate",

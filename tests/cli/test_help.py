@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from pathlib import Path
 from typing import Any, get_args
 
 import pytest
@@ -18,6 +19,7 @@ from depthcli.core.option import OptionGroup
 
 NAMES = command_names()
 MAX_LINES = 60
+ROOT = Path(__file__).parents[2]
 EXAMPLES = [*START, *(example for name in NAMES for example in load_command(name).examples)]
 
 
@@ -47,7 +49,8 @@ def test_a_help_text_fits_a_screen(name: str, columns: str, capsys, monkeypatch:
     assert len(lines) <= MAX_LINES
     assert "`" not in text
     assert 1 <= len(sections(text)["Examples"].split("\n\n")[0].splitlines()) <= 3
-    assert lines[-1].startswith("Documentation: ")
+    page = lines[-1].removeprefix("Documentation: ").partition(" ")[0]
+    assert (ROOT / page).is_file(), page
 
 
 @pytest.mark.parametrize("name", NAMES)
