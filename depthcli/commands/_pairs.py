@@ -161,6 +161,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         from depthcli.api.matching import match_pair, partly_used
         from depthcli.commands._rectified import rectified_pair, sequence_range
         from depthcli.core.result import Clock
+        from depthcli.programs.scene import current_scene
 
         clock = Clock()
         min_disparity, max_disparity = given_range(config, scene)
@@ -175,6 +176,8 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         if config.calibration is None:
             clock.start("load")
             pair = scene.load()
+            if scene.right is not None and scene.frame_number is None:
+                current_scene().originals = pair, (scene.left, scene.right)
         else:
             clock.start("rectify")
             pair, save, facts, warnings = rectified_pair(config.calibration, scene, folder)

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Iterator
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from pathlib import Path
 
 
 @dataclass
@@ -17,16 +18,24 @@ class Scene:
     name : its name
     memory : bytes that a program may take, with all processes that it starts; None: all
     used : columns of the report about its programs: their processor time, seconds, and the largest memory of one, bytes
+    originals : what was read from files of its own as they are, and these files; None: nothing was
     """
 
     name: str
     memory: int | None
     used: dict[str, float] = field(default_factory=dict)
+    originals: tuple[object, tuple[Path, ...]] | None = None
 
     def add(self, cpu_seconds: float, memory: int) -> None:
         """Count what a program used."""
         self.used["program_cpu"] = round(self.used.get("program_cpu", 0.0) + cpu_seconds, 6)
         self.used["program_memory"] = max(self.used.get("program_memory", 0), memory)
+
+    def files_of(self, read: object) -> tuple[Path, ...] | None:
+        """Return the whole paths of the files that ``read`` was read from; None where it is not as any files are."""
+        if self.originals is None or self.originals[0] is not read:
+            return None
+        return tuple(file.absolute() for file in self.originals[1])
 
 
 _current: ContextVar[Scene | None] = ContextVar("scene", default=None)

@@ -253,6 +253,31 @@ def test_images_are_written_as_the_program_reads_them(here: Path, images: str, k
         assert np.array_equal(written, left)
 
 
+@pytest.mark.slow
+def test_original_images_are_the_scene_s_own_files_or_refused(here: Path, made_scenes: Path, capsys):
+    code = (
+        "import sys, numpy; open(sys.argv[4], 'a').write('\\n'.join(sys.argv[1:3]) + '\\n'); "
+        "numpy.save(sys.argv[3], numpy.full((64, 96), 3, numpy.float32))"
+    )
+    write_config(
+        here / "c.yaml", ["-c", code, "{left}", "{right}", "{output}", "{cwd}/seen"], images="original", halo=20
+    )
+    options = ("--scenes", "planes_[01]")
+    assert stereo("c.yaml", made_scenes, "run", *options, "--jobs", "2") == 0
+    seen = set((here / "seen").read_text().split())
+    assert len(seen) == 4
+    assert seen <= {str(path) for n in (0, 1) for path in (made_scenes / f"planes_{n}").glob("*.png")}
+    assert (read_pfm(here / "run" / "planes_0" / "disp_left.pfm") == 3).all()
+    assert not list((here / "scratch").iterdir())
+    for setting in ("min_disparity=1", "tiles=always"):
+        assert stereo("c.yaml", made_scenes, f"of {setting}", *options, "--set", setting) == 3
+        assert "images: original: no image files hold this pair as it is matched" in capsys.readouterr().err
+    image = np.zeros((64, 96), np.uint8)
+    with pytest.raises(depthcli.InputError, match="images: original: no image files"):
+        depthcli.stereo(image, image, preset="c.yaml", max_disparity=15)
+    assert not list((here / "scratch").iterdir())
+
+
 def test_a_shell_is_only_used_where_wanted_and_gets_quoted_values(here: Path):
     image = np.zeros((20, 30), np.uint8)
     np.save(here / "map.npy", np.ones((20, 30), np.float32))

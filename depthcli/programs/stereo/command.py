@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.result import Clock
@@ -16,6 +18,7 @@ from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.volume import StereoResult
 from depthcli.programs.process import ProgramError
 from depthcli.programs.program import Program, scratch_folder, write_input
+from depthcli.programs.scene import current_scene
 
 MAP_BYTES = 200  # of this process, per pixel, while a program runs and its map is read
 _BYTES_PER_CELL = 8  # a guess, for programs of which nothing is known
@@ -31,8 +34,10 @@ class Command(Program, StereoPipeline):
 
     placeholders: ClassVar[tuple[str, ...]] = ("left", "right", "max_disparity", "min_disparity", *Program.placeholders)
 
-    images: Literal["png", "pgm", "ppm"] = Field(
-        "png", description="what the program reads: png, grey or color as the pair is, 8 or 16 bit; pgm: grey, ppm: RGB"
+    images: Literal["png", "pgm", "ppm", "original"] = Field(
+        "png",
+        description="what the program reads: png, grey or color as the pair is, 8 or 16 bit; pgm: grey, ppm: RGB; "
+        "original: the scene's own files, for pairs that are matched as these are",
     )
     halo: int | None = Field(
         None, ge=0, le=4096, description="pixels around a tile that its map depends on; null: pairs are never tiled"
@@ -43,15 +48,24 @@ class Command(Program, StereoPipeline):
         clock = Clock()
         clock.start("write")
         with scratch_folder() as folder:
-            views = {"png": pair.full_range, "pgm": pair.grey8, "ppm": pair.color8}[self.images]
-            left, right = (
-                write_input(folder, name, image, self.images)
-                for name, image in zip(("left", "right"), views, strict=True)
-            )
+            left, right = self._image_files(pair, folder)
             inputs = {"left": left, "right": right, "max_disparity": max_disparity, "min_disparity": 0}
             values = self.read_map(self.write_map(folder, inputs, clock), pair.shape, KITTI_SCALE)
             disparity = disparity_map(values, max_disparity)
         return StereoResult(disparity, seconds=clock.seconds)
+
+    def _image_files(self, pair: StereoPair, folder: Path) -> tuple[Path, ...]:
+        """Return the left and the right image as files: the scene's own, or written into ``folder``."""
+        if self.images == "original":
+            if (files := current_scene().files_of(pair)) is None:
+                raise InputError(
+                    "images: original: no image files hold this pair as it is matched (rectified, shifted by "
+                    "min_disparity, a tile, frames of a video, arrays); take images: png"
+                )
+            return files
+        views = {"png": pair.full_range, "pgm": pair.grey8, "ppm": pair.color8}[self.images]
+        names = zip(("left", "right"), views, strict=True)
+        return tuple(write_input(folder, name, image, self.images) for name, image in names)
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int) -> int:
         """Return the memory of the images and maps, bytes, and where pairs may be tiled a guess of the program's.
