@@ -83,6 +83,9 @@ class Page:
         ExampleError
             A block ends with another exit code than it should; the text says which, and what it printed.
         """
+        indented = re.search(r"^ +```+[a-z]", BLOCK.sub("", self.text), re.M)
+        if indented is not None:
+            raise ExampleError(f"{self.name}: a block is indented, {indented[0].strip()}: it would not be run")
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
         try:
@@ -196,8 +199,8 @@ def flow_chart(text: str) -> str:
     for row in filter(str.strip, text.splitlines()):
         left = 1.0
         for number, name in enumerate(map(str.strip, row.split("->"))):
-            is_data = name.startswith("(")
-            label = name.strip("()")
+            is_data = name.startswith("(") and name.endswith(")")
+            label = name[1:-1] if is_data else name
             width = len(label) * _CHARACTER + 2 * _MARGIN
             if number:
                 middle = top + _BOX / 2 + 1

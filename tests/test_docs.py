@@ -108,6 +108,7 @@ def test_blocks_of_a_page_run_in_order_and_show_what_they_print(page, tmp_path: 
         ("```console\nnothing\n```\n", "no line begins with"),
         ("```yaml\na: 1\n```\n", "neither run nor written"),
         ("```sh quiet\ntrue\n```\n", "unknown setting quiet"),
+        ("- a\n\n  ```sh\n  true\n  ```\n", "a block is indented"),
     ],
 )
 def test_an_example_that_fails_stops_the_page(page, block: str, said: str):
@@ -121,6 +122,18 @@ def test_a_command_of_several_lines_is_one_command(page):
 
 
 def test_flow_charts_draw_rows_of_boxes():
-    chart = _docs_examples.flow_chart("(image) -> cost -> map <1>\n\nmap -> check\n")
+    chart = _docs_examples.flow_chart("(image) -> cost -> map <1>\n\nmap -> C(p, d)\n")
     assert chart.count("<rect") == 5 and chart.count('marker-end="url(#arrow)"') == 3
-    assert chart.count("stroke-dasharray") == 1 and "map &lt;1&gt;" in chart
+    assert chart.count("stroke-dasharray") == 1 and "map &lt;1&gt;" in chart and ">C(p, d)<" in chart
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("name", ["tutorial", "how_to/rig_to_meters", "how_to/sweep"])
+def test_pages_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A few pages; ``scripts/docs`` runs all of them."""
+    monkeypatch.setenv("PATH", os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"])))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    text = (DOCS / f"{name}.md").read_text("utf-8")
+    shown = _docs_examples.Page(f"{name}.md", text, tmp_path / "run", (), tmp_path / "pictures", "/pictures").run()
+    images = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", shown)
+    assert all(image.startswith("/pictures/") for image in images), images
