@@ -22,7 +22,7 @@ from depthcli.commands import command_names, help_of
 
 README, CONTRIBUTING = _env.ROOT / "README.md", _env.ROOT / "CONTRIBUTING.md"
 TABLE = re.compile(r"(<!-- table: commands -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-FILE_NAME = re.compile(r"\b((?:scripts|depthcli|tests|configs|docs)/[\w./-]*[\w/])")
+FILE_NAME = re.compile(r"(?<![\w/])((?:scripts|depthcli|tests|configs|docs)/[\w./-]*[\w/])")
 NOT_THERE_YET = {"depthcli/methods/stereo/cost/squared_difference.py"}  # CONTRIBUTING.md adds it as its example
 
 
