@@ -39,6 +39,7 @@ from depthcli.evaluation.statistics import correlation, ranks, roc_area
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.pipeline import RegistrationResult
+from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.methods.registration.search import SURER_IF_LARGER, search
 from depthcli.methods.registration.smoothing import gaussian
 
@@ -49,8 +50,10 @@ PARTS = ("real", "synthetic", "search", "parameters", "baselines", "shifts", "sp
 HEAD = ("pair", "what", "Spearman", "AUC > 3 mm", "MAE mm", "expected mm", "true mm", "points")
 
 
-def config(preset: str, *settings: str) -> RegisterConfidenceConfig:
-    return load_config(RegisterConfidenceConfig, find_config("register-confidence", preset), list(settings))
+def pipeline(preset: str, *settings: str) -> RegistrationSearch:
+    config = load_config(RegisterConfidenceConfig, find_config("register-confidence", preset), list(settings))
+    assert isinstance(config.pipeline, RegistrationSearch)
+    return config.pipeline
 
 
 def spearman(one: Values, other: Values) -> float:
@@ -81,7 +84,7 @@ def real(scenes: list[VolumePairScene], presets: Iterable[str]) -> list[Table]:
         loaded, truth = scene.load(), scene.truth()
         places = loaded.grid.to_index(truth.points)
         for preset in presets:
-            result = config(preset)(loaded.pair)
+            result = pipeline(preset)(loaded.pair)
             rows.append(row(scene.name, preset, at_points(result, result.expected_error, places), truth.error))
             if preset == "mind":
                 for name, values in measures(result, places):
@@ -133,9 +136,9 @@ def misregistered(pair: RegisteredPair, largest: float, seed: int) -> tuple[Regi
 
 def synthetic(scenes: list[VolumePairScene]) -> list[Table]:
     rows, done = [], set()
-    methods: tuple[tuple[str, Callable[[], RegisterConfidenceConfig]], ...] = (
-        ("mind", lambda: config("mind")), ("intensity", lambda: config("intensity")),
-        ("mind, intensity", lambda: config("intensity", "features=[mind, intensity]")),
+    methods: tuple[tuple[str, Callable[[], RegistrationSearch]], ...] = (
+        ("mind", lambda: pipeline("mind")), ("intensity", lambda: pipeline("intensity")),
+        ("mind, intensity", lambda: pipeline("intensity", "features=[mind, intensity]")),
     )  # fmt: skip
     for scene in scenes:
         base = scene.name.rsplit("_", 1)[0].split("_cyc")[0]
@@ -152,7 +155,7 @@ def synthetic(scenes: list[VolumePairScene]) -> list[Table]:
                 result = make()(made)
                 found = at_points(result, result.expected_error, places)
                 rows.append(row(f"{base} {largest:g} mm", name, found, true))
-            baseline = config("mind", "measure=cost0")(made)
+            baseline = pipeline("mind", "measure=cost0")(made)
             rows.append(
                 row(f"{base} {largest:g} mm", "cost0", at_points(baseline, baseline.expected_error, places), true)
             )
@@ -165,7 +168,7 @@ def varied(scenes: list[VolumePairScene], title: str, settings: Iterable[tuple[s
         loaded, truth = scene.load(), scene.truth()
         places = loaded.grid.to_index(truth.points)
         for changed in settings:
-            result = config("mind", *changed)(loaded.pair)
+            result = pipeline("mind", *changed)(loaded.pair)
             found = at_points(result, result.expected_error, places)
             rows.append(row(scene.name, ", ".join(changed) or "as shipped", found, truth.error))
     return [Table(title, HEAD, tuple(rows))]
@@ -236,7 +239,7 @@ def shifts(scenes: list[VolumePairScene]) -> list[Table]:
     rows = []
     for scene in [scene for scene in scenes if scene.name.startswith(("lung_a", "dataset19_cyc_1_6_a"))]:
         pair = scene.load().pair
-        method = config("mind")
+        method = pipeline("mind")
         shape, step, start = method.grid(pair.shape, pair.spacing)
         cubes = resample(np.maximum(pair.fixed, -1000), shape, step, start)
         inside = np.ones(shape, np.bool_)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.resampling import resample, trilinear
 from depthcli.api._registration_preview import registration_preview
 from depthcli.batch.json_csv import Row, to_csv
+from depthcli.core.errors import InputError
 from depthcli.data.formats.files import write_text
 from depthcli.data.formats.images import write_png
 from depthcli.data.formats.volumes import Slab, write_volume
@@ -17,7 +19,7 @@ from depthcli.data.registered_volumes import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
 _POINTS = {"x": 4, "y": 4, "z": 4, "confidence": 5, "expected_error": 4, "shift_x": 4, "shift_y": 4, "shift_z": 4}
-"""Columns of the table of landmarks, and their decimals."""
+"""Columns of the table of landmarks, and their decimals; the shift's last, which not all pipelines have."""
 
 
 def save_registration(
@@ -28,7 +30,7 @@ def save_registration(
     suffix: str,
     neurological: bool = False,
 ) -> None:
-    """Write confidence, expected error and shift as volumes, the landmarks as a table, and a preview.
+    """Write confidence, expected error and, if known, shift as volumes, the landmarks as a table, and a preview.
 
     Parameters
     ----------
@@ -43,7 +45,9 @@ def save_registration(
 
     write_volume(folder / f"confidence{suffix}", grid, slabs(result.certainty))
     write_volume(folder / f"expected_error{suffix}", grid, slabs(result.expected_error))
-    write_volume(folder / f"shift{suffix}", grid, lambda a, b: shift_on_fixed_grid(result, loaded, a, b), vector=True)
+    if result.shift is not None:
+        parts: Slab = lambda first, last: shift_on_fixed_grid(result, loaded, first, last)  # noqa: E731
+        write_volume(folder / f"shift{suffix}", grid, parts, vector=True)
     write_png(folder / "preview.png", registration_preview(result, loaded, neurological))
     if points is not None:
         write_text(folder / "points.csv", to_csv(rows_at(result, loaded, points)))
@@ -68,16 +72,23 @@ def on_fixed_grid(
 def shift_on_fixed_grid(
     result: RegistrationResult, loaded: LoadedPair, first: int = 0, last: int | None = None
 ) -> NDArray[np.float32]:
-    """Return slices of the shift on the fixed volume's grid, (Z, Y, X, 3) x, y, z, mm."""
+    """Return slices of the shift on the fixed volume's grid, (Z, Y, X, 3) x, y, z, mm; InputError without one."""
+    if result.shift is None:
+        raise InputError("shift: this pipeline searches for no matches, so there is none")
     parts = [on_fixed_grid(result, loaded, result.shift[axis], first, last) for axis in (2, 1, 0)]
     return np.asarray(np.stack(parts, axis=-1) @ loaded.grid.axes.T, np.float32)
 
 
 def rows_at(result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.float64]) -> list[Row]:
-    """Return position, confidence, expected error and shift at points (N, 3) x, y, z, mm."""
+    """Return position, confidence, expected error and, if known, shift at points (N, 3) x, y, z, mm."""
     starts, steps = loaded.on_grid(result.start, result.step)
     places = (loaded.grid.to_index(points) - np.array(starts)) / np.array(steps)
-    shift = np.stack([trilinear(result.shift[axis], places) for axis in (2, 1, 0)], axis=-1) @ loaded.grid.axes.T
-    measured = (trilinear(values, places) for values in (result.certainty, result.expected_error))
-    table = np.column_stack([points, *measured, shift])
-    return [{name: round(float(v), n) for (name, n), v in zip(_POINTS.items(), row, strict=True)} for row in table]
+    columns: list[NDArray[np.floating[Any]]] = [
+        points,
+        *(trilinear(values, places) for values in (result.certainty, result.expected_error)),
+    ]
+    if result.shift is not None:
+        own = np.stack([trilinear(result.shift[axis], places) for axis in (2, 1, 0)], axis=-1)
+        columns.append(own @ loaded.grid.axes.T)
+    table = np.column_stack(columns)
+    return [{name: round(float(v), n) for (name, n), v in zip(_POINTS.items(), row, strict=False)} for row in table]

@@ -69,11 +69,11 @@ class RegistrationConfidence:
 
     @cached_property
     def shift(self) -> NDArray[np.float32]:
-        """(Z, Y, X, 3) float32, mm along x, y, z: where the match of a voxel lies."""
+        """(Z, Y, X, 3) float32, mm along x, y, z: where the match of a voxel lies; InputError without one."""
         return _save.shift_on_fixed_grid(self.details, self.loaded)
 
     def at(self, points: ArrayLike) -> list[dict[str, float]]:
-        """Return position, confidence, expected error and shift at points (N, 3) x, y, z, mm; a row for each."""
+        """Return position, confidence, expected error and any shift at points (N, 3) x, y, z, mm; a row for each."""
         places = np.asarray(points, np.float64)
         if places.ndim != 2 or places.shape[1] != 3:
             raise InputError(f"points: want (N, 3) positions in mm (got {places.shape})")
@@ -163,7 +163,7 @@ def registration_confidence(
             raise InputError(f"{name}: another grid than the fixed volume's ({own.describe_difference(grid)})")
     if inside is not None and not inside.any():
         raise InputError("mask: no voxel is set")
-    blocks = blocks_of(grid, config.max_voxels)
+    blocks = blocks_of(grid, config.pipeline.voxel_limit)
     first, second = (block_means(usable(v, inside, n), blocks) for v, n in ((first, "fixed"), (second, "warped")))
     loaded = joined(first, second, inside, grid, blocks)
     check_voxels(config, loaded, available_memory())
@@ -179,11 +179,11 @@ def measured_pair(config: RegisterConfidenceConfig, loaded: LoadedPair, clock: C
     clock : books the stages, and ``other``
     """
     clock.start("other")
-    result = config(loaded.pair)
+    result = config.pipeline(loaded.pair)
     result.figures.update(inside_figures(result, loaded))
     clock.include(result.seconds)
     warnings = []
-    if result.figures["border"] > _MAX_BORDER_SHARE:
+    if result.figures.get("border", 0.0) > _MAX_BORDER_SHARE:
         warnings.append(
             f"{100 * result.figures['border']:.0f} % of the best matches lie on the border of the search: the "
             "registration may be off by more than its range; search farther by --set levels=..., radius=... or iso=..."
@@ -203,7 +203,9 @@ def peak_bytes(
 ) -> int:
     """Return an estimate of the peak memory of a pair that is loaded as ``shape`` voxels, bytes."""
     voxels = shape[0] * shape[1] * shape[2]
-    search = config.peak_bytes(shape, spacing) + 8 * voxels  # beside the search two volumes of 4 bytes per voxel
+    search = (
+        config.pipeline.peak_bytes(shape, spacing) + 8 * voxels
+    )  # beside the search two volumes of 4 bytes per voxel
     reading = 6 * grid.size[0] * grid.size[1] * grid.size[2]  # one whole volume, 2 bytes as stored and 4 converted
     return max(search, reading)
 

@@ -75,9 +75,9 @@ DEPTH = (
 """Columns of ``refine-kinect``, ``transparent`` and ``depth``."""
 
 REGISTRATION = (
-    Column("iso", "edge of a voxel of the grid that is searched", "mm"),
-    Column("border", "share of the voxels whose best match lies on the border of the search", "0 to 1, printed %",
-           ("at border",)),
+    Column("iso", "edge of a voxel of the grid that is searched; none with pipeline: command", "mm"),
+    Column("border", "share of the voxels whose best match lies on the border of the search, if there is one",
+           "0 to 1, printed %", ("at border",)),
     Column("mean_error", "mean expected error, without a mask that of air too; of samples the mean true error", "mm",
            ("expected mm",)),
     Column("inside_mean", "mean expected error within the mask, or else within the body", "mm", ("mean mm",)),

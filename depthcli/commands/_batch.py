@@ -37,6 +37,8 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
 
     results: ClassVar[tuple[str, ...]] = ()
     """Shell patterns of the files that it writes into a scene's folder: own files there are no surprise at the end."""
+    results_note: ClassVar[str] = ""
+    """What ``depthcli help outputs`` says behind them."""
     shown_as: ClassVar[str] = ""
     """Protocol of its maps, which says how the page shows them where there is no truth."""
 

@@ -25,8 +25,8 @@ METHOD_PACKAGES = tuple(
     for package in (
         "methods.stereo.pipeline", "methods.stereo.cost", "methods.stereo.aggregation", "methods.stereo.optimization",
         "methods.stereo.refinement", "methods.confidence", "methods.fusion.choice", "methods.kinect.pipeline",
-        "methods.kinect.model", "methods.transparent.pipeline", "methods.registration.feature",
-        "algorithms.segmentation", "algorithms.keypoints",
+        "methods.kinect.model", "methods.transparent.pipeline", "methods.registration.pipeline",
+        "methods.registration.feature", "algorithms.segmentation", "algorithms.keypoints",
     )
 )  # fmt: skip
 """Packages of all families of methods, in the order in which they are explained."""
@@ -123,7 +123,9 @@ def _outputs() -> Page:
     from depthcli.commands._page import RESULTS
 
     commands = [(name, load_command(name)) for name in command_names()]
-    scenes = [(name, ", ".join(each.results)) for name, each in commands if isinstance(each, BatchCommand)]
+    scenes = [
+        (name, ", ".join(each.results) + each.results_note) for name, each in commands if isinstance(each, BatchCommand)
+    ]
     return {
         "In every run folder": [
             (RUN_FILE, "the config with all values, versions and seed; itself a config"),

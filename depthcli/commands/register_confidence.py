@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
 
 class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", VolumePairScene]):
-    """Estimates the error of a registration from a search around every voxel."""
+    """Estimates the error of a registration, by a search around every voxel or by a program of others."""
 
     kinds: ClassVar[tuple[type[Scene], ...]] = (VolumePairScene,)
     results: ClassVar[tuple[str, ...]] = ("confidence.*", "expected_error.*", "shift.*", "preview.png", "points.csv")
+    results_note: ClassVar[str] = "; no shift.* with pipeline: command"
     shown_as: ClassVar[str] = "registration"
 
     page = "how_to/registration"
@@ -51,7 +52,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
     def memory_of(self, config: RegisterConfidenceConfig, scene: VolumePairScene) -> int:
         from depthcli.api.registration import peak_bytes
 
-        return peak_bytes(config, *scene.size(config.max_voxels))
+        return peak_bytes(config, *scene.size(config.pipeline.voxel_limit))
 
     def columns(self) -> tuple[Column, ...]:
         """Return size, expected error in the mask or body, where it is large, and share of matches on the border."""
@@ -74,7 +75,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         return tuple(column for column in self.columns() if column.title not in ("mean mm", "95 % mm"))
 
     def compute(self, config: RegisterConfidenceConfig, scene: VolumePairScene, folder: Path, memory: int) -> Outcome:
-        """Compute confidence, expected error and shift of one pair.
+        """Compute confidence, expected error and, where matches are searched for, shift of one pair.
 
         Raises
         ------
@@ -87,7 +88,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
 
         clock = Clock()
         clock.start("load")
-        loaded = scene.load(config.field, config.max_voxels)
+        loaded = scene.load(config.field, config.pipeline.voxel_limit)
         points = scene.landmarks(loaded.grid)
         check_voxels(config, loaded, memory)
         found = measured_pair(config, loaded, clock)

@@ -109,6 +109,13 @@ def _models(kind: Any, data: Any, location: Location) -> list[type[BaseModel]]:
         flat = kind.model_fields.get(getattr(kind, "flattened", ""))
         family = _family([*flat.metadata, *_metadata(flat.annotation)]) if flat else None
         inner = _method(family, data) if family else []
+        if (
+            family
+            and flat
+            and isinstance(flat.default, BaseModel)
+            and not (isinstance(data, dict) and family.key in data)
+        ):
+            inner = [type(flat.default)]
         if not location:
             return [kind, *inner]
         name = location[0]

@@ -203,7 +203,8 @@ class RootConfig(BaseModel):
     """Base of a command's config, whose field named ``flattened`` holds a method written at the root of the file.
 
     ``{pipeline: local, cost: census, max_disparity: 60}`` reads as the field ``max_disparity`` of the command and a
-    pipeline with its field ``cost``. A config whose ``flattened`` is empty has no such field. The key ``run``, which a
+    pipeline with its field ``cost``. Where the field has a default, a file that names no method has that one. A config
+    whose ``flattened`` is empty has no such field. The key ``run``, which a
     run folder's ``run.yaml`` adds about how it was made, is accepted and ignored, so that this file is a config again.
     """
 
@@ -222,6 +223,9 @@ class RootConfig(BaseModel):
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict) or not cls.flattened:
             return data
+        default = cls.model_fields[cls.flattened].default
+        if isinstance(default, Method):
+            data = {cls.flattened: default.method_name(), **data}
         name = data.get(cls.flattened)
         if isinstance(name, BaseModel):
             return data

@@ -143,12 +143,14 @@ class RegisteredPair:
     fixed, warped : (Z, Y, X) float32, same shape, finite; a 2-D image has Z = 1
     spacing : (z, y, x) distance of neighboring voxels, mm
     mask : (Z, Y, X) bool, True = of interest, or None for all
+    grid : where the voxels are, or None where that is not known
     """
 
     fixed: NDArray[np.float32]
     warped: NDArray[np.float32]
     spacing: tuple[float, float, float]
     mask: NDArray[np.bool_] | None = None
+    grid: Grid | None = None
 
     def __post_init__(self) -> None:
         if self.fixed.ndim != 3 or self.fixed.shape != self.warped.shape:

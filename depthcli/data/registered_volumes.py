@@ -50,7 +50,8 @@ def joined(
 
     if inside is not None and max(blocks) > 1:
         inside = block_means(inside, blocks) >= 0.5
-    return LoadedPair(RegisteredPair(fixed, warped, spacing_of(grid, blocks), inside), grid, blocks)
+    placed = grid if max(blocks) == 1 else None
+    return LoadedPair(RegisteredPair(fixed, warped, spacing_of(grid, blocks), inside, placed), grid, blocks)
 
 
 def usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, name: Path | str) -> NDArray[np.float32]:

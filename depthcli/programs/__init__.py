@@ -2,10 +2,11 @@
 
 | module | holds |
 |---|---|
-| ``stereo.command``, ``kinect.command``, ``transparent.command`` | the pipelines ``command``: any program |
+| ``stereo.command``, ``kinect.command``, ``transparent.command``, ``registration.command`` | any program |
 | ``stereo.middlebury_sdk`` | the pipeline for programs in the form of the Middlebury SDK |
 | ``depth`` | what the two for depth maps share |
-| ``program`` | what their configs share: words with placeholders, formats of maps, scratch folders |
+| ``maps`` | images for programs, and formats of the maps that they write |
+| ``program`` | what all configs share: words with placeholders, scratch folders |
 | ``process`` | one program as a process: its time, memory and output, all that it starts ended with it |
 | ``_supervisor`` | the script that watches over it, in a process of its own |
 | ``scene`` | name and memory of the scene that is computed |
@@ -23,3 +24,4 @@ provide(
 )
 provide("depthcli.methods.kinect.pipeline", "depthcli.programs.kinect.command")
 provide("depthcli.methods.transparent.pipeline", "depthcli.programs.transparent.command")
+provide("depthcli.methods.registration.pipeline", "depthcli.programs.registration.command")

@@ -13,16 +13,17 @@ from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock
 from depthcli.data.formats.depth import MILLIMETERS, write_depth_png
 from depthcli.data.formats.disparity import write_pfm
+from depthcli.programs.maps import MapProgram, write_input
 from depthcli.programs.process import ProgramError
-from depthcli.programs.program import Program, scratch_folder, write_input
+from depthcli.programs.program import scratch_folder
 
 MAP_BYTES = 200  # of this process, per pixel, while a program runs and its map is read
 
 
-class DepthProgram(Program):
+class DepthProgram(MapProgram):
     """A program that gets a color image and depth maps, and writes a depth map of the same size."""
 
-    placeholders: ClassVar[tuple[str, ...]] = ("color", "depth", *Program.placeholders)
+    placeholders: ClassVar[tuple[str, ...]] = ("color", "depth", *MapProgram.placeholders)
 
     depth_images: Literal["png", "pfm"] = Field(
         "png", description="depth maps for the program: png, codes of 16 bit with 0 unknown; pfm, meters, inf unknown"

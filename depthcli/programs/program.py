@@ -1,4 +1,4 @@
-"""The part of a config that says which program to run, and how a scene gets to it and its map back."""
+"""The part of a config that says which program to run, and the folder that it runs in."""
 
 from __future__ import annotations
 
@@ -10,20 +10,16 @@ import shlex
 import shutil
 import string
 import tempfile
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
 
-from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.frames import Image
+from depthcli.core.errors import ConfigError
 from depthcli.core.result import Clock
-from depthcli.data.formats.disparity import read_plane
-from depthcli.data.formats.files import write_bytes, write_text
-from depthcli.data.formats.images import write_png
+from depthcli.data.formats.files import write_text
 from depthcli.kernels.jit import n_threads
 from depthcli.programs.process import ProgramError, run_program
 from depthcli.programs.scene import current_scene
@@ -45,15 +41,11 @@ Seconds = Annotated[float, BeforeValidator(_seconds)]
 """A time in seconds; in a config with its unit, such as ``10 min``."""
 
 _Integer = Annotated[int, Field(ge=-(10**15), le=10**15)]
-_Number = Annotated[float, Field(ge=-1e300, le=1e300)]
-
-Format = Literal["pfm", "kitti", "npy", "tiff", "png"]
-
-_SUFFIXES: dict[Format, str] = {"pfm": ".pfm", "kitti": ".png", "npy": ".npy", "tiff": ".tiff", "png": ".png"}
+Number = Annotated[float, Field(ge=-1e300, le=1e300)]
 
 
 class ProgramRun(BaseModel):
-    """How a program is run and its map is read; subclasses say which program."""
+    """How a program is run; subclasses say which program."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -91,7 +83,7 @@ class Program(ProgramRun):
     """Names of the file to write, the folder that the program runs in, the scene, the number of threads, and the folder
     that depthcli was started in; subclasses add the inputs."""
 
-    parameters: dict[str, str | bool | _Integer | _Number] = Field(
+    parameters: dict[str, str | bool | _Integer | Number] = Field(
         default_factory=dict, description="further placeholders and their values"
     )
     shell: bool = Field(False, description="whether the program is a line for /bin/sh; values are quoted for it")
@@ -99,23 +91,14 @@ class Program(ProgramRun):
         validation_alias=AliasChoices("program", "run"),
         description="program and arguments with placeholders, such as {left}, or {{ for a brace; run is the same key",
     )
-    format: Format = Field(
-        "pfm",
-        description="of the map: pfm, npy and tiff hold floats; png, and npy and tiff of integers, codes (see scale); "
-        "kitti: png of 256 codes a unit",
-    )
     output: str | None = Field(
         None, min_length=1, description="name of the map in the program's folder; null: that which {output} says"
     )
-    scale: float | None = Field(
-        None,
-        gt=0,
-        le=1e9,
-        description="codes per unit of the map; null: floats 1, codes 256 a pixel or 1000 a meter",
-    )
-    invalid: tuple[_Number, ...] = Field(
-        (), description="values of the file that mean no value, beside inf, nan, code 0"
-    )
+
+    @property
+    @abstractmethod
+    def suffix(self) -> str:
+        """Ending of the name of the file that ``{output}`` stands for."""
 
     @field_validator("parameters")
     @classmethod
@@ -183,7 +166,7 @@ class Program(ProgramRun):
         ProgramError
             It failed, in any way.
         """
-        path = scratch / (self.output or f"output{_SUFFIXES[self.format]}")
+        path = scratch / (self.output or f"output{self.suffix}")
         values = {
             "output": path, "scratch": scratch, "name": current_scene().name, "threads": n_threads(),
             "cwd": os.getcwd(), **self.parameters, **inputs,
@@ -199,10 +182,6 @@ class Program(ProgramRun):
             self.run([first, *others], scratch, scratch, clock)
         return path
 
-    def read_map(self, path: Path, shape: tuple[int, int], codes_per_unit: float) -> NDArray[np.float32]:
-        """Return the map that the program wrote, as :func:`read_map`, by the format and scale of the config."""
-        return read_map(path, shape, self.scale, 256.0 if self.format == "kitti" else codes_per_unit, self.invalid)
-
 
 def beside_config(name: str, info: ValidationInfo) -> str:
     """Return the whole path of a file or folder that lies beside the config file; ``name`` as it is where none does.
@@ -215,43 +194,10 @@ def beside_config(name: str, info: ValidationInfo) -> str:
     return name if folder is None or is_here or "\0" in name or not os.path.exists(path) else path
 
 
-def read_map(
-    path: Path, shape: tuple[int, int], scale: float | None, codes_per_unit: float, invalid: Sequence[float] = ()
-) -> NDArray[np.float32]:
-    """Return a map that a program wrote, (H, W) float32, NaN = no value.
-
-    Parameters
-    ----------
-    shape : (H, W) that it must have
-    scale : stored numbers per unit of the map; None: 1 for floats and ``codes_per_unit`` for integers
-    invalid : stored numbers that stand for no value, beside infinite ones, NaN, and 0 of unsigned integers
-
-    Raises
-    ------
-    ProgramError
-        It is missing, empty, damaged, of another size, or has no value at all.
-    """
+def check_written(path: Path) -> None:
+    """Raise ProgramError unless a program wrote this file, and something into it."""
     if not path.is_file() or path.stat().st_size == 0:
         raise ProgramError(f"the program wrote {'an empty' if path.is_file() else 'no'} {path.name}")
-    try:
-        stored = read_plane(path)
-    except InputError as error:
-        raise ProgramError(f"the program's map cannot be read: {error}") from error
-    if stored.shape != shape:
-        (height, width), (wanted_height, wanted_width) = stored.shape, shape
-        size = f"{width} x {height}, want {wanted_width} x {wanted_height}"
-        raise ProgramError(f"the program's {path.name} has another size than the images: {size}")
-    if scale is None:
-        scale = codes_per_unit if stored.dtype.kind in "iu" else 1.0
-    with np.errstate(all="ignore"):
-        values = np.asarray(stored / np.float64(scale), np.float32)
-        unknown = ~np.isfinite(values) | np.isin(stored, invalid)
-    if stored.dtype.kind == "u":
-        unknown |= stored == 0
-    values[unknown] = np.nan
-    if unknown.all():
-        raise ProgramError(f"no pixel of the program's {path.name} has a value")
-    return values
 
 
 @contextlib.contextmanager
@@ -267,17 +213,6 @@ def scratch_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     shutil.rmtree(folder, ignore_errors=True)
-
-
-def write_input(folder: Path, name: str, image: Image, kind: str) -> Path:
-    """Write an image as ``folder/name.kind``: png; pgm, of (H, W) uint8; ppm, of (H, W, 3) uint8 RGB."""
-    path = folder / f"{name}.{kind}"
-    if kind == "png":
-        write_png(path, image)
-    else:
-        header = f"P{5 if image.ndim == 2 else 6}\n{image.shape[1]} {image.shape[0]}\n255\n".encode()
-        write_bytes(path, header + image.tobytes())
-    return path
 
 
 def _words(program: str | tuple[str, ...], shell: bool) -> tuple[str, ...]:

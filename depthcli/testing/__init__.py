@@ -16,7 +16,12 @@ from depthcli.testing.cost import check_cost_measure
 from depthcli.testing.features import check_keypoint_detector, check_volume_feature
 from depthcli.testing.formats import check_format
 from depthcli.testing.layouts import check_layout
-from depthcli.testing.pipelines import check_kinect_pipeline, check_stereo_pipeline, check_transparent_pipeline
+from depthcli.testing.pipelines import (
+    check_kinect_pipeline,
+    check_registration_pipeline,
+    check_stereo_pipeline,
+    check_transparent_pipeline,
+)
 from depthcli.testing.protocols import check_protocol
 from depthcli.testing.refinement import check_refinement
 from depthcli.testing.samples import check_sample
@@ -26,6 +31,6 @@ from depthcli.testing.volume_steps import check_aggregation, check_optimization
 __all__ = [
     "check_aggregation", "check_choice", "check_command", "check_confidence_measure", "check_cost_measure",
     "check_format", "check_keypoint_detector", "check_kinect_pipeline", "check_layout", "check_optimization",
-    "check_protocol", "check_refinement", "check_sample", "check_segmentation", "check_stereo_pipeline",
-    "check_surface_model", "check_transparent_pipeline", "check_volume_feature",
+    "check_protocol", "check_refinement", "check_registration_pipeline", "check_sample", "check_segmentation",
+    "check_stereo_pipeline", "check_surface_model", "check_transparent_pipeline", "check_volume_feature",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the pipelines of every command promise: of pairs, of a sensor's frames, and of frames with glass."""
+"""What the pipelines of every command promise: of pairs, of a sensor's frames, of frames with glass, of volumes."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ import numpy as np
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus, Status
 from depthcli.core.result import RefinedDepth
+from depthcli.core.volumes import RegisteredPair
 from depthcli.methods.kinect.pipeline import KinectPipeline
+from depthcli.methods.registration.pipeline import RegistrationPipeline
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.transparent.pipeline import TransparentPipeline
+from depthcli.testing.features import soft_volume
 from depthcli.testing.frames import gaps, glass
 from depthcli.testing.inputs import TINY, assert_pure, run_checks, shifted_pair
 
@@ -31,6 +34,11 @@ def check_kinect_pipeline(pipeline: KinectPipeline) -> None:
 def check_transparent_pipeline(pipeline: TransparentPipeline) -> None:
     """Raise AssertionError unless a pipeline of ``transparent`` keeps what the command relies on."""
     run_checks(pipeline, TRANSPARENT_CHECKS)
+
+
+def check_registration_pipeline(pipeline: RegistrationPipeline) -> None:
+    """Raise AssertionError unless a pipeline of ``register-confidence`` keeps what the command relies on."""
+    run_checks(pipeline, REGISTRATION_CHECKS)
 
 
 def a_plane_has_its_disparity(pipeline: StereoPipeline) -> None:
@@ -152,6 +160,37 @@ def same_dense_depth_at_any_number_of_threads(pipeline: TransparentPipeline) -> 
     assert_pure(lambda: pipeline(frame).depth.values, frame.color, frame.depth, frame.sparse)
 
 
+def _moved_volumes(voxels: int) -> RegisteredPair:
+    fixed = soft_volume(3, (16, 20, 24))
+    return RegisteredPair(fixed, np.roll(fixed, voxels, axis=2), (1.0, 1.0, 1.0))
+
+
+def errors_are_lengths(pipeline: RegistrationPipeline) -> None:
+    """Expected errors are finite float32 in mm, none negative, on a grid within the fixed volume."""
+    pair = _moved_volumes(2)
+    result = pipeline(pair)
+    error = result.expected_error
+    assert error.dtype == np.float32 and error.ndim == 3, f"want (z, y, x) float32, got {error.shape} {error.dtype}"
+    assert np.isfinite(error).all() and error.min() >= 0, "an error is NaN, infinite or negative"
+    ends = [s + d * (n - 1) for s, d, n in zip(result.start, result.step, error.shape, strict=True)]
+    inside = all(s >= -1 and e <= n for s, e, n in zip(result.start, ends, pair.shape, strict=True))
+    assert inside, f"start {result.start} and step {result.step} lead outside of the volume"
+    assert result.shift is None or result.shift.shape == (3, *error.shape), "shift: want (3, z, y, x)"
+    assert "mean_error" in result.figures, "figures: no mean_error"
+
+
+def same_errors_at_any_number_of_threads(pipeline: RegistrationPipeline) -> None:
+    """The errors do not depend on the number of threads, and the volumes stay as they were."""
+    pair = _moved_volumes(1)
+    assert_pure(lambda: pipeline(pair).expected_error, pair.fixed, pair.warped)
+
+
+def memory_grows_with_the_volume(pipeline: RegistrationPipeline) -> None:
+    """``peak_bytes`` is positive, and not less for a larger volume."""
+    small, large = (pipeline.peak_bytes((n, n, n), (1.0, 1.0, 1.0)) for n in (20, 60))
+    assert 0 < small <= large, f"peak_bytes says {small} bytes of 20^3 voxels, {large} of 60^3"
+
+
 STEREO_CHECKS = (
     a_plane_has_its_disparity,
     maps_of_any_size,
@@ -169,4 +208,5 @@ TRANSPARENT_CHECKS = (
     no_samples_are_no_error,
     same_dense_depth_at_any_number_of_threads,
 )
+REGISTRATION_CHECKS = (errors_are_lengths, same_errors_at_any_number_of_threads, memory_grows_with_the_volume)
 """One function a promise."""

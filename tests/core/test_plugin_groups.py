@@ -40,6 +40,7 @@ from depthcli.methods.confidence import ConfidenceMeasure
 from depthcli.methods.fusion.choice.energy import LeastEnergyChoice
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.registration.feature.intensity import Intensity
+from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from depthcli.methods.stereo.aggregation.constant_window import ConstantWindow
 from depthcli.methods.stereo.optimization.winner_takes_all import WinnerTakesAll
 from depthcli.methods.stereo.pipeline.local import Local
@@ -80,7 +81,7 @@ class MySample(StereoSample):
 SUBCLASSES = {
     "MyKeypoints": "Surf", "MySegments": "Slic", "MyChoice": "LeastEnergyChoice", "MyFill": "NearestFill",
     "MyFeature": "Intensity", "MyWindow": "ConstantWindow", "MyWinner": "WinnerTakesAll", "MyPipeline": "Local",
-    "MyMedian": "Median", "MyNearest": "NearestSample",
+    "MyMedian": "Median", "MyNearest": "NearestSample", "MySearch": "RegistrationSearch",
 }  # fmt: skip
 
 
@@ -181,6 +182,7 @@ def test_a_layout_alone_is_recorded(file: Path, scenes: Path, tmp_path: Path):
         ("refine-kinect", "pipeline: my_fill\n"),
         ("transparent", "pipeline: my_nearest\n"),
         ("register-confidence", "features: [my_feature]\n"),
+        ("register-confidence", "pipeline: my_search\n"),
         ("fuse", "measures: [census]\nmaps: {segmentations: [{segmentation: slic}], choice: my_choice}\n"),
         ("stereo", "pipeline: segments\ncost: census\nkeypoints: my_keypoints\n"),
     ],

@@ -38,6 +38,7 @@ CHECKS = {
     "methods.stereo.pipeline": pipelines.STEREO_CHECKS,
     "methods.kinect.pipeline": pipelines.KINECT_CHECKS,
     "methods.transparent.pipeline": pipelines.TRANSPARENT_CHECKS,
+    "methods.registration.pipeline": pipelines.REGISTRATION_CHECKS,
     "methods.kinect.model": choices.MODEL_CHECKS,
     "methods.fusion.choice": choices.CHOICE_CHECKS,
     "methods.registration.feature": features.VOLUME_CHECKS,

@@ -2,11 +2,11 @@
 
 In: a ``RegisteredPair``, two volumes (Z, Y, X) float32 on one grid, spacing in mm, and a mask. Out: a
 ``RegistrationResult`` on the grid of measured voxels: expected error, mm; certainty, 0 to 1; shift to the match, mm.
-Start at ``pipeline``: where a search finds a better match than the registration's, the registration is wrong.
+Start at ``pipeline.search``: where a search finds a better match than the registration's, the registration is wrong.
 
 | module | step |
 |---|---|
-| ``pipeline`` | the data flow, and both volumes on a working grid of cubic voxels |
+| ``pipeline`` | the data flow; one file per pipeline. ``search``: both volumes on a working grid of cubic voxels |
 | ``feature`` | channels, uint8, that are compared; one file per feature |
 | ``search`` (kernels in ``_search_kernels``) | costs of all displacements around a voxel, and measures of their curve |
 | ``millimeters`` | expected error, mm, from one of the measures |

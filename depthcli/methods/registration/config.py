@@ -7,13 +7,16 @@ from typing import ClassVar
 from pydantic import Field
 
 from depthcli.core.method import RootConfig
-from depthcli.methods.registration.pipeline import RegistrationConfidence
+from depthcli.methods.registration.pipeline import Pipeline
+from depthcli.methods.registration.pipeline.search import RegistrationSearch
 
 
-class RegisterConfidenceConfig(RegistrationConfidence, RootConfig):
-    """The fields of the method, side by side."""
+class RegisterConfidenceConfig(RootConfig):
+    """A pipeline and its parameters, side by side."""
 
-    flattened: ClassVar[str] = ""
+    flattened: ClassVar[str] = "pipeline"
+
+    pipeline: Pipeline = Field(RegistrationSearch(), description="the data flow from registered pair to expected error")
     field: str = Field(
         "auto",
         pattern="^(auto|itk|ants|niftyreg|voxels)$",

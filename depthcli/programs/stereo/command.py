@@ -16,15 +16,16 @@ from depthcli.core.result import Clock
 from depthcli.data.formats.disparity import KITTI_SCALE
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.volume import StereoResult
+from depthcli.programs.maps import MapProgram, write_input
 from depthcli.programs.process import ProgramError
-from depthcli.programs.program import Program, scratch_folder, write_input
+from depthcli.programs.program import scratch_folder
 from depthcli.programs.scene import current_scene
 
 MAP_BYTES = 200  # of this process, per pixel, while a program runs and its map is read
 _BYTES_PER_CELL = 8  # a guess, for programs of which nothing is known
 
 
-class Command(Program, StereoPipeline):
+class Command(MapProgram, StereoPipeline):
     """A program of others: two images and a range in, a disparity map out.
 
     The pair is as the toolkit matches it: rectified where a calibration is given, and shifted so that the range begins
@@ -32,7 +33,9 @@ class Command(Program, StereoPipeline):
     range are ``OUT_OF_RANGE``.
     """
 
-    placeholders: ClassVar[tuple[str, ...]] = ("left", "right", "max_disparity", "min_disparity", *Program.placeholders)
+    placeholders: ClassVar[tuple[str, ...]] = (
+        "left", "right", "max_disparity", "min_disparity", *MapProgram.placeholders,
+    )  # fmt: skip
 
     images: Literal["png", "pgm", "ppm", "original"] = Field(
         "png",

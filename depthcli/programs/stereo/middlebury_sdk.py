@@ -13,8 +13,9 @@ from depthcli.core.result import Clock
 from depthcli.data.formats.disparity import KITTI_SCALE
 from depthcli.methods.stereo.pipeline import StereoPipeline
 from depthcli.methods.stereo.volume import StereoResult
+from depthcli.programs.maps import read_map, write_input
 from depthcli.programs.process import ProgramError
-from depthcli.programs.program import ProgramRun, beside_config, read_map, scratch_folder, write_input
+from depthcli.programs.program import ProgramRun, beside_config, scratch_folder
 from depthcli.programs.stereo.command import MAP_BYTES, disparity_map
 
 _PREFIX = "alg-"

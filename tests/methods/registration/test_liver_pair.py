@@ -10,7 +10,7 @@ import pytest
 from depthcli.algorithms.resampling import trilinear
 from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.evaluation.statistics import correlation, ranks
-from depthcli.methods.registration.config import RegisterConfidenceConfig
+from depthcli.methods.registration.pipeline.search import RegistrationSearch
 from tests.scenes import DATA
 
 with warnings.catch_warnings():
@@ -35,7 +35,7 @@ def figures(pair, transform):
     low = float(sitk.GetArrayViewFromImage(pair.moving).min())
     warped = sitk.GetArrayFromImage(sitk.Resample(pair.moving, pair.fixed, transform, sitk.sitkLinear, low))
     grid = Grid(pair.fixed.GetSize(), pair.fixed.GetSpacing(), pair.fixed.GetOrigin(), tuple(pair.fixed.GetDirection()))
-    result = RegisterConfidenceConfig()(RegisteredPair(fixed, warped, grid.spacing[::-1]))
+    result = RegistrationSearch()(RegisteredPair(fixed, warped, grid.spacing[::-1]))
     places = (grid.to_index(pair.points) - np.array(result.start)) / np.array(result.step)
     true = errors(transform, pair)
     found, cost = (trilinear(v, places).astype(float) for v in (result.expected_error, result.measures["cost0"]))

@@ -21,7 +21,7 @@ def texture(shape, seed=0, sigma=1.2):
 
 
 def config(**fields):
-    return RegisterConfidenceConfig(**{"radius": 4, "half_window": 2, "stride": 1, **fields})
+    return RegisterConfidenceConfig(**{"radius": 4, "half_window": 2, "stride": 1, **fields}).pipeline
 
 
 @pytest.fixture(scope="module")

@@ -1,23 +1,23 @@
-"""From a registered pair to confidence, expected error and shift (thesis, chapter 7)."""
+"""A search around every voxel: from a registered pair to expected error and shift (thesis, chapter 7)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from depthcli.algorithms.resampling import resample
-from depthcli.core.result import Clock, Result
+from depthcli.core.result import Clock
 from depthcli.core.volumes import RegisteredPair
 from depthcli.kernels.jit import n_threads
 from depthcli.methods.registration.feature import Feature
 from depthcli.methods.registration.feature.mind import Mind
 from depthcli.methods.registration.millimeters import expected_error, monotone, structured_voxels
+from depthcli.methods.registration.pipeline import RegistrationPipeline, RegistrationResult
 from depthcli.methods.registration.search import (
     COSTLY,
     MEASURES,
@@ -30,7 +30,6 @@ from depthcli.methods.registration.search import (
 from depthcli.methods.registration.smoothing import gaussian
 
 _LENGTHS = ("eshift", "vshift", "shift")  # measures in mm
-_CERTAINTY_MM = 3.0  # expected error of which the certainty is 1/e
 _CT_BELOW, _CT_RANGE = -500.0, (-1000.0, 400.0)  # volumes with values below are CT, in Hounsfield units: air to bone
 _MAX_EXPONENT = 40  # intensities up to 2^40 stay as they are: their squares, 2^80, are well within float32 (2^128)
 _PYRAMID_SIGMA = 0.8  # of the Gaussian before a volume is halved, voxels
@@ -52,33 +51,8 @@ class WorkingGrid(NamedTuple):
     start: tuple[float, float, float]
 
 
-@dataclass(kw_only=True)
-class RegistrationResult(Result):
-    """Confidence and expected error of a registration.
-
-    Maps lie on the grid of what was measured: (i, j, k) is at ``start + step * (i, j, k)`` voxels of the fixed volume.
-
-    Attributes
-    ----------
-    expected_error : (z, y, x) float32, mm
-    certainty : (z, y, x) float32 in [0, 1]: exp(-expected error / 3 mm)
-    shift : (3, z, y, x) float32, where the match of a voxel lies, (z, y, x) mm along the volume's axes
-    measures : name -> (z, y, x) float32, of the first feature at full resolution
-    step, start : of the working grid, in voxels of the fixed volume, (z, y, x)
-    """
-
-    expected_error: NDArray[np.float32]
-    certainty: NDArray[np.float32]
-    shift: NDArray[np.float32]
-    measures: dict[str, NDArray[np.float32]]
-    step: tuple[float, float, float]
-    start: tuple[float, float, float]
-
-
-class RegistrationConfidence(BaseModel):
+class RegistrationSearch(RegistrationPipeline):
     """A search around every voxel for a better match than the registration's; where there is one, it is wrong."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     features: tuple[Feature, ...] = Field((Mind(),), min_length=1, max_length=4, description="what is compared")
     iso: float | None = Field(
@@ -138,6 +112,10 @@ class RegistrationConfidence(BaseModel):
             raise ValueError("the first bound must be below the second")
         return bounds
 
+    @property
+    def voxel_limit(self) -> int | None:
+        return self.max_voxels
+
     def __call__(self, pair: RegisteredPair) -> RegistrationResult:
         """Search around every voxel, and express the measures of its cost curve in mm.
 
@@ -171,8 +149,8 @@ class RegistrationConfidence(BaseModel):
         }
         z, y, x = (step * (self.stride if n > 1 else 1) for step, n in zip(grid.step, grid.shape, strict=True))
         return RegistrationResult(
-            expected_error=error, certainty=np.exp(-error / np.float32(_CERTAINTY_MM)), shift=displacement,
-            measures=fine[0].maps, step=(z, y, x), start=grid.start, seconds=clock.seconds, figures=figures,
+            expected_error=error, shift=displacement, measures=fine[0].maps, step=(z, y, x), start=grid.start,
+            seconds=clock.seconds, figures=figures,
         )  # fmt: skip
 
     def _intensities(self, pair: RegisteredPair) -> Iterator[NDArray[np.float32]]:

@@ -1,0 +1,1 @@
+"""Programs that estimate the errors of registrations, as pipelines of ``register-confidence``."""
