@@ -18,7 +18,7 @@ from depthcli.methods.registration.pipeline import RegistrationPipeline, Registr
 from depthcli.programs.process import ProgramError
 from depthcli.programs.program import Program, check_written, scratch_folder
 
-_VOXEL_BYTES = 24  # of this process, per voxel, while a program runs and its volume is read
+_VOXEL_BYTES = 36  # of this process, per voxel, until the maps are written; measured
 
 
 class Command(Program, RegistrationPipeline):
