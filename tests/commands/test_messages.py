@@ -48,6 +48,7 @@ CALLERS = {
     "depthcli.evaluation.printing": {"evaluate"},
     "depthcli.report.page": SCENES - {"rectify"} | {"evaluate", "sweep"},
     "depthcli.methods.stereo.networks": {"stereo"},  # fuse never has a device
+    "depthcli.methods.stereo.search_range": {"stereo", "fuse"},  # where the range of key points is taken
     "depthcli.programs": BATCH,
     "depthcli.methods.stereo.matching": {"stereo"},  # of fuse only where there is a device, which it never has
 }
