@@ -41,6 +41,7 @@ sphinx_gallery_conf = {
     "filename_pattern": r"/\w+\.py$",
     "within_subsection_order": FileNameSortKey,
     "show_memory": False,
+    "parallel": 2,
     "download_all_examples": False,
     "show_signature": False,
     "abort_on_example_error": True,
