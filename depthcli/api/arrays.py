@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import Any, cast
 
 import numpy as np
@@ -21,6 +22,8 @@ def as_image(array: ArrayLike, name: str) -> Image:
     array : (H, W), (H, W, 1) or (H, W, 3) uint8, uint16, bool, or floats from 0 to 1; (H, W, 4) loses its last channel
     name : for messages
     """
+    if isinstance(array, str | PathLike):
+        raise InputError(f"{name}: want the image itself, not a path: read it, such as by cv2.imread(...)[..., ::-1]")
     image = np.asarray(array)
     if image.ndim == 3 and image.shape[2] in (1, 4):
         image = image[..., 0] if image.shape[2] == 1 else image[..., :3]
@@ -38,7 +41,12 @@ def as_image(array: ArrayLike, name: str) -> Image:
             )
         image = np.rint(image * np.float64(65535)).astype(np.uint16)
     elif image.dtype.kind != "u" or image.dtype.itemsize > 2:
-        raise InputError(f"{name}: want uint8, uint16, or floating point from 0 to 1 (got {image.dtype})")
+        raise InputError(
+            f"{name}: want uint8, uint16, or floating point from 0 to 1 (got {image.dtype}; of a list, "
+            "numpy.asarray(list, numpy.uint8))"
+            if isinstance(array, list)
+            else f"{name}: want uint8, uint16, or floating point from 0 to 1 (got {image.dtype})"
+        )
     return cast(Image, np.require(image, image.dtype.newbyteorder("="), ["C", "A", "W"]))
 
 

@@ -134,6 +134,8 @@ def test_wrong_configs_are_refused(pair: Images, arguments: dict[str, object], m
         (np.full((5, 6), np.nan), np.zeros((5, 6)), "left: images of floating point"),
         (np.zeros((5, 6, 2), np.uint8), np.zeros((5, 6), np.uint8), r"left: want an image of shape .*\(5, 6, 2\)"),
         (np.zeros((0, 6), np.uint8), np.zeros((0, 6), np.uint8), "left: want an image"),
+        ("left.png", "right.png", "left: want the image itself, not a path"),
+        ([[1, 2], [3, 4]], [[1, 2], [3, 4]], r"got int64; of a list, numpy\.asarray"),
     ],
 )
 def test_wrong_images_are_refused(left: NDArray[np.generic], right: NDArray[np.generic], message: str):
