@@ -17,7 +17,7 @@ from depthcli.batch.records import read_json, read_record
 from depthcli.batch.reports import PARTS, PARTS_FOLDER, finished_row, read_report, write_report, write_rows
 from depthcli.batch.sharing import FolderLock, Shard
 from depthcli.core.errors import ConfigError, OutputError
-from depthcli.data.formats.files import ends_of_file, write_text
+from depthcli.data.formats.files import ends_of_file, remove_temporaries, write_text
 
 _SCENES_FILE = "scenes.json"  # beside the parts
 _MAX_SHARDS = 999_999  # as of --shard
@@ -145,7 +145,8 @@ def drop_parts(output: Path, keep: Part | None = None) -> None:
         for file, about in _parts(output).items():
             if keep is None or about != (keep.run, keep.inputs):
                 file.unlink()
-        if keep is None:
+        if keep is None:  # the run has ended: nobody else writes here
+            remove_temporaries(output / PARTS_FOLDER)
             (output / PARTS_FOLDER / _SCENES_FILE).unlink(missing_ok=True)
         (output / PARTS_FOLDER).rmdir()
 

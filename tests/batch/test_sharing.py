@@ -128,6 +128,16 @@ def test_processes_side_by_side_make_what_one_makes(made_scenes: Path, whole: Pa
     assert contents(out) == contents(whole)
 
 
+def test_what_a_process_left_that_was_killed_in_its_report_goes(made_scenes: Path, whole: Path, tmp_path: Path):
+    out = tmp_path / "run"
+    common = ("stereo", FAST, "-i", made_scenes, "-o", out, "-q", "--shard")
+    assert run(*common, "1/2") == 0
+    (out / ".parts/.1-of-2.json.1-2.partial~").write_bytes(b"")
+    assert run(*common, "2/2") == 0
+    assert contents(out) == contents(whole)
+    assert not (out / ".parts").exists()
+
+
 @pytest.mark.slow
 def test_the_same_part_twice_is_done_once(made_scenes: Path, whole: Path, tmp_path: Path):
     common = ("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "-v", "--shard", "1/1")
