@@ -91,7 +91,8 @@ def test_a_python_that_is_too_old_is_told_in_a_line(checkout: Path, tmp_path: Pa
 def test_the_demo_ends_with_the_address_of_its_page(checkout: Path, tmp_path: Path, words: list[str]):
     log = tmp_path / "log"
     tool = checkout / ".venv" / "bin" / "depthcli"
-    tool.write_text(f'#!/bin/sh\nfor word; do printf "%s\\t" "$word"; done >> "{log}"; echo >> "{log}"\n')
+    # One write a call: two of the commands run side by side.
+    tool.write_text(f'#!/bin/sh\nline=$(printf "%s\\t" "$@")\necho "$line" >> "{log}"\n')
     tool.chmod(0o755)
     command = [str(checkout / "scripts" / "demo"), *words, "my demo"]
     done = subprocess.run(command, cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False)
