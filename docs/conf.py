@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx_gallery.sorting import FileNameSortKey
@@ -18,7 +19,6 @@ extensions = [
     "sphinx_gallery.gen_gallery",
 ]  # fmt: skip
 exclude_patterns = ["gallery/*", "run"]
-templates_path: list[str] = []
 html_theme = "furo"
 html_title = f"depthcli {release}"
 html_static_path = ["static"]
@@ -55,15 +55,11 @@ def _equation(code: str, display: str) -> str:
 
 
 def _inline(translator: Any, node: Any) -> None:
-    from docutils import nodes
-
     translator.body.append(_equation(node.astext(), "inline"))
     raise nodes.SkipNode
 
 
 def _block(translator: Any, node: Any) -> None:
-    from docutils import nodes
-
     translator.body.append(f'<div class="math">{_equation(node.astext(), "block")}</div>\n')
     raise nodes.SkipNode
 

@@ -24,7 +24,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -62,7 +62,6 @@ class Page:
     name : of the page, for messages
     text : the page as written
     folder : empty, or not there yet
-    search_path : folders of programs that come before those of the system
     pictures : where images that the blocks write are copied to
     link : the same folder as the page's text has to name it
     """
@@ -70,7 +69,6 @@ class Page:
     name: str
     text: str
     folder: Path
-    search_path: Sequence[Path]
     pictures: Path
     link: str
     _interpreter: subprocess.Popen[str] | None = field(default=None, init=False)
@@ -158,8 +156,7 @@ class Page:
         return str(printed)
 
     def _environment(self) -> dict[str, str]:
-        path = os.pathsep.join([*map(str, self.search_path), os.environ["PATH"]])
-        return os.environ | {"PATH": path, "COLUMNS": "100", "MPLBACKEND": "agg", "NO_COLOR": "1", "TERM": "dumb"}
+        return os.environ | {"COLUMNS": "100", "MPLBACKEND": "agg", "NO_COLOR": "1", "TERM": "dumb"}
 
     def _clean(self, output: str, settings: dict[str, str]) -> str:
         """What a command printed, without the folder's place and what is printed on the first run only."""

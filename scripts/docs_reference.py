@@ -18,10 +18,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-import _env
+import _env  # noqa: F401  (first: continues in the checkout's environment)
 
 import depthcli
 from depthcli import testing
+from depthcli.api.config import COMMANDS
 from depthcli.batch.presets import find_config, list_presets
 from depthcli.cli import _COMMON
 from depthcli.commands import grouped_commands, help_of, load_command
@@ -32,13 +33,7 @@ from depthcli.data.layouts import layouts
 from depthcli.evaluation import protocols
 from depthcli.methods.registration.search import MEASURES
 
-CONFIGS = {
-    "stereo": depthcli.StereoConfig,
-    "fuse": depthcli.FuseConfig,
-    "refine-kinect": depthcli.RefineKinectConfig,
-    "transparent": depthcli.TransparentConfig,
-    "register-confidence": depthcli.RegisterConfidenceConfig,
-}
+CONFIGS: dict[str, Any] = {command: getattr(depthcli, name) for name, command in COMMANDS.items()}
 """Command -> class of its config."""
 
 
@@ -282,5 +277,4 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 if __name__ == "__main__":
-    assert _env.ROOT
     sys.exit(main())

@@ -80,7 +80,7 @@ def test_every_name_of_the_program_is_in_the_reference():
 @pytest.fixture
 def page(tmp_path: Path):
     def make(text: str) -> str:
-        return _docs_examples.Page("page.md", text, tmp_path / "run", (), tmp_path / "pictures", "/pictures").run()
+        return _docs_examples.Page("page.md", text, tmp_path / "run", tmp_path / "pictures", "/pictures").run()
 
     return make
 
@@ -134,6 +134,6 @@ def test_pages_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("PATH", os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"])))
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     text = (DOCS / f"{name}.md").read_text("utf-8")
-    shown = _docs_examples.Page(f"{name}.md", text, tmp_path / "run", (), tmp_path / "pictures", "/pictures").run()
+    shown = _docs_examples.Page(f"{name}.md", text, tmp_path / "run", tmp_path / "pictures", "/pictures").run()
     images = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", shown)
     assert all(image.startswith("/pictures/") for image in images), images

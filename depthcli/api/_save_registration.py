@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,10 @@ from depthcli.data.formats.volumes import Slab, write_volume
 from depthcli.data.registered_volumes import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
-_POINTS = {"x": 4, "y": 4, "z": 4, "confidence": 5, "expected_error": 4, "shift_x": 4, "shift_y": 4, "shift_z": 4}
-"""Columns of the table of landmarks, and their decimals; the shift's last, which not all pipelines have."""
+_POINTS = {"x": 4, "y": 4, "z": 4, "confidence": 5, "expected_error": 4}
+"""Columns of the table of landmarks, and their decimals."""
+_SHIFT_POINTS = {"shift_x": 4, "shift_y": 4, "shift_z": 4}
+"""Those behind them of pipelines that look for matches."""
 
 
 def save_registration(
@@ -46,8 +49,7 @@ def save_registration(
     write_volume(folder / f"confidence{suffix}", grid, slabs(result.certainty))
     write_volume(folder / f"expected_error{suffix}", grid, slabs(result.expected_error))
     if result.shift is not None:
-        parts: Slab = lambda first, last: shift_on_fixed_grid(result, loaded, first, last)  # noqa: E731
-        write_volume(folder / f"shift{suffix}", grid, parts, vector=True)
+        write_volume(folder / f"shift{suffix}", grid, partial(shift_on_fixed_grid, result, loaded), vector=True)
     write_png(folder / "preview.png", registration_preview(result, loaded, neurological))
     if points is not None:
         write_text(folder / "points.csv", to_csv(rows_at(result, loaded, points)))
@@ -90,5 +92,6 @@ def rows_at(result: RegistrationResult, loaded: LoadedPair, points: NDArray[np.f
     if result.shift is not None:
         own = np.stack([trilinear(result.shift[axis], places) for axis in (2, 1, 0)], axis=-1)
         columns.append(own @ loaded.grid.axes.T)
+    decimals = _POINTS if result.shift is None else _POINTS | _SHIFT_POINTS
     table = np.column_stack(columns)
-    return [{name: round(float(v), n) for (name, n), v in zip(_POINTS.items(), row, strict=False)} for row in table]
+    return [{name: round(float(v), n) for (name, n), v in zip(decimals.items(), row, strict=True)} for row in table]

@@ -41,12 +41,8 @@ def as_image(array: ArrayLike, name: str) -> Image:
             )
         image = np.rint(image * np.float64(65535)).astype(np.uint16)
     elif image.dtype.kind != "u" or image.dtype.itemsize > 2:
-        raise InputError(
-            f"{name}: want uint8, uint16, or floating point from 0 to 1 (got {image.dtype}; of a list, "
-            "numpy.asarray(list, numpy.uint8))"
-            if isinstance(array, list)
-            else f"{name}: want uint8, uint16, or floating point from 0 to 1 (got {image.dtype})"
-        )
+        hint = "; of a list, numpy.asarray(list, numpy.uint8)" if isinstance(array, list) else ""
+        raise InputError(f"{name}: want uint8, uint16, or floating point from 0 to 1 (got {image.dtype}{hint})")
     return cast(Image, np.require(image, image.dtype.newbyteorder("="), ["C", "A", "W"]))
 
 

@@ -18,13 +18,14 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 Overrides = Mapping[str, object]
 """``a.b`` or plain name of a key -> value."""
 
-_COMMANDS = {
+COMMANDS = {
     "StereoConfig": "stereo",
     "FuseConfig": "fuse",
     "RefineKinectConfig": "refine-kinect",
     "TransparentConfig": "transparent",
     "RegisterConfidenceConfig": "register-confidence",
 }
+"""Name of the class of a config -> its command."""
 
 
 @worded
@@ -60,7 +61,7 @@ def load_config(
             return preset
         data = ConfigData("config", preset.model_dump(mode="json", by_alias=True))
         return config_file.load_config(model, data, values=values)
-    command = _COMMANDS[model.__name__]
+    command = COMMANDS[model.__name__]
     file = find_config(command, str(preset))
     return config_file.load_config(model, file, find=lambda name: find_preset(command, name), values=values)
 

@@ -203,11 +203,10 @@ def peak_bytes(
 ) -> int:
     """Return an estimate of the peak memory of a pair that is loaded as ``shape`` voxels, bytes."""
     voxels = shape[0] * shape[1] * shape[2]
-    search = (
-        config.pipeline.peak_bytes(shape, spacing) + 8 * voxels
-    )  # beside the search two volumes of 4 bytes per voxel
+    # Beside the pipeline's memory two volumes of 4 bytes per voxel.
+    working = config.pipeline.peak_bytes(shape, spacing) + 8 * voxels
     reading = 6 * grid.size[0] * grid.size[1] * grid.size[2]  # one whole volume, 2 bytes as stored and 4 converted
-    return max(search, reading)
+    return max(working, reading)
 
 
 def _volume(

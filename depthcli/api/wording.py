@@ -47,9 +47,8 @@ def worded(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Res
             if text == str(error):
                 raise
             raise type(error)(text) from error
-        warnings = getattr(result, "warnings", ())
-        if any(in_python(line) != line for line in warnings):
-            return replace(result, warnings=tuple(map(in_python, warnings)))  # type: ignore[type-var]
-        return result
+        given = getattr(result, "warnings", ())
+        warnings = tuple(map(in_python, given))
+        return result if warnings == given else replace(result, warnings=warnings)  # type: ignore[type-var]
 
     return call

@@ -46,7 +46,7 @@ def _show(name: str) -> str:
     from depthcli.commands._batch import ConfigCommand
     from depthcli.core.config_file import load_config
 
-    found = [p for p in presets() if p.is_called(name) or p.is_called(name.removeprefix(f"{p.command}/"))]
+    found = [p for p in presets() if p.is_called(name.removeprefix(f"{p.command}/"))]
     if not found:
         raise ConfigError(f"no preset called {name!r}; see: depthcli presets")
     if len(found) > 1:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator
 
-from depthcli.core.method import Family
+from depthcli.core.method import Family, RootConfig
 from depthcli.core.plugins import is_file_loaded, is_installed
 from depthcli.core.yaml_source import OVERRIDES, ConfigData, Location, dotted, short
 
@@ -108,14 +108,8 @@ def _models(kind: Any, data: Any, location: Location) -> list[type[BaseModel]]:
         # A model: itself, and the method that is written at its own level (see RootConfig.flattened).
         flat = kind.model_fields.get(getattr(kind, "flattened", ""))
         family = _family([*flat.metadata, *_metadata(flat.annotation)]) if flat else None
-        inner = _method(family, data) if family else []
-        if (
-            family
-            and flat
-            and isinstance(flat.default, BaseModel)
-            and not (isinstance(data, dict) and family.key in data)
-        ):
-            inner = [type(flat.default)]
+        own = kind.with_method(data) if flat and issubclass(kind, RootConfig) and isinstance(data, dict) else data
+        inner = _method(family, own) if family else []
         if not location:
             return [kind, *inner]
         name = location[0]

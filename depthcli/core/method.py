@@ -223,9 +223,7 @@ class RootConfig(BaseModel):
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict) or not cls.flattened:
             return data
-        default = cls.model_fields[cls.flattened].default
-        if isinstance(default, Method):
-            data = {cls.flattened: default.method_name(), **data}
+        data = cls.with_method(data)
         name = data.get(cls.flattened)
         if isinstance(name, BaseModel):
             return data
@@ -237,6 +235,12 @@ class RootConfig(BaseModel):
             return own
         rest = {key: value for key, value in data.items() if key not in fields and key != cls.flattened}
         return {**own, cls.flattened: {**rest, cls.flattened: name} if isinstance(name, str) else name}
+
+    @classmethod
+    def with_method(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Return the keys of a config, with the name of the default method where they name none and there is one."""
+        default = cls.model_fields[cls.flattened].default
+        return {cls.flattened: default.method_name(), **data} if isinstance(default, Method) else data
 
     @model_serializer(mode="wrap")
     def _flatten(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

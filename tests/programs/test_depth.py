@@ -29,20 +29,17 @@ cv2.imwrite(output, codes)
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(here: Path) -> Path:
     """The current folder, with the program, configs for both commands and scenes in it."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "scratch").mkdir()
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "scratch"))
-    (tmp_path / "fill.py").write_text(FILL)
+    (here / "fill.py").write_text(FILL)
     for name, sparse in (("refine-kinect", "none"), ("transparent", "{sparse}")):
         words = [sys.executable, "fill.py", "{color}", "{depth}", "{output}", sparse]
         config = {"pipeline": "command", "program": words, "format": "png"}
-        (tmp_path / f"{name}.yaml").write_text(json.dumps(config))
+        (here / f"{name}.yaml").write_text(json.dumps(config))
     size = ("--width", "128", "--height", "96", "-q")
     assert main(["sample", "--kinect", "--frames", "0", *size, "-o", "refine-kinect"]) == 0
     assert main(["sample", "--transparent", "--share", "0.1", *size, "-o", "transparent"]) == 0
-    return tmp_path
+    return here
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from depthcli.core.volumes import Grid
 from depthcli.data.formats.volumes import read_volume, write_array
 from depthcli.methods.registration.config import RegisterConfidenceConfig
 from depthcli.methods.registration.pipeline.search import RegistrationSearch
+from tests.programs._runs import assert_one_failed, rows
 
 pytest.importorskip("SimpleITK")
 
@@ -69,20 +70,13 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The current folder, with the program and its config in it, and a place for scratch folders below."""
-    (tmp_path / "scratch").mkdir()
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "scratch"))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "difference.py").write_text(PROGRAM)
+def here(here: Path) -> Path:
+    """The current folder, with the program and its config in it."""
+    (here / "difference.py").write_text(PROGRAM)
     words = [sys.executable, "difference.py", "{fixed}", "{warped}", "{output}", "{name}", "{kind}"]
     config = {"pipeline": "command", "run": words, "parameters": {"kind": "works"}}
-    (tmp_path / "c.yaml").write_text(json.dumps(config))
-    return tmp_path
-
-
-def rows(run: Path) -> dict[str, dict]:
-    return {row["scene"]: row for row in json.loads((run / "report.json").read_text())["scenes"]}
+    (here / "c.yaml").write_text(json.dumps(config))
+    return here
 
 
 def register(pairs: Path, output: str, *options: str) -> int:
@@ -114,13 +108,7 @@ def test_a_volume_of_errors_becomes_confidence_preview_and_points(here: Path, pa
 @pytest.mark.parametrize("kind", FAILURES)
 def test_each_failure_is_a_row_and_the_other_scene_is_written(here: Path, pairs: Path, kind: str):
     assert register(pairs, "run", "-q", "--set", f"parameters.kind={kind}") == 3
-    found = rows(here / "run")
-    assert [row["status"] for row in found.values()] == ["done", "failed"]
-    assert FAILURES[kind] in found["pair_1"]["error"]
-    (kept,) = (here / "scratch").iterdir()
-    assert str(kept) in found["pair_1"]["error"]
-    assert (kept / "fixed.nii.gz").is_file()
-    assert not list((here / "run").glob("traceback*"))
+    assert_one_failed(here, "pair_1", ["done", "failed"], FAILURES[kind], "fixed.nii.gz")
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from depthcli.cli import main
 from depthcli.data.formats.disparity import read_pfm
 from depthcli.data.formats.images import read_image
 from depthcli.methods.stereo.config import StereoConfig
+from tests.programs._runs import assert_one_failed, rows
 
 # OpenCV's matcher as a program of somebody else: reads two images, writes a map as .npy.
 SGBM = """
@@ -77,25 +78,18 @@ FAILURES = {
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The current folder, with the programs in it, and a place for scratch folders below."""
-    (tmp_path / "scratch").mkdir()
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "scratch"))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "sgbm.py").write_text(SGBM)
-    (tmp_path / "failing.py").write_text(FAILING)
-    write_config(tmp_path / "sgbm.yaml", ["sgbm.py", "{left}", "{right}", "{output}", "{max_disparity}", "{block}"])
-    return tmp_path
+def here(here: Path) -> Path:
+    """The current folder, with the programs in it."""
+    (here / "sgbm.py").write_text(SGBM)
+    (here / "failing.py").write_text(FAILING)
+    write_config(here / "sgbm.yaml", ["sgbm.py", "{left}", "{right}", "{output}", "{max_disparity}", "{block}"])
+    return here
 
 
 def write_config(path: Path, words: list[str], **fields: object) -> Path:
     config = {"pipeline": "command", "run": [sys.executable, *words], "parameters": {"block": 5}, "format": "npy"}
     path.write_text(json.dumps(config | fields))
     return path
-
-
-def rows(run: Path) -> dict[str, dict]:
-    return {row["scene"]: row for row in json.loads((run / "report.json").read_text())["scenes"]}
 
 
 def stereo(config: str, scenes: Path, output: str, *options: str) -> int:
@@ -126,13 +120,7 @@ def test_each_failure_is_a_row_and_the_other_scenes_are_written(here: Path, made
     write_config(here / "c.yaml", ["failing.py", "{left}", "{output}", "{name}", kind, "{scratch}"], timeout="2 s")
     memory = ("--max-memory", "500MiB")
     assert stereo("c.yaml", made_scenes, "run", "--scenes", "planes_[012]", *memory) == 3
-    found = rows(here / "run")
-    assert [row["status"] for row in found.values()] == ["done", "failed", "done"]
-    assert FAILURES[kind] in found["planes_1"]["error"]
-    (kept,) = (here / "scratch").iterdir()
-    assert str(kept) in found["planes_1"]["error"]
-    assert (kept / "left.png").is_file()
-    assert not list((here / "run").glob("traceback*"))
+    assert_one_failed(here, "planes_1", ["done", "failed", "done"], FAILURES[kind], "left.png")
 
 
 @pytest.mark.slow
