@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,29 @@ def save_stereo(result: StereoResult, folder: Path, min_disparity: int, max_disp
     _save_rest(result, folder)
 
 
+def probability_picture(probability: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return probabilities as (H, W) uint8, 0 = black to 1 = white."""
+    return np.asarray(np.rint(probability * np.float32(255)), np.uint8)
+
+
+def save_map_confidence(
+    probability: NDArray[np.float32],
+    status: NDArray[np.uint8],
+    values: NDArray[np.float32],
+    measures: Mapping[str, NDArray[np.float32]],
+    folder: Path,
+    max_disparity: int,
+) -> None:
+    """Write the judgment of a disparity map, and the map (H, W) without its doubtful pixels, into ``folder``."""
+    write_pfm(folder / "confidence.pfm", probability)
+    write_png(folder / "confidence.png", probability_picture(probability))
+    write_status(folder / "status.png", status, STATUS_PALETTE)
+    write_pfm(folder / "disp_left.pfm", values)
+    write_disparity_png(folder / "disp_left.png", values)
+    write_png(folder / "preview.png", preview(values, max_disparity))
+    _save_confidence(measures, folder)
+
+
 def save_depth(
     result: RefinedDepth,
     folder: Path,
@@ -113,10 +137,14 @@ def _save_depth_map(
     write_png(folder / "preview.png", preview_depth(depth))
 
 
-def _save_rest(result: Result, folder: Path) -> None:
-    for name, confidence in result.confidence.items():
+def _save_confidence(maps: Mapping[str, NDArray[np.float32]], folder: Path) -> None:
+    for name, confidence in maps.items():
         write_pfm(folder / f"confidence_{name}.pfm", confidence)
         write_png(folder / f"confidence_{name}.png", confidence_picture(confidence))
+
+
+def _save_rest(result: Result, folder: Path) -> None:
+    _save_confidence(result.confidence, folder)
     for name, rows in result.tables.items():
         write_text(folder / f"{name}.csv", to_csv(rows))
     for name, picture in result.pictures.items():

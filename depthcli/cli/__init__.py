@@ -77,6 +77,11 @@ class _Commands(TyperGroup):
     def list_commands(self, ctx: Any) -> list[str]:
         return [*command_names(), *(name.replace("_", "-") for name in REGISTRY.plugins())]
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Take two words for one name where there is such a command: ``fuse maps`` is ``fuse-maps``."""
+        joined = "-".join(args[:2])
+        return super().resolve_command(ctx, [joined, *args[2:]] if joined in command_names() else args)
+
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         command = find_command(cmd_name)
         if command is None:

@@ -17,6 +17,8 @@ What ``compute`` does:
 ``transparent``           load depth, color and sparse depth, or match infrared for it; complete; write (``api``)
 ``register-confidence``   load two volumes and the registration; search around every voxel; write confidence, expected
                           error and shift as volumes (``api``)
+``confidence``            read maps that were made before; judge them by the images; write confidence, status, map
+``fuse maps``             read maps that were made before; take the likeliest at every pixel; write map, status
 ``depth``                 read a run's disparity map and its calibration; triangulate; write depth, and points
 ``rectify``               load the views; match key points; warp by the calibration or the points; write both views,
                           calib.txt and the search range
@@ -68,7 +70,9 @@ def __getattr__(name: str) -> object:
 
 
 _GROUPS = {
-    "Match and refine": ("stereo", "fuse", "refine-kinect", "transparent", "register-confidence"),
+    "Match and refine": (
+        "stereo", "fuse", "refine-kinect", "transparent", "confidence", "fuse-maps", "register-confidence",
+    ),
     "Prepare and convert": ("sample", "rectify", "depth"),
     "Evaluate and report": ("evaluate", "sweep", "export", "merge"),
     "Inspect and set up": ("help", "presets", "devices", "warmup"),

@@ -70,6 +70,10 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         """Return an estimate of the peak memory, bytes, from file headers alone; None where there is none."""
         return None
 
+    def truth_kinds(self, scenes: Sequence[SceneT]) -> tuple[type[Scene], ...]:
+        """Return the kinds of scene that ``--evaluate`` looks for in the input."""
+        return tuple({type(scene) for scene in scenes})
+
     def palette(self) -> Palette | None:
         """Return the colors of the status maps that the command writes; None: it writes none."""
         return None
@@ -152,7 +156,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         if scored:
             report = evaluate(
                 [values["output"]], values["input"], output, values["scenes"] or ["*"], values["layout"],
-                reporter=reporter, kinds=tuple({type(scene) for scene in scenes}), page=page,
+                reporter=reporter, kinds=self.truth_kinds(scenes), page=page,
             )  # fmt: skip
             return report, None if page is None or not page.written else output / PAGE_FILE
         shows = ": the page shows the maps without scores" if page is not None else ", nothing to compare with"

@@ -17,7 +17,9 @@ from depthcli.commands._runs import recognized
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.data.formats.files import collected_warnings, write_text
 from depthcli.data.formats.images import write_png
+from depthcli.data.formats.pictures import read_status
 from depthcli.data.scenes import Scene
+from depthcli.evaluation.calibration import HiddenPixels
 from depthcli.evaluation.map_files import MapOptions
 from depthcli.evaluation.plots import curve_plot
 from depthcli.evaluation.protocols import AnyProtocol, Settings, load
@@ -185,6 +187,7 @@ class Scoring:
             scores=tuple(protocol.scores(estimate, truth)),
             dense=tuple(protocol.threshold_curve(estimate, truth)),
             curves=tuple(protocol.curves(estimate, truth, confidences)),
+            hidden=_hidden(protocol, files.status(path), truth),
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
             size=protocol.size(truth),
             n_disparities=largest if isinstance(largest := row.get("max_disparity"), int) and largest > 0 else 0,
@@ -204,3 +207,13 @@ class Scoring:
         if self.page is not None:
             self.page.add_map(result, path, estimate, truth, confidences)
         return result
+
+
+def _hidden(protocol: AnyProtocol, file: Path | None, truth: object) -> HiddenPixels | None:
+    """How well the status map beside a map says what is hidden; None where it cannot be read, or nothing is known."""
+    if file is None:
+        return None
+    try:
+        return protocol.hidden(read_status(file), truth)
+    except DepthcliError:
+        return None

@@ -88,11 +88,15 @@ class MapFiles:
         return f" (looked for {places}{several})"
 
     def confidences(self, path: Path) -> dict[str, Path]:
-        """Return name -> file of the confidence maps beside a map: ``confidence_<name>.pfm`` or ``.npy``."""
+        """Return name -> file of the confidence maps beside a map: ``confidence_<name>.pfm`` or ``.npy``.
+
+        That of ``confidence.pfm`` is called ``confidence``.
+        """
         if not self._in_run_folder(path):
             return {}
-        files = sorted(p for p in path.parent.glob("confidence_*") if p.suffix.lower() in (".pfm", ".npy"))
-        return {file.stem.removeprefix("confidence_"): file for file in files}
+        files = sorted(p for p in path.parent.glob("confidence*") if p.suffix.lower() in (".pfm", ".npy"))
+        named = (file for file in files if file.stem == "confidence" or file.stem.startswith("confidence_"))
+        return {file.stem.removeprefix("confidence_"): file for file in named}
 
     def status(self, path: Path) -> Path | None:
         """Return the status map beside a map; None where there is none."""

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from depthcli.core.errors import ConfigError
+from depthcli.evaluation.calibration import Reliability
 from depthcli.evaluation.comparison import Section
 from depthcli.evaluation.curves import PERCENTAGES, Sparsification
 from depthcli.evaluation.statistics import mean_of_known
@@ -48,6 +49,9 @@ def plots(section: Section) -> dict[str, str]:
     for (region, of), svg in _sparsifications(section):
         made[f"Sparsification, {region}: {'share of wrong pixels' if of == 'bad' else 'mean error'} of the most "
              "confident pixels; dotted: the best ranking"] = svg  # fmt: skip
+    for region, svg in _reliabilities(section):
+        made[f"Reliability, {region}: how often pixels of a confidence are right, with the expected calibration error; "
+             "dotted: as often as they say"] = svg  # fmt: skip
     return made
 
 
@@ -132,6 +136,21 @@ def _sparsifications(section: Section) -> Iterator[tuple[tuple[str, str], str]]:
         drawn += [Line("", PERCENTAGES, best, bound=True) for best in dict.fromkeys(map(tuple, bests))]
         y_label = "share of wrong pixels" if of == "bad" else f"mean error, {section.protocol.presentation.unit}"
         yield (region, of), line_plot(drawn, "", _SHARE_AXIS, y_label, any_names=True)
+
+
+def _reliabilities(section: Section) -> Iterator[tuple[str, str]]:
+    """(region, plot): how often pixels of a confidence are right, a line per run and confidence, all scenes pooled."""
+    groups: dict[str, dict[str, list[Reliability]]] = {}
+    for r in section.results:
+        for c in r.curves:
+            if c.reliability is not None:
+                name = f"{r.run}: {c.confidence}" if len(section.runs) > 1 else c.confidence
+                groups.setdefault(c.region, {}).setdefault(name, []).append(c.reliability)
+    for region, lines in groups.items():
+        pooled = {name: Reliability.pooled(found) for name, found in lines.items()}
+        drawn = [Line(f"{name} {one.ece:.3f}", one.confidence, one.right) for name, one in pooled.items()]
+        drawn.append(Line("", (0, 1), (0, 1), bound=True))
+        yield region, line_plot(drawn, "", "confidence", "share of right pixels", any_names=True)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from depthcli.evaluation.tables import (
 )  # fmt: skip
 from depthcli.evaluation.wide_tables import wide_tables
 
-NAMES = ("headline", "overview", "metrics", "scenes", "further", "confidence", "missing")
+NAMES = ("headline", "overview", "metrics", "scenes", "further", "confidence", "hidden", "missing")
 """Names of tables; behind them may stand a region or run and a data set, as in ``metrics-nonocc``."""
 
 _WIDTH = 100  # characters of a line of the headline table

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from depthcli.data.formats.files import short_path
+from depthcli.evaluation.calibration import HiddenPixels, Reliability
 from depthcli.evaluation.curves import Sparsification
 from depthcli.evaluation.scores import Key, Metric, Score, find_score
 
@@ -61,12 +62,19 @@ class ConfidenceCurve:
     region, confidence : names of the region and of the confidence measure
     of : what falls along the curve: ``bad``, the share of wrong pixels, or ``error``, the mean absolute error
     line : the sparsification curve with its areas
+    reliability : of ``bad``, how often pixels of a confidence are right; None where it is no probability
     """
 
     region: str
     confidence: str
     of: str
     line: Sparsification
+    reliability: Reliability | None = None
+
+    @property
+    def areas(self) -> dict[str, float]:
+        """All areas by name, and the expected calibration error ``ece``."""
+        return {**self.line.areas(), "ece": math.nan if self.reliability is None else self.reliability.ece}
 
 
 @dataclass(frozen=True)
@@ -81,6 +89,7 @@ class MapResult:
         usable truth
     dense : scores of the headline's metric at many thresholds, for plots (``Protocol.threshold_curve``)
     curves : sparsification curves of the confidence maps that lie beside the map
+    hidden : how well the map's status says what the right view does not see; None where that is not known
     seconds : run time by the run's report, or NaN
     size : number of pixels (or voxels) of the scene, with known truth or without; 0 where there is no map
     n_disparities : number of disparities that the run searched, 0 where its report does not say
@@ -97,6 +106,7 @@ class MapResult:
     scores: tuple[Score, ...] = ()
     dense: tuple[Score, ...] = ()
     curves: tuple[ConfidenceCurve, ...] = ()
+    hidden: HiddenPixels | None = None
     seconds: float = math.nan
     size: int = 0
     n_disparities: int = 0
@@ -135,9 +145,15 @@ class MapResult:
         note = f"missing, counted as wholly wrong: {self.error}" if self.error else self.warning
         made = [Record(*where, score, self.source, note) for score in self.scores]
         for c in self.curves:
-            for area, value in c.line.areas().items():
+            for area, value in c.areas.items():
+                if area == "ece" and c.reliability is None:
+                    continue
                 metric = Metric(f"{area}:{c.confidence}:{c.of}", "")
                 made.append(Record(*where, Score(metric, c.region, value, c.line.pixels, math.nan), self.source))
+        if self.hidden is not None:
+            for name, value in self.hidden.shares().items():
+                score = Score(Metric(f"hidden {name}", "%"), "all", value, self.hidden.pixels, math.nan)
+                made.append(Record(*where, score, self.source))
         return [*made, Record(*where, None, self.source, self.error)] if self.error else made
 
     def to_dict(self) -> dict[str, Any]:
@@ -148,7 +164,11 @@ class MapResult:
             "warning": self.warning or None, "error": self.error or None,
             "scores": [score.row() for score in self.scores],
             "confidence": [
-                {"measure": c.confidence, "mask": c.region, "of": c.of, **vars(c.line), **c.line.areas()}
+                {
+                    "measure": c.confidence, "mask": c.region, "of": c.of, **vars(c.line), **c.areas,
+                    "reliability": None if c.reliability is None else vars(c.reliability),
+                }
                 for c in self.curves
             ],
+            "hidden": None if self.hidden is None else {**vars(self.hidden), **self.hidden.shares()},
         }  # fmt: skip

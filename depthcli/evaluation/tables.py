@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from depthcli.evaluation.calibration import HiddenPixels, Reliability
 from depthcli.evaluation.comparison import EvaluationReport, Section
 from depthcli.evaluation.render import Number, Table
 from depthcli.evaluation.results import ConfidenceCurve
@@ -212,18 +213,40 @@ def further_tables(report: EvaluationReport) -> list[Table]:
             of_set = f" of {data_set}" if len(report.sections) > 1 else ""
             rows.append((run, f"mean of {len(curves)}{of_set}", *what, *_areas(curves)))
     header = ("run", "scene", "mask", "confidence", "of", "AUC", "optimal", "random", "AUC/optimal", "AUSE", "AURG",
-              "AUC 5-100", "optimal 5-100")  # fmt: skip
+              "AUC 5-100", "optimal 5-100", "ECE")  # fmt: skip
     note = (
         "sparsification over the estimated pixels, of wrong ones (bad: by the headline's rule) and of the error; AUC: "
         "integral over all shares; random: their mean; AUSE, AURG: distance to optimal and random; 5-100: trapezoid "
-        "over 5..100 %, as LAF-Net and the survey of Poggi et al. take it"
+        "over 5..100 %, as LAF-Net and the survey of Poggi et al. take it; ECE: expected calibration error, where the "
+        "confidence is a probability; a mean's is that of all pixels together"
     )
     failed = tuple((r.run, r.scene, r.error) for r in report.failed)
     made = [
         Table("Confidence", header, tuple(rows), note, name="confidence"),
+        _hidden_table(report),
         Table("Not evaluated", ("run", "scene", "reason"), failed, name="missing"),
     ]
     return [table for table in made if table.rows]
+
+
+def _hidden_table(report: EvaluationReport) -> Table:
+    rows: list[tuple[str, ...]] = []
+    groups: dict[tuple[str, str], list[HiddenPixels]] = {}
+    for r in report.results:
+        if r.hidden is not None:
+            groups.setdefault((r.data_set, r.run), []).append(r.hidden)
+            rows.append((r.run, r.scene, *(Number(value, 1) for value in r.hidden.shares().values())))
+    for (data_set, run), found in groups.items():
+        if len(found) > 1:
+            of_set = f" of {data_set}" if len(report.sections) > 1 else ""
+            shares = HiddenPixels.pooled(found).shares().values()
+            rows.append((run, f"pooled of {len(found)}{of_set}", *(Number(value, 1) for value in shares)))
+    header = ("run", "scene", "precision", "recall", "F1", "said hidden %", "truly hidden %")
+    note = (
+        "pixels that the right view does not see, by status.png (occluded, or out of view) against the truth (in all, "
+        "not in nonocc), percent"
+    )
+    return Table("Hidden pixels", header, tuple(rows), note, name="hidden")
 
 
 def mean_rows(section: Section, runs: Sequence[str] = ()) -> list[tuple[str, bool, str]]:
@@ -254,7 +277,9 @@ def _count(n_scenes: int) -> str:
 
 
 def _areas(curves: Sequence[ConfidenceCurve]) -> tuple[str, ...]:
-    areas = [c.line.areas() for c in curves]
+    areas = [c.areas for c in curves]
     means = {name: mean_of_known(each[name] for each in areas) for name in areas[0]}
+    known = [c.reliability for c in curves if c.reliability is not None]
+    means["ece"] = Reliability.pooled(known).ece if known else math.nan
     means["ratio"] = means["auc"] / means["optimal"] if means["optimal"] > 0 else math.nan
     return tuple(Number(value, 2 if name == "ratio" else 4) for name, value in means.items())

@@ -70,6 +70,28 @@ def read_disparity(
     return disparity
 
 
+_MIN_CONSTANT_SHARE = 0.005  # of the pixels; a constant that fewer have may be measured
+_MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels of it; it stands alone where it is a mark
+
+
+def lone_constant(disparity: NDArray[np.float32]) -> float | None:
+    """Return the constant at or below 0 that may stand for no value in other programs' maps, such as OpenCV's -1.
+
+    It is the smallest value of a share of the pixels, and few others are near it. None: there is no such constant.
+
+    Parameters
+    ----------
+    disparity : (H, W) float32, pixels, NaN = none
+    """
+    known = disparity[np.isfinite(disparity)]
+    lowest = float(known.min(initial=np.inf))
+    n_marked = np.count_nonzero(known == np.float32(lowest))
+    if lowest > 0 or n_marked < _MIN_CONSTANT_SHARE * disparity.size:
+        return None
+    n_near = np.count_nonzero(known <= np.float32(lowest + 1)) - n_marked
+    return None if n_near > _MAX_NEIGHBOR_RATIO * n_marked or n_marked == known.size else lowest
+
+
 def read_pfm(path: Path | str) -> NDArray[np.float32]:
     """Return the values of a one-channel PFM file of either byte order, top row first.
 

@@ -24,6 +24,7 @@ from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.registry import Registry, registered_name
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.scenes import Scene
+from depthcli.evaluation.calibration import HiddenPixels, reliability
 from depthcli.evaluation.curves import sparsifications
 from depthcli.evaluation.map_files import MapFiles
 from depthcli.evaluation.pooling import Pooling
@@ -236,8 +237,14 @@ class Protocol(Pooling, ABC, Generic[Estimate, Truth]):
             if region.any():
                 chosen = {confidence: values[region] for confidence, values in confidences.items()}
                 lines = sparsifications(chosen, {"bad": wrong[region], "error": error[region]})
-                made += [ConfidenceCurve(name, confidence, of, line) for (confidence, of), line in lines.items()]
+                for (confidence, of), line in lines.items():
+                    right = reliability(chosen[confidence], ~wrong[region]) if of == "bad" else None
+                    made.append(ConfidenceCurve(name, confidence, of, line, right))
         return made
+
+    def hidden(self, status: NDArray[np.uint8], truth: Truth) -> HiddenPixels | None:
+        """Compare what a status map says about what the right view does not see with the truth, where that is known."""
+        return None
 
     def pooling_data(self, estimate: Estimate, truth: Truth) -> Any:
         """Return what ``mean`` needs beside the scores, such as points to be pooled; kept in memory, not written."""

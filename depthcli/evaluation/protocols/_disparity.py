@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
-from depthcli.data.formats.disparity import read_disparity, read_plane
+from depthcli.data.formats.disparity import lone_constant, read_disparity, read_plane
 from depthcli.data.formats.files import shown, warn
 from depthcli.data.formats.pictures import STATUS_PALETTE, read_status
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene, StereoTruth
+from depthcli.evaluation.calibration import HiddenPixels
 from depthcli.evaluation.map_files import DisparityFiles
 from depthcli.evaluation.presentation import Presentation, ShownMap
 from depthcli.evaluation.protocols import Protocol, Settings
@@ -199,6 +200,17 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
         scores = dense.scores(estimate, replace(truth, masks={main: truth.masks[main]}))
         return [s for s in scores if s.metric.threshold is not None and s.metric == self.at(s.metric.threshold)]
 
+    def hidden(self, status: NDArray[np.uint8], truth: DisparityTruth) -> HiddenPixels | None:
+        """Compare with the pixels of ``all`` that are not in ``nonocc``; None for another size, or where none is."""
+        regions = self.regions(truth)
+        if not {"all", "nonocc"} <= set(regions) or status.shape != regions["all"].shape:
+            return None
+        known, hidden = regions["all"], regions["all"] & ~regions["nonocc"]
+        if not hidden.any():
+            return None
+        said = (status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
+        return HiddenPixels.of(said[known], hidden[known])
+
     def warnings(self, estimate: Disparity, truth: DisparityTruth) -> list[str]:
         """Return a line where the scale looks wrong."""
         warning = scale_warning(self.resized(estimate, truth), truth.disparity)
@@ -233,29 +245,17 @@ def _is_kitti_size(height: int, width: int) -> bool:
     return 370 <= height <= 376 and 1224 <= width <= 1242
 
 
-_MIN_INVALID_SHARE = 0.005  # of the pixels; a constant that fewer have may be measured
-_MAX_NEIGHBOR_RATIO = 0.25  # pixels up to 1 px above the constant / pixels of it; it stands alone where it is a mark
-
-
 def invalid_value(estimate: Disparity, truth: Disparity) -> float | None:
     """Return the constant at or below 0 that stands for no value in other programs' maps, such as OpenCV's -1.
 
-    It is the smallest value of a share of the pixels, few others are near it, and the truth has nothing as small.
-    None: there is no such constant.
+    It stands alone, and the truth has nothing as small. None: there is no such constant.
 
     Parameters
     ----------
     estimate, truth : (H, W) float32, pixels, NaN = none
     """
-    known = estimate[np.isfinite(estimate)]
-    lowest = float(known.min(initial=np.inf))
-    n_marked = np.count_nonzero(known == np.float32(lowest))
-    if lowest > 0 or n_marked < _MIN_INVALID_SHARE * estimate.size:
-        return None
-    n_near = np.count_nonzero(known <= np.float32(lowest + 1)) - n_marked
-    if n_near > _MAX_NEIGHBOR_RATIO * n_marked or n_marked == known.size:
-        return None
-    return None if float(np.nanmin(truth)) <= lowest + 0.5 else lowest
+    lowest = lone_constant(estimate)
+    return None if lowest is None or float(np.nanmin(truth)) <= lowest + 0.5 else lowest
 
 
 _SCALES = (2.0, 3.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0)  # factors of codes and image sizes in use

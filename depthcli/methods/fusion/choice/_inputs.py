@@ -141,10 +141,10 @@ class NetworkInputs:
                 plane["self_occlusion"][k], plane["color_difference"][k], warped,
             )  # fmt: skip
             plane["color_difference_5"][k] = cv2.blur(plane["color_difference"][k], (5, 5))
-            plane["decorrelation"][k] = 1 - _correlation(grey[0], moments, warped)
+            plane["decorrelation"][k] = 1 - correlation(grey[0], moments, warped)
             slope = slopes(values, image, _REACH)
             plane["slope_x"][k], plane["slope_y"][k] = slope
-            plane["roughness"][k] = _roughness(values, slope)
+            plane["roughness"][k] = roughness(values, slope)
             plane["roughness_9"][k] = cv2.blur(plane["roughness"][k], (9, 9))
             for side in (11, 25):
                 plane[f"above_mean_{side}"][k] = np.clip(values - cv2.blur(values, (side, side)), -6, 6)
@@ -203,7 +203,7 @@ def gather(values: Any, own: Any, shared: Any, relative: Any, n: int, first: int
         at += 1
 
 
-def _correlation(grey: Any, moments: Any, warped: Any) -> Any:
+def correlation(grey: Any, moments: Any, warped: Any) -> Any:
     mean, variance = local_moments(warped, _WINDOW)
     product = cv2.blur(grey * warped, (_WINDOW, _WINDOW)) - mean * moments[0]
     return product / np.sqrt((variance + _NOISE) * (moments[1] + _NOISE))
@@ -245,7 +245,7 @@ def _compare_views(
             color[y, x] = min(largest, _MAX_COLOR)
 
 
-def _roughness(values: NDArray[np.float32], slope: NDArray[np.float32]) -> NDArray[np.float32]:
+def roughness(values: NDArray[np.float32], slope: NDArray[np.float32]) -> NDArray[np.float32]:
     # Sum of the misfits of the four neighbors: left, right, upper, lower
     rough = np.zeros_like(values)
     for axis, (here, there) in enumerate(NEIGHBORS):

@@ -26,9 +26,9 @@ from depthcli.methods.fusion.choice._inputs import (
 )
 from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE
 
-_INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
+INPUT_BOUND = np.float32(4.0)  # standard deviations; scripts/train_choice.py clips at the same
 _MAX_MAPS = BLOCK_DEPTH  # all shares of a pixel are averaged in one block
-_TILE = 4  # units of a layer that are summed at a time: their sums stay in registers
+TILE = 4  # units of a layer that are summed at a time: their sums stay in registers
 
 
 class NetworkChoice(ChoiceMethod):
@@ -58,7 +58,7 @@ class NetworkChoice(ChoiceMethod):
             )
         units = [weights.shape[1] for weights, _ in trained.layers[:2]]
         inputs = tuple(map(current_name, trained.inputs))
-        if inputs != input_names(maps) or any(n % _TILE for n in units) or len(maps) > _MAX_MAPS:
+        if inputs != input_names(maps) or any(n % TILE for n in units) or len(maps) > _MAX_MAPS:
             raise InputError(f"network {self.weights!r} was trained for another version: its inputs are not these")
         copy = self.model_copy()
         copy._trained = trained
@@ -70,11 +70,11 @@ class NetworkChoice(ChoiceMethod):
         count, height, width = proposals.values.shape
         log_odds = log_odds_of(self._trained, NetworkInputs.of(proposals)).reshape(count, height, width)
         shares = memory.empty((height, width, _MAX_MAPS), np.float32)
-        _softmax(log_odds, shares)
+        softmax(log_odds, shares)
         proposals.narrow.sum(shares)
         values = np.empty((height, width), np.float32)
         probability = np.empty((height, width), np.float32)
-        _take(proposals.values, log_odds, shares, values, probability)
+        take_largest(proposals.values, log_odds, shares, values, probability)
         return ChosenMap(values, probability)
 
     def bytes_per_pixel(self, count: int) -> int:
@@ -87,15 +87,15 @@ def log_odds_of(trained: TrainedNetwork, inputs: NetworkInputs) -> NDArray[np.fl
     (w1, b1), (w2, b2), (w3, b3) = trained.layers
     _log_odds(
         inputs.values, inputs.own, inputs.shared, RELATIVE_INDICES, trained.mean, trained.scale,
-        _tiled(w1), b1, _tiled(w2), b2, w3.ravel(), b3, out,
+        tiled(w1), b1, tiled(w2), b2, w3.ravel(), b3, out,
     )  # fmt: skip
     return out
 
 
-def _tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
+def tiled(weights: NDArray[np.float32]) -> NDArray[np.float32]:
     # (units / 4, inputs, 4): in the order in which the kernel reads them
     inputs, units = weights.shape
-    return np.ascontiguousarray(weights.reshape(inputs, units // _TILE, _TILE).transpose(1, 0, 2))
+    return np.ascontiguousarray(weights.reshape(inputs, units // TILE, TILE).transpose(1, 0, 2))
 
 
 @jit
@@ -104,22 +104,22 @@ def _positive(a: Any) -> Any:
 
 
 @jit
-def _layer(source: Any, inputs: int, weights: Any, offsets: Any, target: Any) -> None:
+def layer(source: Any, inputs: int, weights: Any, offsets: Any, target: Any) -> None:
     # Rectified units of LANES pixels: flat ``source`` and ``target`` hold LANES values an input, a unit.
     for tile in range(weights.shape[0]):
         w = weights[tile]
-        a, b = splat(offsets[tile * _TILE]), splat(offsets[tile * _TILE + 1])
-        c, d = splat(offsets[tile * _TILE + 2]), splat(offsets[tile * _TILE + 3])
+        a, b = splat(offsets[tile * TILE]), splat(offsets[tile * TILE + 1])
+        c, d = splat(offsets[tile * TILE + 2]), splat(offsets[tile * TILE + 3])
         for i in range(inputs):
             x = load(source, i * LANES)
             a += splat(w[i, 0]) * x
             b += splat(w[i, 1]) * x
             c += splat(w[i, 2]) * x
             d += splat(w[i, 3]) * x
-        store(target, (tile * _TILE) * LANES, _positive(a))
-        store(target, (tile * _TILE + 1) * LANES, _positive(b))
-        store(target, (tile * _TILE + 2) * LANES, _positive(c))
-        store(target, (tile * _TILE + 3) * LANES, _positive(d))
+        store(target, (tile * TILE) * LANES, _positive(a))
+        store(target, (tile * TILE + 1) * LANES, _positive(b))
+        store(target, (tile * TILE + 2) * LANES, _positive(c))
+        store(target, (tile * TILE + 3) * LANES, _positive(d))
 
 
 @parallel_jit
@@ -134,8 +134,8 @@ def _log_odds(
     for task in prange((groups + chunk - 1) // chunk):
         block = np.zeros((size, LANES), np.float32)
         flat = block.reshape(size * LANES)
-        hidden = np.empty(w1.shape[0] * _TILE * LANES, np.float32)
-        second = np.empty(w2.shape[0] * _TILE * LANES, np.float32)
+        hidden = np.empty(w1.shape[0] * TILE * LANES, np.float32)
+        second = np.empty(w2.shape[0] * TILE * LANES, np.float32)
         last = np.empty(LANES, np.float32)
         for group in range(task * chunk, min(groups, (task + 1) * chunk)):
             first = group * LANES
@@ -145,9 +145,9 @@ def _log_odds(
                     cells = block[i]
                     for lane in range(LANES):
                         z = (cells[lane] - mean[i]) * scale[i]
-                        cells[lane] = min(max(z, -_INPUT_BOUND), _INPUT_BOUND)
-                _layer(flat, size, w1, b1[n], hidden)
-                _layer(hidden, w1.shape[0] * _TILE, w2, b2, second)
+                        cells[lane] = min(max(z, -INPUT_BOUND), INPUT_BOUND)
+                layer(flat, size, w1, b1[n], hidden)
+                layer(hidden, w1.shape[0] * TILE, w2, b2, second)
                 total = splat(b3[0])
                 for i in range(w3.size):
                     total += splat(w3[i]) * load(second, i * LANES)
@@ -157,7 +157,7 @@ def _log_odds(
 
 
 @parallel_jit
-def _softmax(log_odds: Any, shares: Any) -> None:
+def softmax(log_odds: Any, shares: Any) -> None:
     count, height, width = log_odds.shape
     for y in prange(height):
         for x in range(width):
@@ -175,7 +175,7 @@ def _softmax(log_odds: Any, shares: Any) -> None:
 
 
 @parallel_jit
-def _take(maps: Any, log_odds: Any, shares: Any, values: Any, probability: Any) -> None:
+def take_largest(maps: Any, log_odds: Any, shares: Any, values: Any, probability: Any) -> None:
     count, height, width = maps.shape
     one = np.float32(1)
     for y in prange(height):

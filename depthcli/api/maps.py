@@ -1,0 +1,338 @@
+"""Disparity maps that any program made: ``map_confidence`` says how sure they are, ``fuse_maps`` takes the best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from depthcli.api import _save
+from depthcli.api.arrays import as_image, as_map
+from depthcli.api.results import Disparity
+from depthcli.api.running import computing
+from depthcli.api.wording import worded
+from depthcli.batch.resources import available_memory
+from depthcli.core.errors import ConfigError, InputError
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Status
+from depthcli.core.text import show_bytes
+from depthcli.data.formats.images import png_bytes
+from depthcli.data.formats.networks import network_path, read_network
+from depthcli.data.formats.stereo_images import pair_of
+from depthcli.methods.given_maps import MapJudge, MapJudgment, Networks, map_measures
+from depthcli.methods.given_maps.fusion import MAX_MAPS, GivenMapsFusion
+from depthcli.methods.stereo.search_range import SearchRange
+from depthcli.methods.stereo.volume import StereoResult
+
+_TOP_SHARE = 0.999  # of the values; larger ones do not widen the range of the costs
+_MAX_OUTSIDE = 0.5  # share of a map's values that may lie outside of the range
+_MIN_EXPECTED = 0.3  # mean probability below which a map has a warning
+
+
+@dataclass(frozen=True, eq=False)
+class MapConfidence:
+    """How sure a disparity map is.
+
+    Attributes
+    ----------
+    values : (H, W) float32, the map that was judged, pixels, NaN = no value
+    probability : (H, W) float32 in [0, 1]: of pixels with p, a share of p is right; 0 where there is no value
+    status : (H, W) uint8, bits of :class:`Status`: ``OCCLUDED``, hidden in the right view; ``OUT_OF_RANGE``, its match
+        lies outside the right image; ``MISMATCH``, visible, and more likely wrong than right; ``NO_DATA``, no value
+    measures : name -> (H, W) float32, larger is surer, NaN = no value; those that were asked for
+    max_disparity : largest disparity whose costs were computed, pixels
+    seconds : stage -> time
+    warnings : what looks wrong, one line each
+    """
+
+    values: NDArray[np.float32]
+    probability: NDArray[np.float32]
+    status: NDArray[np.uint8]
+    measures: Mapping[str, NDArray[np.float32]]
+    max_disparity: int
+    seconds: Mapping[str, float]
+    warnings: tuple[str, ...] = field(default_factory=tuple)
+
+    def kept(self, share: float | None = None, threshold: float | None = None) -> NDArray[np.float32]:
+        """Return the map without its doubtful pixels, (H, W) float32, pixels, NaN = no value.
+
+        Parameters
+        ----------
+        share : share of the map's pixels that stay, those of the highest probability; of equal ones all stay
+        threshold : smallest probability of a pixel that stays
+
+        Raises
+        ------
+        ConfigError
+            Both are given, or one is not in 0 .. 1.
+        """
+        if share is not None and threshold is not None:
+            raise ConfigError("share and threshold exclude each other")
+        limit = _in_unit("threshold", threshold) if threshold is not None else 0.0
+        known = self.probability[np.isfinite(self.values)]
+        if share is not None and known.size:
+            place = min(max(math.ceil(_in_unit("share", share) * known.size), 1), known.size)
+            limit = float(np.partition(known, known.size - place)[known.size - place])
+        return np.where(self.probability >= np.float32(limit), self.values, np.float32(np.nan))
+
+    def save(self, folder: str | Path, share: float | None = None, threshold: float | None = None) -> None:
+        """Write what ``depthcli confidence`` writes into ``folder``, which is created where it is missing.
+
+        Parameters
+        ----------
+        share, threshold : as for :meth:`kept`, of the map that is written
+        """
+        kept = self.kept(share, threshold)
+        _save.save_map_confidence(
+            self.probability, self.status, kept, self.measures, _save.made(folder), self.max_disparity
+        )
+
+    def _repr_png_(self) -> bytes:
+        return png_bytes(_save.probability_picture(self.probability))
+
+
+def _in_unit(name: str, value: float) -> float:
+    if not 0 <= value <= 1:
+        raise ConfigError(f"{name}: want a number from 0 to 1 (got {value:g})")
+    return value
+
+
+@worded
+def map_confidence(
+    left: ArrayLike,
+    right: ArrayLike,
+    disparity: ArrayLike,
+    *,
+    max_disparity: int | None = None,
+    witnesses: Sequence[ArrayLike] = (),
+    right_disparity: ArrayLike | None = None,
+    within: float = 1.0,
+    measures: Sequence[str] = (),
+) -> MapConfidence:
+    """Judge a disparity map of a rectified pair that any program made.
+
+    Parameters
+    ----------
+    left, right : the images, as for :func:`stereo`
+    disparity : (H, W) pixels, the left view's map; NaN, infinite and negative ones = no value
+    max_disparity : largest disparity that is compared with, pixels; None: that of the maps
+    witnesses : maps of the same view by other methods, which make the judgment better
+    right_disparity : (H, W) pixels, the map of the right view by the same program, for the measure ``left_right``
+    within : error up to which a value counts as right, pixels, 0.25 to 8
+    measures : names of single measures that are wanted, too; ``depthcli help measures`` lists them
+
+    Raises
+    ------
+    ConfigError
+        An unknown measure, or a number out of bounds.
+    InputError
+        Images and maps that do not fit each other, negative disparities, or too little memory.
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> left = np.random.default_rng(0).integers(0, 256, (48, 96), np.uint8)
+    >>> right = np.roll(left, -8, axis=1)
+    >>> disparity = np.full((48, 96), 8.0)
+    >>> disparity[20:30, 40:60] = 3
+    >>> sure = depthcli.map_confidence(left, right, disparity).probability
+    >>> bool(sure[5:15, 40:60].mean() > sure[20:30, 40:60].mean())
+    True
+    """
+    pair, maps = _inputs(
+        left, right, [disparity, *witnesses], ["disparity", *(f"witnesses[{k}]" for k in range(len(witnesses)))]
+    )
+    other = None if right_disparity is None else as_map(right_disparity, "right_disparity", pair.shape)
+    with computing():
+        return judge(judge_of(within, measures), pair, maps, max_disparity, other, available_memory())
+
+
+@worded
+def fuse_maps(
+    left: ArrayLike,
+    right: ArrayLike,
+    maps: Sequence[ArrayLike],
+    *,
+    max_disparity: int | None = None,
+    within: float = 1.0,
+    surfaces: bool = False,
+) -> Disparity:
+    """Take the best of several disparity maps of a rectified pair at every pixel; one alone is completed and corrected.
+
+    Parameters
+    ----------
+    left, right : the images, as for :func:`stereo`
+    maps : (H, W) pixels each, maps of the left view by any programs; NaN, infinite and negative ones = no value
+    max_disparity : largest disparity that is compared with, pixels; None: that of the maps
+    within : error up to which a value counts as right in ``confidence["probability"]``, pixels, 0.25 to 8
+    surfaces : whether planes of segments are proposed, too; slower
+
+    Returns
+    -------
+    The map, with a value everywhere.
+
+    Raises
+    ------
+    ConfigError, InputError
+        As for :func:`map_confidence`; no map, or more than 13.
+
+    Examples
+    --------
+    >>> import depthcli, numpy as np
+    >>> left = np.random.default_rng(0).integers(0, 256, (48, 96), np.uint8)
+    >>> right = np.roll(left, -8, axis=1)
+    >>> upper, lower = np.full((48, 96), 8.0), np.full((48, 96), 8.0)
+    >>> upper[:24], lower[24:] = 3, 2
+    >>> bool(np.mean(np.abs(depthcli.fuse_maps(left, right, [upper, lower]).values - 8) < 1) > 0.9)
+    True
+    """
+    pair, arrays = _inputs(left, right, maps, [f"maps[{k}]" for k in range(len(maps))])
+    with computing():
+        return fused(fusion_of(within, surfaces), pair, arrays, max_disparity, available_memory())
+
+
+def _inputs(
+    left: ArrayLike, right: ArrayLike, maps: Sequence[ArrayLike], names: Sequence[str]
+) -> tuple[StereoPair, list[NDArray[np.float32]]]:
+    images = as_image(left, "left"), as_image(right, "right")
+    floats = np.asarray(left).dtype.kind == "f"  # dark ones use all 16 bits, too
+    pair = pair_of(*images, (Path("left"), Path("right")), 16 if floats else None)
+    return pair, [as_map(one, name, pair.shape) for one, name in zip(maps, names, strict=True)]
+
+
+@cache
+def networks() -> Networks:
+    """Return the networks of the package."""
+    return Networks(*(read_network(network_path(name)) for name in ("map_right", "map_hidden")))
+
+
+def judge_of(within: float = 1.0, measures: Sequence[str] = ()) -> MapJudge:
+    """Return what judges maps; ConfigError for an unknown measure, or a threshold out of bounds."""
+    known = map_measures()
+    wanted = tuple(known) if "all" in measures else tuple(dict.fromkeys(measures))
+    if unknown := [name for name in wanted if name not in known]:
+        raise ConfigError(f"measures: no measure called {unknown[0]!r}; one of: all, {', '.join(known)}")
+    return MapJudge(within=_threshold(within), measures=wanted).with_networks(networks())
+
+
+def fusion_of(within: float = 1.0, surfaces: bool = False) -> GivenMapsFusion:
+    """Return what fuses maps; ConfigError for a threshold out of bounds."""
+    return GivenMapsFusion(within=_threshold(within), surfaces=surfaces).with_networks(networks())
+
+
+def _threshold(within: float) -> float:
+    if not 0.25 <= within <= 8:
+        raise ConfigError(f"within: want 0.25 to 8 pixels (got {within:g})")
+    return within
+
+
+def judge(
+    method: MapJudge,
+    pair: StereoPair,
+    maps: Sequence[NDArray[np.float32]],
+    max_disparity: int | None,
+    right: NDArray[np.float32] | None,
+    memory: int,
+) -> MapConfidence:
+    """Judge the first of the maps; what Python's function and the command have in common.
+
+    Parameters
+    ----------
+    max_disparity : largest disparity of the costs, pixels; None: that of the maps
+    memory : bytes that may be used
+
+    Raises
+    ------
+    InputError
+        The maps do not fit, or the memory does not suffice.
+    """
+    top, clean, warnings = _prepared(pair, maps, max_disparity)
+    _check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory)
+    made = method(pair, clean, top, right)
+    values = np.where(np.isfinite(maps[0]) & (maps[0] >= 0), maps[0], np.float32(np.nan))
+    beyond = np.isfinite(values) & np.isnan(clean[0])
+    status = np.where(beyond, np.uint8(Status.MISMATCH), made.status)
+    return MapConfidence(
+        values, made.probability, status, made.confidence, top, made.seconds,
+        (*warnings, *_doubts(made, values)),
+    )  # fmt: skip
+
+
+def fused(
+    method: GivenMapsFusion,
+    pair: StereoPair,
+    maps: Sequence[NDArray[np.float32]],
+    max_disparity: int | None,
+    memory: int,
+) -> Disparity:
+    """Fuse maps; what Python's function and the command have in common. Parameters and errors as for :func:`judge`."""
+    if not 1 <= len(maps) <= MAX_MAPS:
+        raise InputError(f"maps: want 1 to {MAX_MAPS} (got {len(maps)})")
+    top, clean, warnings = _prepared(pair, maps, max_disparity)
+    _check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory)
+    found, judgment = method(pair, clean, top)
+    result = StereoResult(
+        disparity=found, seconds=judgment.seconds, confidence={"probability": judgment.probability}
+    )  # fmt: skip
+    return Disparity(
+        found.values, found.status, pair.left, SearchRange(0, top), result, dict(judgment.seconds), tuple(warnings)
+    )
+
+
+def _prepared(
+    pair: StereoPair, maps: Sequence[NDArray[np.float32]], max_disparity: int | None
+) -> tuple[int, list[NDArray[np.float32]], list[str]]:
+    # Largest disparity, the maps with what lies within the range, and warnings.
+    if max_disparity is not None and not max_disparity >= 1:
+        raise InputError(f"max_disparity: want at least 1 (got {max_disparity})")
+    finite = [one[np.isfinite(one)] for one in maps]
+    for k, known in enumerate(finite):
+        if known.size and np.count_nonzero(known < 0) > _MAX_OUTSIDE * known.size:
+            raise InputError(
+                f"map {k + 1}: most disparities are negative; want pixels from 0 on, by which matches lie to the left "
+                "in the right image: is the sign swapped?"
+            )
+    if not finite[0].size and len(maps) == 1:
+        raise InputError("the map has no value at any pixel")
+    top = max_disparity
+    if top is None:
+        highest = [float(np.quantile(known, _TOP_SHARE)) for known in finite if known.size]
+        top = min(max(math.ceil(max(highest, default=1.0)), 1), pair.shape[1] - 1)
+    warnings = []
+    clean = []
+    for k, one in enumerate(maps):
+        with np.errstate(invalid="ignore"):
+            inside = np.isfinite(one) & (one >= 0) & (one <= top + 0.5)
+        clean.append(np.where(inside, one, np.float32(np.nan)))
+        beyond = np.count_nonzero(finite[k] > top + 0.5)
+        if beyond > 0.01 * max(finite[k].size, 1):
+            warnings.append(
+                f"{100 * beyond / finite[k].size:.0f} % of map {k + 1} lies above the largest disparity, {top} px; see "
+                "--max-disparity, --scale"
+            )
+    return top, clean, warnings
+
+
+def _doubts(made: MapJudgment, values: NDArray[np.float32]) -> list[str]:
+    known = np.isfinite(values)
+    if not known.any():
+        return ["the map has no value at any pixel"]
+    expected = float(made.probability[known].mean())
+    if expected < _MIN_EXPECTED:
+        return [
+            f"only {100 * expected:.0f} % of the values are likely right: a map of another pair, views swapped, not "
+            "rectified, or another scale?"
+        ]
+    return []
+
+
+def _check_memory(need: int, memory: int) -> None:
+    if need > memory:
+        raise InputError(
+            f"needs about {show_bytes(need)} of memory, {show_bytes(memory)} may be used; see --max-memory"
+        )

@@ -1,0 +1,123 @@
+"""Fuse disparity maps that any programs made: at every pixel the one that is most likely right.
+
+Typed as ``depthcli fuse maps``. Maps are found as evaluate finds them. One map alone is completed and corrected.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar, TypedDict
+
+from depthcli.batch.command import Outcome, Values
+from depthcli.batch.console import SIZE, Column, Reporter, percent
+from depthcli.commands._given_maps import (
+    CODING,
+    PAIR_OPTIONS,
+    MapsCommand,
+    find_map_scenes,
+    largest_of,
+    loaded,
+    threshold_of,
+)
+from depthcli.commands._options import DRY_RUN, EVALUATE, HTML_FLAG, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
+from depthcli.core.errors import ConfigError
+from depthcli.core.option import Option
+from depthcli.data.scenes.given_maps import MapsScene
+
+
+class FuseMapsOptions(TypedDict):
+    """Options of a run of ``fuse maps``, as ``run.yaml`` holds them; None: not given."""
+
+    max_disparity: int | None
+    within: float
+    surfaces: bool
+
+
+class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
+    """``depthcli fuse maps --input SCENES --maps A --maps B --output DIR``."""
+
+    results: ClassVar[tuple[str, ...]] = ("disp_left.*", "status.png", "preview.png", "confidence_*")
+
+    options = (
+        INPUT,
+        *PAIR_OPTIONS,
+        Option("maps", str, "Run folder, or map; repeatable; NAME=DIR names it.", "RUN", repeatable=True,
+               required=True, group="Input"),
+        *CODING,
+        OUTPUT,
+        NAME, LAYOUT, SCENES,
+        Option("within", float, "Error up to which a value is right, pixels.", "PX", default=1.0),
+        Option("surfaces", bool, "Also propose planes of segments; slower.", default=False),
+        *RUN,
+        EVALUATE,
+        HTML_FLAG,
+        DRY_RUN,
+    )  # fmt: skip
+
+    page = "how_to/judge_maps"
+    examples = (
+        "depthcli fuse maps -i scenes --maps runs/raft --maps runs/accurate -o best --evaluate",
+        "depthcli fuse maps --left l.png --right r.png --maps sgm.pfm -o completed",
+    )
+
+    def run(self, values: Values, reporter: Reporter) -> int:
+        """Fuse the maps of every scene; return the exit code."""
+        from depthcli.methods.given_maps.fusion import MAX_MAPS
+
+        if len(values["maps"]) > MAX_MAPS:
+            raise ConfigError(f"--maps: at most {MAX_MAPS} (got {len(values['maps'])})")
+        config = FuseMapsOptions(
+            max_disparity=largest_of(values), within=threshold_of(values), surfaces=values["surfaces"]
+        )
+        return self.run_on(config, find_map_scenes(values, reporter, values["maps"]), values, reporter)
+
+    def memory_of(self, config: FuseMapsOptions, scene: MapsScene) -> int | None:
+        """Estimate by the left image's size; None where the maps give the range."""
+        from depthcli.api.maps import fusion_of
+        from depthcli.data.formats.headers import image_size
+
+        top = config["max_disparity"] or scene.max_disparity
+        return None if top is None else fusion_of().peak_bytes(image_size(scene.left)[:2], top, len(scene.maps))
+
+    def columns(self) -> tuple[Column, ...]:
+        """Return size, number of maps, share expected to be right, share measured."""
+        maps = Column("maps", lambda row: str(row.get("maps", "-")))
+        shares = ("expected_right", "measured")
+        return (SIZE, maps, *(Column(name.replace("_", " "), percent(name)) for name in shares))
+
+    def compute(self, config: FuseMapsOptions, scene: MapsScene, folder: Path, memory: int) -> Outcome:
+        """Fuse the maps of one scene.
+
+        Raises
+        ------
+        InputError
+            The files cannot be used, or ``memory`` is too little.
+        """
+        import numpy as np
+
+        from depthcli.api.maps import fused, fusion_of
+        from depthcli.core.result import Clock
+
+        clock = Clock()
+        clock.start("load")
+        pair = scene.load()
+        maps = loaded(scene, pair.shape)
+        clock.start("other")
+        method = fusion_of(config["within"], config["surfaces"])
+        found = fused(method, pair, maps, config["max_disparity"] or scene.max_disparity, memory)
+        clock.include(found.seconds)
+        clock.start("save")
+        found.save(folder)
+        columns = {
+            "width": pair.shape[1],
+            "height": pair.shape[0],
+            "max_disparity": found.search.max_disparity,
+            "maps": len(maps),
+            "expected_right": round(float(found.confidence["probability"].mean()), 6),
+            "measured": round(float(np.mean(found.measured)), 6),
+        }
+        absent = [f"no map of {run}: fused without it" for run in scene.absent]
+        return Outcome(columns, clock.seconds, [*absent, *found.warnings])
+
+
+COMMAND = FuseMapsCommand()

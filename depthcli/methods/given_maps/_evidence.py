@@ -1,0 +1,133 @@
+"""What the images say, before any map is looked at: matching costs, and the disparities that they prefer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.algorithms.filters import local_moments
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap
+from depthcli.core.result import Clock
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.winners import winners
+from depthcli.methods.fusion.support import ColorSupport
+from depthcli.methods.stereo.adjustment import adjusted
+from depthcli.methods.stereo.cost.census import Census
+from depthcli.methods.stereo.optimization.scanline import Scanline
+from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
+from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
+from depthcli.methods.stereo.refinement.median import Median
+from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
+from depthcli.methods.stereo.refinement.subpixel import Subpixel
+from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
+from depthcli.methods.stereo.stages import refined
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext
+
+# Those of the preset stereo fast; networks are trained with them.
+_COST = Census(window=(7, 7))
+_OPTIMIZATION = Scanline(p1=25, p2=120, paths=8, edge_threshold=15, edge_divisor=6)
+_REFINEMENT = (
+    LeftRightCheck(), SpeckleFilter(size=50), Subpixel(), SurfaceFill(rows=4, reach=20), BackgroundFill(),
+    Median(window=5),
+)  # fmt: skip
+_WIDE_REACH, _NARROW_REACH, _SOFTNESS = 8.0, 2.0, 15.0  # of the supports: pixels, and grey levels
+_MAX_DEVIATION = np.float32(40.0)  # grey levels
+
+BYTES_PER_CELL = 7
+"""Of the costs: raw ones, two sums of paths, optimized ones."""
+BYTES_PER_PIXEL = 400
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Costs of a pair, by which its maps are judged.
+
+    Attributes
+    ----------
+    pair : the images, the right one in the light of the left one
+    volume : (H, W, D) matching costs
+    optimized : (H, W, D) the costs with smoothness
+    left, right : (H, W) uint16, disparities of the smallest optimized costs of either view
+    reference : the map of the preset stereo fast, made of these costs
+    """
+
+    pair: StereoPair
+    volume: CostVolume
+    optimized: CostVolume
+    left: NDArray[np.uint16]
+    right: NDArray[np.uint16]
+    reference: DisparityMap
+
+    @classmethod
+    def of(cls, pair: StereoPair, max_disparity: int, clock: Clock) -> Evidence:
+        """Compute the costs of disparities 0 .. ``max_disparity``; ``clock`` books the stages."""
+        pair = adjusted(pair, max_disparity, ("rows", "light"), clock)
+        clock.start("cost")
+        volume = _COST(pair, max_disparity + 1)
+        clock.start("optimization")
+        optimized = _OPTIMIZATION(volume, pair)
+        left, right = winners(optimized.costs)
+        clock.start("refinement")
+        raw = DisparityMap(left.astype(np.float32), np.zeros(pair.shape, np.uint8))
+        reference = refined(raw, _REFINEMENT, RefinementContext(pair, optimized, right))
+        return cls(pair, volume, optimized, left, right, reference)
+
+    @cached_property
+    def wide(self) -> ColorSupport:
+        """The wide support that planes are averaged over."""
+        return ColorSupport(self.pair.color8[0], _WIDE_REACH, _SOFTNESS)
+
+    @cached_property
+    def narrow(self) -> ColorSupport:
+        """The narrow support that is used where outlines matter."""
+        return ColorSupport(self.pair.color8[0], _NARROW_REACH, _SOFTNESS)
+
+    @cached_property
+    def grey(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Both images, grey levels 0 .. 255 as float32."""
+        left, right = (image.astype(np.float32) for image in self.pair.grey8)
+        return left, right
+
+    def pixel_planes(self) -> dict[str, NDArray[Any]]:
+        """Return the planes that are the same for all maps, (H, W) float32 each."""
+        grey = self.grey[0]
+        planes = {
+            f"deviation_{side}": np.minimum(np.sqrt(local_moments(grey, side)[1]), _MAX_DEVIATION)
+            for side in (5, 13, 31)
+        }
+        planes["gradient"] = np.minimum(np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0)) / 8, 30)
+        trust = self.pair.light_trust
+        planes["light_trust"] = np.ones(self.pair.shape, np.float32) if trust is None else trust / np.float32(255)
+        planes["min_cost"], planes["peak"] = peaks(self.optimized, self.left)
+        return planes
+
+
+def peaks(volume: CostVolume, winner: NDArray[np.uint16]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the cost of every pixel's winner, and log(smallest cost elsewhere / it), (H, W) float32 each."""
+    best = np.empty(winner.shape, np.float32)
+    peak = np.empty(winner.shape, np.float32)
+    _peaks(volume.costs, winner, np.float32(1 / volume.scale), best, peak)
+    return best, peak
+
+
+@parallel_jit
+def _peaks(costs: Any, winner: Any, unit: Any, best: Any, peak: Any) -> None:
+    height, width, n_disparities = costs.shape
+    soft = np.float32(2)
+    for y in prange(height):
+        for x in range(width):
+            row, w = costs[y, x], int(winner[y, x])
+            count = min(n_disparities, x + 1)
+            second = np.uint16(65535)
+            for d in range(max(0, w - 1)):
+                second = min(second, row[d])
+            for d in range(w + 2, count):
+                second = min(second, row[d])
+            best[y, x] = np.float32(row[w]) * unit
+            peak[y, x] = min(np.float32(np.log((np.float32(second) * unit + soft) / (best[y, x] + soft))), soft)

@@ -1,0 +1,128 @@
+"""Fusion of maps that any programs made: at every pixel the one that is most likely right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+
+from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
+from depthcli.algorithms.regions import RegionPixels
+from depthcli.algorithms.segmentation.felzenszwalb import Felzenszwalb
+from depthcli.core import memory
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap
+from depthcli.core.result import Clock
+from depthcli.methods.fusion.choice.network import softmax, take_largest
+from depthcli.methods.fusion.support import BLOCK_DEPTH
+from depthcli.methods.given_maps import MapJudgment, Networks, judged_maps, odds_of, status_of
+from depthcli.methods.given_maps._evidence import BYTES_PER_CELL, BYTES_PER_PIXEL, Evidence
+from depthcli.methods.given_maps._planes import INPUTS
+from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
+from depthcli.methods.stereo.volume import RefinementContext
+
+_THRESHOLDS = (0.5, 1.0, 2.0)  # pixels; a map is chosen by the sum of its log odds to be right within each
+_SEGMENTS = Felzenszwalb(scale=300.0, min_size=200)
+_PLANES = SegmentPlaneFit(tolerance=1.0, trials=100, flatness=0.9)
+_REFINEMENT = SlantedMedian(radius=3, color_scale=10, distance_scale=3)
+_MAX_MAPS = BLOCK_DEPTH - 3  # beside them: the map of stereo fast, the median, planes
+
+MAX_MAPS = _MAX_MAPS
+"""Most maps that are fused."""
+
+
+class GivenMapsFusion(BaseModel):
+    """Fuses maps of one pair.
+
+    Proposed are the given maps, the map of the preset ``stereo fast``, the median of these (where there are three or
+    more), and, if asked for, planes of segments, fitted where the best of them is likely right. The network of
+    :mod:`depthcli.methods.given_maps` gives the log odds of each; their softmax is averaged over neighbors of
+    similar color, and the largest share wins. A map that has gaps is completed on the way.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    within: float = Field(1.0, ge=0.25, le=8, description="error up to which a value counts as right, pixels")
+    surfaces: bool = Field(False, description="whether planes of segments are proposed, too")
+    _networks: Networks | None = PrivateAttr(None)
+
+    def with_networks(self, networks: Networks) -> Self:
+        """Return a copy that judges by these networks."""
+        copy = self.model_copy()
+        copy._networks = networks
+        return copy
+
+    def __call__(
+        self, pair: StereoPair, maps: Sequence[NDArray[np.float32]], max_disparity: int
+    ) -> tuple[DisparityMap, MapJudgment]:
+        """Fuse the maps of a pair; one alone is completed and corrected.
+
+        Parameters
+        ----------
+        maps : (H, W) float32 disparities each, pixels from 0 on, NaN = no value; at most ``MAX_MAPS``
+        max_disparity : largest disparity whose costs are computed, pixels
+
+        Returns
+        -------
+        The map, which has a value everywhere, and how likely every pixel is right within ``within``.
+
+        Raises
+        ------
+        ValueError
+            There is no map, too many, or one has not the size of the images.
+        """
+        if self._networks is None:
+            raise ValueError("hand the networks in with with_networks first")
+        if not 1 <= len(maps) <= MAX_MAPS:
+            raise ValueError(f"want 1 to {MAX_MAPS} maps, got {len(maps)}")
+        clock = Clock()
+        evidence = Evidence.of(pair, max_disparity, clock)
+        clock.start("planes")
+        proposals = [*maps, evidence.reference.values]
+        values, probability = self._chosen(evidence, proposals, clock)
+        if self.surfaces:
+            clock.start("surfaces")
+            proposals.append(self._surfaces(evidence, values, probability))
+            values, probability = self._chosen(evidence, proposals, clock)
+        clock.start("refinement")
+        context = RefinementContext(evidence.pair, evidence.optimized, evidence.right)
+        values = _REFINEMENT(DisparityMap(values, np.zeros(pair.shape, np.uint8)), context).values
+        (judged,) = judged_maps(evidence, [values])
+        status = status_of(self._networks, judged, probability)
+        judgment = MapJudgment(seconds=clock.seconds, probability=probability, status=status)
+        return DisparityMap(values, status), judgment
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int, count: int) -> int:
+        """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes."""
+        per_pixel = (max_disparity + 1) * BYTES_PER_CELL + BYTES_PER_PIXEL + 4 * (count + 3) * (len(INPUTS) + 4)
+        return shape[0] * shape[1] * per_pixel + (64 << 20)
+
+    def _chosen(
+        self, evidence: Evidence, maps: Sequence[NDArray[np.float32]], clock: Clock
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        # The map of the largest shares, and the probability that its values are right.
+        assert self._networks is not None
+        judged = judged_maps(evidence, maps, median=len(maps) > 2)
+        clock.start("choice")
+        odds = np.stack([sum(odds_of(self._networks, one, t) for t in _THRESHOLDS) for one in judged])
+        chance = np.stack([odds_of(self._networks, one, self.within) for one in judged])
+        height, width = evidence.pair.shape
+        shares = memory.empty((height, width, BLOCK_DEPTH), np.float32)
+        softmax(odds, shares)
+        evidence.narrow.sum(shares)
+        values = np.empty((height, width), np.float32)
+        probability = np.empty((height, width), np.float32)
+        take_largest(np.stack([one.values for one in judged]), chance, shares, values, probability)
+        return values, probability
+
+    @staticmethod
+    def _surfaces(
+        evidence: Evidence, values: NDArray[np.float32], probability: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        labels = _SEGMENTS(evidence.pair.color8[0])
+        count = int(labels.max()) + 1
+        members = RegionPixels.of(labels, (probability > 0.5).ravel(), count)
+        return _PLANES(values, members, np.arange(count)).at(labels, evidence.volume.n_disparities - 1)
