@@ -89,6 +89,15 @@ REGISTRATION = (
 )  # fmt: skip
 """Columns of ``register-confidence``."""
 
+GIVEN_MAPS = (
+    Column("max_disparity", "largest disparity whose costs were compared", "px"),
+    Column("maps", "number of maps that were fused"),
+    Column("expected_right", "mean probability that a value is right", "0 to 1, printed %", ("expected right",)),
+    Column("hidden", "share of pixels that the right view does not see", "0 to 1, printed %"),
+    Column("measured", "share of pixels that are visible in both views and likely right", "0 to 1, printed %"),
+)
+"""Columns of ``confidence`` and ``fuse-maps``."""
+
 SAMPLES = (
     Column("nonocc", "share of the left view's pixels that the right view sees", "0 to 1, printed %", ("visible",)),
 )

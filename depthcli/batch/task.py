@@ -51,7 +51,7 @@ class RunOptions:
     fail_fast : stop at the first scene that fails
     keep : shell patterns of the files that are kept of a scene; none: all
     scheduler : address of the dask.distributed cluster that computes; None: this machine
-    preset : ``command/name`` of the config, whose kernels progress counts while they are compiled; "" where it is none
+    preset : ``command/name`` of the config, or the command, whose kernels progress counts while they are compiled
     """
 
     jobs: int = 1

@@ -101,7 +101,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
 
         if options.shard is not None:
             reporter.info(f"shard {options.shard} of {len(scenes)} scenes")
-        options = replace(options, preset=preset_of(self.name, values.get("config") or ""))
+        options = replace(options, preset=preset_of(self.name, values.get("config") or "") or self.name)
         rows = run_scenes(self, config, scenes, output, options, reporter)
         for line in self.notes(config, scenes, rows):
             reporter.info(f"warning: {line}")

@@ -1,4 +1,4 @@
-"""Say how sure disparity maps are that any program made: confidence, what is hidden, and doubtful pixels taken out.
+"""Say how sure disparity maps made before are.
 
 Maps are found as evaluate finds them: run folders of ours, PFM, PNG, npy and TIFF files of other programs.
 """
@@ -68,7 +68,7 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
     page = "how_to/judge_maps"
     examples = (
         "depthcli confidence -i scenes --maps runs/raft -o sure --evaluate",
-        "depthcli confidence -i scenes --maps raft --pattern '{scene}.npy' -o sure --keep 0.8",
+        "depthcli confidence -i scenes --maps raft -o sure --keep 0.8 --measure all",
     )
 
     def run(self, values: Values, reporter: Reporter) -> int:

@@ -1,6 +1,7 @@
-"""Fuse disparity maps that any programs made: at every pixel the one that is most likely right.
+"""Fuse disparity maps made before, pixel by pixel.
 
-Typed as ``depthcli fuse maps``. Maps are found as evaluate finds them. One map alone is completed and corrected.
+Typed as ``depthcli fuse maps``. Maps of any programs are found as evaluate finds them; one alone is completed and
+corrected.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
 
     page = "how_to/judge_maps"
     examples = (
-        "depthcli fuse maps -i scenes --maps runs/raft --maps runs/accurate -o best --evaluate",
+        "depthcli fuse maps -i scenes --maps runs/raft --maps runs/fast -o best",
         "depthcli fuse maps --left l.png --right r.png --maps sgm.pfm -o completed",
     )
 

@@ -85,6 +85,7 @@ def _columns() -> Page:
         "report.csv of every run": _rows(report.REPORT),
         "report.csv of stereo, fuse, rectify": _rows(report.MAPS),
         "report.csv of refine-kinect, transparent, depth": _rows(report.DEPTH),
+        "report.csv of confidence, fuse maps": _rows(report.GIVEN_MAPS),
         "report.csv of register-confidence": _rows(report.REGISTRATION),
         "report.csv of sample": _rows(report.SAMPLES),
         "planes.csv, segment_labels.csv, keypoints.csv": _rows(report.SEGMENTS),
@@ -201,6 +202,17 @@ def _first_paragraph(kind: type) -> str:
     return " ".join((kind.__doc__ or "").split("\n\n")[0].split())
 
 
+def _measures() -> Page:
+    """Return the confidence measures: of cost volumes, and of maps that were made before."""
+    from depthcli.methods.confidence import measures
+    from depthcli.methods.given_maps import map_measures
+
+    return {
+        "Of costs (confidence: in configs of stereo and fuse)": list(measures().items()),
+        "Of given maps (confidence --measure NAME)": list(map_measures().items()),
+    }
+
+
 def _exit_codes() -> Page:
     """Return the exit codes of all commands."""
     return {"Exit codes": [(str(code), text) for code, text in EXIT_CODES.items()]}
@@ -211,6 +223,7 @@ TOPICS: dict[str, Callable[[], Page]] = {
     "exit-codes": _exit_codes,
     "formats": _formats,
     "layouts": _layouts,
+    "measures": _measures,
     "methods": _methods,
     "outputs": _outputs,
     "presets": _presets,

@@ -62,13 +62,16 @@ class WarmupCommand(Command):
 
 
 def _chosen(words: list[str], every: bool) -> list[str]:
-    """Return the presets, as ``command/name``, that the words name."""
+    """Return the presets, as ``command/name``, and the commands without presets, that the words name."""
     from depthcli.batch.presets import list_presets, preset_of
+    from depthcli.kernels.calls import recorded_presets
 
-    chosen = [f"{command}/{name}" for command, name, _ in list_presets()] if every else []
+    without = [name for name in recorded_presets() if "/" not in name]
+    chosen = [*(f"{command}/{name}" for command, name, _ in list_presets()), *without] if every else []
     for word in words:
         command, _, name = word.partition("/")
         found = [f"{word}/{each}" for _, each, _ in list_presets(word)]
+        found += [word] if word in without else []
         found += [preset] if (preset := preset_of(command, name)) else []
         if not found:
             raise ConfigError(f"no preset {word!r}; give COMMAND/NAME (see depthcli presets), COMMAND, or --all")

@@ -79,8 +79,8 @@ def reliability(confidence: NDArray[Any], right: NDArray[np.bool_]) -> Reliabili
 
 def _of_sums(counts: NDArray[np.int64], confidence: NDArray[Any], right: NDArray[Any]) -> Reliability:
     with np.errstate(invalid="ignore"):
-        means = (tuple((sums / counts).tolist()) for sums in (confidence, right))
-    return Reliability(tuple(counts.tolist()), *means)
+        mean_confidence, share_right = confidence / counts, right / counts
+    return Reliability(tuple(counts.tolist()), tuple(mean_confidence.tolist()), tuple(share_right.tolist()))
 
 
 @dataclass(frozen=True)

@@ -108,8 +108,7 @@ SCORES = (
     Column("data_set", "folder of the scenes"),
     Column("scene", "name of the scene; *mean: over all scenes, *common mean: over those of which all runs have a map"),
     Column("protocol", "rules by which it was scored"),
-    Column("metric", "name of the metric; failed: no map; AREA:CONFIDENCE:KIND: area of a sparsification curve, "
-           "or ece; hidden NAME: of the hidden pixels"),
+    Column("metric", "name of the metric; failed: no map; AREA:CONFIDENCE:KIND: area of a curve, or ece; hidden NAME"),
     Column("threshold", "of the metric, in the protocol's unit; empty: it has none"),
     Column("mask", "region of pixels that the number is over"),
     Column("value", "the number"),

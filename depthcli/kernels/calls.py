@@ -107,7 +107,7 @@ def _document() -> Mapping[str, Any]:
 
 
 def recorded_presets() -> list[str]:
-    """Return the presets whose calls are known, as ``command/name``."""
+    """Return the presets whose calls are known, as ``command/name``, and the commands that have no presets."""
     return sorted(_document()["presets"])
 
 

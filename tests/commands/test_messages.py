@@ -23,10 +23,13 @@ BATCH = {
     name for name in COMMANDS if {"--jobs", "--overwrite"} <= {option.flag for option in load_command(name).options}
 }
 PAIRS = {"stereo", "fuse", "rectify", "depth"}
-SCENES = PAIRS | {"refine-kinect", "transparent", "register-confidence"}
+GIVEN = {"confidence", "fuse-maps"}
+SCENES = PAIRS | GIVEN | {"refine-kinect", "transparent", "register-confidence"}
 # Modules that more commands import than call for messages with options, or that are found by their files: who calls.
 CALLERS = {
     "depthcli.api.matching": {"stereo", "fuse"},
+    "depthcli.api.maps": GIVEN,
+    "depthcli.api.wording": {"stereo", "fuse"},  # options that Python's messages go without
     "depthcli.batch": BATCH,
     "depthcli.batch.columns": {"stereo"},  # of the column of the device
     "depthcli.commands._page": {"evaluate"},  # of --html-budget; a page of other commands is where --html was given

@@ -29,6 +29,8 @@ REPORTS = {
     "refine-kinect": report_columns.DEPTH,
     "transparent": report_columns.DEPTH,
     "depth": (*report_columns.DEPTH, *report_columns.MAPS),
+    "confidence": report_columns.GIVEN_MAPS,
+    "fuse-maps": report_columns.GIVEN_MAPS,
     "register-confidence": report_columns.REGISTRATION,
     "sample": (*report_columns.SAMPLES, *report_columns.DEPTH, *report_columns.REGISTRATION),
 }
