@@ -3,9 +3,9 @@
 
     scripts/train_confidence.py DATA OUT [--samples DIR] [--jobs N] [--epochs N] [--seed N] [--held-out]
 
-DATA is the folder with the test sets; OUT gets map_right.json and map_hidden.json. --samples keeps the training pixels
-in a folder, and takes those that are there. --held-out trains on either half of the tuning scenes and prints, for the
-other one, the area under the sparsification curve over the best one, and the calibration error.
+DATA is the folder with the test sets; OUT gets map_right.json, map_hidden.json and map_one_view.json. --samples keeps
+the training pixels in a folder, and takes those that are there. --held-out trains on either half of the tuning scenes
+and prints, for the other one, the area under the sparsification curve over the best one.
 
 What is judged are maps of several methods and maps that are made wrong on purpose: planes of segments, maps of half
 the size, true maps with shifted regions and blurred edges, segments moved off their surface. Each is judged alone, and
@@ -44,6 +44,7 @@ from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.given_maps import HIDDEN, RIGHT_NAMES, THRESHOLDS, judged_maps
 from depthcli.methods.given_maps._evidence import Evidence
 from depthcli.methods.given_maps._planes import ALONE, INPUTS, OTHERS
+from depthcli.methods.given_maps._shape import ONE_VIEW
 from depthcli.methods.given_maps.measures import Judged
 from depthcli.methods.stereo.config import StereoConfig
 from depthcli.methods.stereo.refinement.background_fill import fill_background
@@ -54,6 +55,7 @@ METHODS = (
 GROUPS = ((2, False), (3, False), (4, False), (1, True), (2, True), (4, True), (4, True))
 """Sizes of the groups that are judged, and whether the map of stereo fast and the median are added, as in a fusion."""
 ZOOM = 1.5
+_RANKING = 0.5  # weight of the order of maps beside their chances
 _NO_VALUE = 1000.0  # error of a pixel without a value, pixels
 
 Map = NDArray[np.float32]
@@ -188,8 +190,12 @@ class Samples:
             if completed:
                 given.append(evidence.reference.values)
                 members.append(len(names))
-            judged = judged_maps(evidence, given, median=completed and len(given) > 2)
-            members += [keep(one) for one in judged[len(given) :]]
+            count = len(given)
+            if completed and count > 2:  # one more that agrees with most: of an even number the lower one in the middle
+                whole = np.stack([without_gaps(one, largest) for one in given])
+                given.append(np.partition(whole, (count - 1) // 2, axis=0)[(count - 1) // 2])
+            judged = judged_maps(evidence, given)
+            members += [keep(one) for one in judged[count:]]
             others = np.stack([one.others.reshape(len(OTHERS), -1)[:, pixels].T for one in judged])
             groups.append((np.array(members), others.astype(np.float16)))
         hidden = (masks["all"] & ~masks["nonocc"]).ravel()[pixels]
@@ -239,7 +245,6 @@ def fit(
     sizes: tuple[int, int],
     epochs: int,
     seed: int,
-    ranking: float = 0.5,
     decay: float = 1e-3,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], list[NDArray[np.float32]]]:
     """Return mean and scale of the inputs and the layers, by gradient descent (Adam).
@@ -249,7 +254,7 @@ def fit(
     """
     rng = np.random.default_rng(seed)
     some = np.concatenate(
-        [x.reshape(-1, x.shape[2])[:: max(1, x.shape[0] * x.shape[1] // 100_000)] for x, _, _ in batches.values()]
+        [x.reshape(-1, x.shape[2])[:: max(1, x.shape[0] * x.shape[1] // 100_000)] for x, *_ in batches.values()]
     )
     mean, scale = some.astype(np.float32).mean(0), 1 / (some.astype(np.float32).std(0) + 1e-3)
     features = mean.size
@@ -261,12 +266,12 @@ def fit(
     ]
     first, second = ([np.zeros_like(one) for one in layers] for _ in range(2))
     rows = 2048
-    order = [n for n, (x, _, _) in batches.items() for _ in range(x.shape[0] * n // rows)]
+    order = [n for n, (x, *_) in batches.items() for _ in range(x.shape[0] * n // rows)]
     done, steps = 0, epochs * len(order)
     for _ in range(epochs):
         shuffled = {
             n: iter(np.array_split(rng.permutation(x.shape[0]), max(1, x.shape[0] * n // rows)))
-            for n, (x, _, _) in batches.items()
+            for n, (x, *_) in batches.items()
         }
         for n in rng.permutation(order):
             chosen = np.sort(next(shuffled[n]))
@@ -285,7 +290,7 @@ def fit(
                 shares = np.exp(odds - odds.max(1, keepdims=True))
                 shares /= shares.sum(1, keepdims=True)
                 hit = (shares * wanted).sum(1, keepdims=True)
-                change += ranking * n * np.where(hit > 1e-4, shares - shares * wanted / np.maximum(hit, 1e-4), 0)
+                change += _RANKING * n * np.where(hit > 1e-4, shares - shares * wanted / np.maximum(hit, 1e-4), 0)
             gradient = (change * weights / (pixels * n)).reshape(-1, 1)
             back2 = (gradient @ layers[4].T) * (h2 > 0)
             back1 = (back2 @ layers[2].T) * (h1 > 0)
@@ -304,7 +309,7 @@ def fit(
 def trained(
     samples: list[tuple[float, Samples]], names: list[str], epochs: int, seed: int
 ) -> dict[str, TrainedNetwork]:
-    """Return the networks ``map_right`` and ``map_hidden``."""
+    """Return the networks ``map_right``, ``map_hidden`` and ``map_one_view``."""
 
     def network(fitted: Any, maps: tuple[str, ...], inputs: tuple[str, ...]) -> TrainedNetwork:
         mean, scale, (w1, b1, w2, b2, w3, b3) = fitted
@@ -315,7 +320,12 @@ def trained(
     x, _, weights = batches.pop(1)
     hidden = np.concatenate([np.where(one.hidden, 0, 1).astype(np.float16) for _, one in samples for _ in one.alone])
     alone = np.ascontiguousarray(x[:, :, : len(ALONE)])
+    columns = [ALONE.index(name) for name in ONE_VIEW]
+    shape = np.ascontiguousarray(x[:, :, columns])
+    errors = np.concatenate([each[:, None] for _, one in samples for each in one.errors])
+    one_view = fit({1: (shape, errors, weights)}, THRESHOLDS, (32, 16), epochs, seed)
     return {
+        "map_one_view": network(one_view, RIGHT_NAMES, ONE_VIEW),
         "map_right": right,
         "map_hidden": network(
             fit({1: (alone, hidden[:, None], weights)}, (0.5,), (32, 16), epochs, seed), (HIDDEN,), ALONE

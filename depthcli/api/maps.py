@@ -18,7 +18,7 @@ from depthcli.api.running import computing
 from depthcli.api.wording import worded
 from depthcli.batch.resources import available_memory
 from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.frames import StereoPair
+from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.text import show_bytes
 from depthcli.data.formats.images import png_bytes
@@ -105,7 +105,7 @@ def _in_unit(name: str, value: float) -> float:
 @worded
 def map_confidence(
     left: ArrayLike,
-    right: ArrayLike,
+    right: ArrayLike | None,
     disparity: ArrayLike,
     *,
     max_disparity: int | None = None,
@@ -118,7 +118,8 @@ def map_confidence(
 
     Parameters
     ----------
-    left, right : the images, as for :func:`stereo`
+    left, right : the images, as for :func:`stereo`; right None: there is none, and the map is judged by its shape and
+        the left image alone, which say far less. Witnesses, most measures and what is hidden want a right image
     disparity : (H, W) pixels, the left view's map; NaN, infinite and negative ones = no value
     max_disparity : largest disparity that is compared with, pixels; None: that of the maps
     witnesses : maps of the same view by other methods, which make the judgment better
@@ -144,6 +145,13 @@ def map_confidence(
     >>> bool(sure[5:15, 40:60].mean() > sure[20:30, 40:60].mean())
     True
     """
+    if right is None:
+        if witnesses or right_disparity is not None:
+            raise ConfigError("right: witnesses and right_disparity want a right image")
+        image = as_image(left, "left")
+        values = as_map(disparity, "disparity", image.shape[:2])
+        with computing():
+            return judge_by_one_view(judge_of(within, measures), image, values, max_disparity)
     pair, maps = _inputs(
         left, right, [disparity, *witnesses], ["disparity", *(f"witnesses[{k}]" for k in range(len(witnesses)))]
     )
@@ -179,7 +187,7 @@ def fuse_maps(
     Raises
     ------
     ConfigError, InputError
-        As for :func:`map_confidence`; no map, or more than 13.
+        As for :func:`map_confidence`; no map, or more than 14.
 
     Examples
     --------
@@ -208,7 +216,7 @@ def _inputs(
 @cache
 def networks() -> Networks:
     """Return the networks of the package."""
-    return Networks(*(read_network(network_path(name)) for name in ("map_right", "map_hidden")))
+    return Networks(*(read_network(network_path(name)) for name in ("map_right", "map_hidden", "map_one_view")))
 
 
 def judge_of(within: float = 1.0, measures: Sequence[str] = ()) -> MapJudge:
@@ -231,6 +239,17 @@ def _threshold(within: float) -> float:
     return within
 
 
+def judge_by_one_view(
+    method: MapJudge, left: Image, values: NDArray[np.float32], max_disparity: int | None
+) -> MapConfidence:
+    """Judge a map where there is no right image. Parameters and errors as for :func:`judge`."""
+    top, clean, warnings = _prepared(left.shape[1], [values], max_disparity)
+    made = method.by_one_view(left, clean[0], top)
+    known = np.where(np.isfinite(values) & (values >= 0), values, np.float32(np.nan))
+    note = "no right image: judged by the map's shape and the left image alone, which say far less"
+    return MapConfidence(known, made.probability, made.status, made.confidence, top, made.seconds, (note, *warnings))
+
+
 def judge(
     method: MapJudge,
     pair: StereoPair,
@@ -251,7 +270,7 @@ def judge(
     InputError
         The maps do not fit, or the memory does not suffice.
     """
-    top, clean, warnings = _prepared(pair, maps, max_disparity)
+    top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity)
     _check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory)
     made = method(pair, clean, top, right)
     values = np.where(np.isfinite(maps[0]) & (maps[0] >= 0), maps[0], np.float32(np.nan))
@@ -273,7 +292,7 @@ def fused(
     """Fuse maps; what Python's function and the command have in common. Parameters and errors as for :func:`judge`."""
     if not 1 <= len(maps) <= MAX_MAPS:
         raise InputError(f"maps: want 1 to {MAX_MAPS} (got {len(maps)})")
-    top, clean, warnings = _prepared(pair, maps, max_disparity)
+    top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity)
     _check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory)
     found, judgment = method(pair, clean, top)
     result = StereoResult(
@@ -285,7 +304,7 @@ def fused(
 
 
 def _prepared(
-    pair: StereoPair, maps: Sequence[NDArray[np.float32]], max_disparity: int | None
+    width: int, maps: Sequence[NDArray[np.float32]], max_disparity: int | None
 ) -> tuple[int, list[NDArray[np.float32]], list[str]]:
     # Largest disparity, the maps with what lies within the range, and warnings.
     if max_disparity is not None and not max_disparity >= 1:
@@ -302,7 +321,7 @@ def _prepared(
     top = max_disparity
     if top is None:
         highest = [float(np.quantile(known, _TOP_SHARE)) for known in finite if known.size]
-        top = min(max(math.ceil(max(highest, default=1.0)), 1), pair.shape[1] - 1)
+        top = min(max(math.ceil(max(highest, default=1.0)), 1), width - 1)
     warnings = []
     clean = []
     for k, one in enumerate(maps):

@@ -20,7 +20,7 @@ from depthcli.commands._given_maps import (
     threshold_of,
 )
 from depthcli.commands._options import DRY_RUN, EVALUATE, HTML_FLAG, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
-from depthcli.core.errors import ConfigError
+from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
 from depthcli.data.scenes.given_maps import MapsScene
 
@@ -114,26 +114,35 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
         """
         import numpy as np
 
-        from depthcli.api.maps import judge, judge_of
+        from depthcli.api.maps import judge, judge_by_one_view, judge_of
         from depthcli.core.maps import Status
         from depthcli.core.result import Clock
+        from depthcli.data.formats.images import read_image
 
         clock = Clock()
         clock.start("load")
-        pair = scene.load()
-        maps = loaded(scene, pair.shape)
-        right = None if scene.right_map is None else scene.right_map.load()
-        clock.start("other")
-        method = judge_of(config["within"], config["measures"])
-        found = judge(method, pair, maps, config["max_disparity"] or scene.max_disparity, right, memory)
+        method, top = judge_of(config["within"], config["measures"]), config["max_disparity"] or scene.max_disparity
+        if scene.right is None:
+            if len(scene.maps) > 1:
+                raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
+            left = read_image(scene.left)
+            shape, (values,) = left.shape[:2], loaded(scene, left.shape[:2])
+            clock.start("other")
+            found = judge_by_one_view(method, left, values, top)
+        else:
+            pair = scene.load()
+            shape, maps = pair.shape, loaded(scene, pair.shape)
+            right = None if scene.right_map is None else scene.right_map.load()
+            clock.start("other")
+            found = judge(method, pair, maps, top, right, memory)
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder, config["keep"], config["threshold"])
         known = np.isfinite(found.values)
         hidden = (found.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
         columns = {
-            "width": pair.shape[1],
-            "height": pair.shape[0],
+            "width": shape[1],
+            "height": shape[0],
             "max_disparity": found.max_disparity,
             "density": round(float(np.isfinite(found.kept(config["keep"], config["threshold"])).mean()), 6),
             "expected_right": round(float(found.probability[known].mean()), 6) if known.any() else None,

@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr
 
 from depthcli.core.errors import InputError
-from depthcli.core.frames import StereoPair
+from depthcli.core.frames import Image, StereoPair
 from depthcli.core.maps import DisparityMap, Status
 from depthcli.core.networks import TrainedNetwork
 from depthcli.core.result import Clock, Result
 from depthcli.methods.given_maps._evidence import BYTES_PER_CELL, BYTES_PER_PIXEL, Evidence
 from depthcli.methods.given_maps._network import log_odds
 from depthcli.methods.given_maps._planes import ALONE, INPUTS, alone_planes, other_planes
-from depthcli.methods.given_maps.measures import Judged, map_measures, measure_name, measured
+from depthcli.methods.given_maps._shape import ONE_VIEW, one_view_planes
+from depthcli.methods.given_maps.measures import Judged, map_measures, measure_name, measured, measured_in_one_view
 from depthcli.methods.stereo.refinement.background_fill import fill_background
 
 __all__ = [
@@ -65,7 +66,7 @@ class MapJudgment(Result):
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """The networks that judge: of being right, with offsets for each threshold, and of being hidden.
+    """The networks that judge: of being right, of being hidden, and of being right where there is no right image.
 
     Raises
     ------
@@ -75,21 +76,27 @@ class Networks:
 
     right: TrainedNetwork
     hidden: TrainedNetwork
+    one_view: TrainedNetwork
 
     def __post_init__(self) -> None:
-        expected = ((self.right, RIGHT_NAMES, INPUTS), (self.hidden, (HIDDEN,), ALONE))
+        expected = (
+            (self.right, RIGHT_NAMES, INPUTS),
+            (self.hidden, (HIDDEN,), ALONE),
+            (self.one_view, RIGHT_NAMES, ONE_VIEW),
+        )
         for network, names, inputs in expected:
             units = [weights.shape[1] for weights, _ in network.layers[:2]]
             if network.maps != names or network.inputs != inputs or any(n % 4 for n in units):
                 raise InputError("the network was trained for another version: its inputs are not these")
 
-    def offsets(self, within: float) -> NDArray[np.float32]:
-        """Return the offsets of the first layer for a threshold, between those it was trained for."""
-        rows = self.right.layers[0][1]
-        at = np.interp(np.log2(within), np.log2(THRESHOLDS), np.arange(len(THRESHOLDS)))
-        low = min(int(at), len(rows) - 2)
-        offsets: NDArray[np.float32] = rows[low] + np.float32(at - low) * (rows[low + 1] - rows[low])
-        return offsets
+
+def offsets(network: TrainedNetwork, within: float) -> NDArray[np.float32]:
+    """Return the offsets of the first layer for a threshold, between those that the network was trained for."""
+    rows = network.layers[0][1]
+    at = np.interp(np.log2(within), np.log2(THRESHOLDS), np.arange(len(THRESHOLDS)))
+    low = min(int(at), len(rows) - 2)
+    between: NDArray[np.float32] = rows[low] + np.float32(at - low) * (rows[low + 1] - rows[low])
+    return between
 
 
 class MapJudge(BaseModel):
@@ -142,6 +149,40 @@ class MapJudge(BaseModel):
         confidence = {name: measured(name, judged[0], evidence, right) for name in self.measures}
         return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
 
+    def by_one_view(self, left: Image, values: NDArray[np.float32], max_disparity: int) -> MapJudgment:
+        """Judge a map by its shape and the left image, where there is no right image: far less is known then.
+
+        Nothing is said about what is hidden; measures that want the right image are left out.
+
+        Parameters
+        ----------
+        values : (H, W) float32 disparities, pixels from 0 on, NaN = no value
+        max_disparity : largest disparity, pixels
+
+        Raises
+        ------
+        ValueError
+            The map has not the size of the image.
+        """
+        if self._networks is None:
+            raise ValueError("hand the networks in with with_networks first")
+        if values.shape != left.shape[:2]:
+            raise ValueError(f"want a map of the image's size {left.shape[:2]}, got {values.shape}")
+        clock = Clock()
+        clock.start("planes")
+        whole, missing = without_gaps(values, max_disparity)
+        grey = StereoPair(left, left).grey8[0].astype(np.float32)
+        planes = one_view_planes(whole, grey, max_disparity)
+        clock.start("network")
+        network = self._networks.one_view
+        odds = log_odds(network, offsets(network, self.within), (planes, planes[:0]))
+        probability = np.where(missing, np.float32(0), _logistic(odds))
+        status = np.where(probability < 0.5, Status.MISMATCH, Status.MEASURED)
+        status = np.where(missing, Status.NO_DATA, status).astype(np.uint8)
+        found = {name: measured_in_one_view(name, planes, missing) for name in self.measures}
+        confidence = {name: values for name, values in found.items() if values is not None}
+        return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
+
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int, count: int) -> int:
         """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes."""
         return shape[0] * shape[1] * (
@@ -149,12 +190,12 @@ class MapJudge(BaseModel):
         ) + (64 << 20)
 
 
-def judged_maps(evidence: Evidence, maps: Sequence[NDArray[np.float32]], median: bool = False) -> list[Judged]:
+def judged_maps(evidence: Evidence, maps: Sequence[NDArray[np.float32]], known: Sequence[Judged] = ()) -> list[Judged]:
     """Return the maps of a pair with their planes; gaps are filled from the background, and known as gaps.
 
     Parameters
     ----------
-    median : whether the median of the maps is one more of them
+    known : further maps, first of all, whose own planes are there already
 
     Raises
     ------
@@ -162,35 +203,45 @@ def judged_maps(evidence: Evidence, maps: Sequence[NDArray[np.float32]], median:
         There is no map, or one has not the size of the images.
     """
     shape, largest = evidence.pair.shape, evidence.volume.n_disparities - 1
-    if not maps or any(one.shape != shape for one in maps):
+    if not (maps or known) or any(one.shape != shape for one in maps):
         raise ValueError(f"want maps of the images' size {shape}, got {[one.shape for one in maps]}")
-    shared = evidence.pixel_planes()
-    whole, gaps = [], []
+    parts = [(one.values, one.missing, one.alone) for one in known]
     for one in maps:
-        missing = ~np.isfinite(one)
-        holed = DisparityMap(np.where(missing, np.float32(np.nan), one), np.zeros(shape, np.uint8))
-        whole.append(np.nan_to_num(fill_background(holed).values).clip(0, largest))
-        gaps.append(missing)
-    if median:  # of an even number the lower one in the middle: a mean would be a value that nobody proposed
-        whole.append(np.partition(np.stack(whole), (len(whole) - 1) // 2, axis=0)[(len(whole) - 1) // 2])
-        gaps.append(np.zeros(shape, np.bool_))
-    alone = [alone_planes(values, gap, evidence, shared) for values, gap in zip(whole, gaps, strict=True)]
-    others = other_planes(np.stack(whole), alone, evidence)
-    return [Judged(*parts) for parts in zip(whole, gaps, alone, others, strict=True)]
+        whole, missing = without_gaps(one, largest)
+        parts.append((whole, missing, alone_planes(whole, missing, evidence)))
+    others = other_planes(np.stack([values for values, _, _ in parts]), [alone for _, _, alone in parts], evidence)
+    return [Judged(*part, other) for part, other in zip(parts, others, strict=True)]
+
+
+def without_gaps(values: NDArray[np.float32], max_disparity: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return a map (H, W) whose gaps are filled from the background, and where they are."""
+    missing = ~np.isfinite(values)
+    holed = DisparityMap(np.where(missing, np.float32(np.nan), values), np.zeros(values.shape, np.uint8))
+    return np.nan_to_num(fill_background(holed).values).clip(0, max_disparity), missing
 
 
 def odds_of(networks: Networks, judged: Judged, within: float) -> NDArray[np.float32]:
     """Return the log odds (H, W) that the values of a map are right within so many pixels."""
-    return log_odds(networks.right, networks.offsets(within), (judged.alone, judged.others))
+    return log_odds(networks.right, offsets(networks.right, within), (judged.alone, judged.others))
 
 
 def status_of(networks: Networks, judged: Judged, probability: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return the status of a map, as that of a :class:`MapJudgment`."""
     hidden = log_odds(networks.hidden, networks.hidden.layers[0][1][0], (judged.alone, judged.others[:0])) > 0
-    outside = np.arange(judged.values.shape[1], dtype=np.float32) - judged.values < -0.5
+    return with_reasons(judged.values, judged.missing, probability, hidden)
+
+
+def with_reasons(
+    values: NDArray[np.float32],
+    missing: NDArray[np.bool_],
+    probability: NDArray[np.float32],
+    hidden: NDArray[np.bool_],
+) -> NDArray[np.uint8]:
+    """Return the status (H, W) of values without gaps, by what is hidden in the right view and what is likely right."""
+    outside = np.arange(values.shape[1], dtype=np.float32) - values < -0.5
     status = np.where(probability < 0.5, Status.MISMATCH, Status.MEASURED)
     status = np.where(outside, Status.OUT_OF_RANGE, np.where(hidden, Status.OCCLUDED, status))
-    return np.where(judged.missing, Status.NO_DATA, status).astype(np.uint8)
+    return np.where(missing, Status.NO_DATA, status).astype(np.uint8)
 
 
 def _logistic(odds: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.filters import local_moments
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import winners
 from depthcli.methods.fusion.support import ColorSupport
+from depthcli.methods.given_maps._shape import image_planes
 from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.cost.census import Census
 from depthcli.methods.stereo.optimization.scanline import Scanline
@@ -37,7 +36,6 @@ _REFINEMENT = (
     Median(window=5),
 )  # fmt: skip
 _WIDE_REACH, _NARROW_REACH, _SOFTNESS = 8.0, 2.0, 15.0  # of the supports: pixels, and grey levels
-_MAX_DEVIATION = np.float32(40.0)  # grey levels
 
 BYTES_PER_CELL = 7
 """Of the costs: raw ones, two sums of paths, optimized ones."""
@@ -94,15 +92,11 @@ class Evidence:
         left, right = (image.astype(np.float32) for image in self.pair.grey8)
         return left, right
 
+    @cached_property
     def pixel_planes(self) -> dict[str, NDArray[Any]]:
-        """Return the planes that are the same for all maps, (H, W) float32 each."""
-        grey = self.grey[0]
-        planes = {
-            f"deviation_{side}": np.minimum(np.sqrt(local_moments(grey, side)[1]), _MAX_DEVIATION)
-            for side in (5, 13, 31)
-        }
-        planes["gradient"] = np.minimum(np.abs(cv2.Sobel(grey, cv2.CV_32F, 1, 0)) / 8, 30)
+        """The planes that are the same for all maps, (H, W) float32 each."""
         trust = self.pair.light_trust
+        planes = image_planes(self.grey[0])
         planes["light_trust"] = np.ones(self.pair.shape, np.float32) if trust is None else trust / np.float32(255)
         planes["min_cost"], planes["peak"] = peaks(self.optimized, self.left)
         return planes

@@ -29,7 +29,7 @@ def log_odds(
     out = np.empty(first.shape[1:], np.float32)
     (w1, _), (w2, b2), (w3, b3) = trained.layers
     _evaluate(
-        first.reshape(len(first), out.size), second.reshape(len(second), out.size), trained.mean, trained.scale,
+        first.reshape(-1), second.reshape(-1), trained.mean, trained.scale,
         tiled(w1), offsets.astype(np.float32), tiled(w2), b2, w3.ravel(), b3, out.reshape(-1),
     )  # fmt: skip
     return out
@@ -40,8 +40,7 @@ def _evaluate(
     alone: Any, others: Any, mean: Any, scale: Any, w1: Any, b1: Any, w2: Any, b2: Any, w3: Any, b3: Any, out: Any
 ) -> None:
     pixels = out.size
-    n_alone, n_others = alone.shape[0], others.shape[0]
-    size = n_alone + n_others
+    n_alone, size = alone.size // pixels, mean.size
     groups = (pixels + LANES - 1) // LANES
     for task in prange((groups + _CHUNK - 1) // _CHUNK):
         inputs = np.zeros(size * LANES, np.float32)
@@ -51,11 +50,15 @@ def _evaluate(
         for group in range(task * _CHUNK, min(groups, (task + 1) * _CHUNK)):
             first = group * LANES
             count = min(LANES, pixels - first)
-            for k in range(size):
-                row = alone[k] if k < n_alone else others[k - n_alone]
-                center, factor = mean[k], scale[k]
+            for k in range(n_alone):
+                center, factor, at = mean[k], scale[k], k * pixels + first
                 for i in range(count):
-                    z = (row[first + i] - center) * factor
+                    z = (alone[at + i] - center) * factor
+                    inputs[k * LANES + i] = min(max(z, -INPUT_BOUND), INPUT_BOUND)
+            for k in range(n_alone, size):
+                center, factor, at = mean[k], scale[k], (k - n_alone) * pixels + first
+                for i in range(count):
+                    z = (others[at + i] - center) * factor
                     inputs[k * LANES + i] = min(max(z, -INPUT_BOUND), INPUT_BOUND)
             layer(inputs, size, w1, b1, hidden)
             layer(hidden, w1.shape[0] * TILE, w2, b2, second)

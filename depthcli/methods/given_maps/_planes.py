@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +14,7 @@ from depthcli.methods.fusion.choice._inputs import correlation
 from depthcli.methods.fusion.map_costs import cost_between, disagreements
 from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE
 from depthcli.methods.given_maps._evidence import Evidence
+from depthcli.methods.given_maps._shape import IMAGE, SHAPE, shape_planes
 
 AVERAGED = (
     "cost", "far_cost", "contradiction", "hidden", "excess", "winner_difference", "other_winner", "right_difference",
@@ -24,22 +24,9 @@ SINGLE = (
     "cost", "excess", "winner_difference", "right_difference", "match_column", "self_occlusion", "rank", "margin",
     "missing", "reference_difference", "reference_filled",
 )  # fmt: skip
-SHAPE = (
-    "decorrelation", "color_difference", "deviation_of_map_5", "deviation_of_map_11", "deviation_of_map_21",
-    "deviation_of_map_41", "above_mean_11", "above_mean_25", "above_median_5", "above_median_21", "edge_distance",
-    "step_right", "step_left", "step_around", "relative",
-)  # fmt: skip
-PIXEL = (
-    "deviation_5",
-    "deviation_13",
-    "deviation_31",
-    "gradient",
-    "light_trust",
-    "min_cost",
-    "peak",
-    "border_distance",
-)
-ALONE = (*(f"{n}_narrow" for n in AVERAGED), *(f"{n}_wide" for n in AVERAGED), *SINGLE, *SHAPE, *PIXEL)
+VIEWS = ("decorrelation", "color_difference")
+PIXEL = (*IMAGE[:4], "light_trust", "min_cost", "peak", IMAGE[4])
+ALONE = (*(f"{n}_narrow" for n in AVERAGED), *(f"{n}_wide" for n in AVERAGED), *SINGLE, *VIEWS, *SHAPE, *PIXEL)
 OTHERS = (
     "disagreement_narrow", "disagreement_wide", "nearest_map", "middle_map", "farthest_map", "above_middle",
     "cost_narrow_relative", "cost_wide_relative", "excess_narrow_relative", "decorrelation_relative",
@@ -47,19 +34,18 @@ OTHERS = (
 )  # fmt: skip
 INPUTS = (*ALONE, *OTHERS)
 
-_FAR = np.float32(8.0)
 _WINDOW = 7
 
 
-def alone_planes(
-    values: NDArray[np.float32], missing: NDArray[np.bool_], evidence: Evidence, shared: dict[str, Any]
-) -> NDArray[np.float32]:
+def alone_planes(values: NDArray[np.float32], missing: NDArray[np.bool_], evidence: Evidence) -> NDArray[np.float32]:
     """Return the planes ``ALONE`` of a map without gaps, (len(ALONE), H, W) float32."""
+    shared = evidence.pixel_planes
     height, width = values.shape
     out = memory.empty((len(ALONE), height, width), np.float32)
     plane = {name: out[k] for k, name in enumerate(ALONE)}
     block = memory.empty((height, width, BLOCK_DEPTH), np.float32)
-    single = memory.empty((len(SINGLE), height, width), np.float32)
+    first = 2 * len(AVERAGED)
+    single = out[first : first + len(SINGLE)]
     warped = np.empty((height, width), np.float32)
     unit, optimized_unit = np.float32(1 / evidence.volume.scale), np.float32(1 / evidence.optimized.scale)
     _compare(
@@ -81,39 +67,15 @@ def alone_planes(
         warped,
         plane["color_difference"],
     )
-    for k, name in enumerate(SINGLE):
-        plane[name][:] = single[k]
-    work = block.copy()
-    for support, suffix, array in ((evidence.narrow, "narrow", block), (evidence.wide, "wide", work)):
+    for k, (support, array) in enumerate(((evidence.narrow, block.copy()), (evidence.wide, block))):
         support.sum(array)
-        for k, name in enumerate(AVERAGED):
-            np.multiply(array[:, :, k], support.inverse_sum, out=plane[f"{name}_{suffix}"])
+        _spread(array, support.inverse_sum, out[k * len(AVERAGED) : (k + 1) * len(AVERAGED)])
     grey = evidence.grey[0]
     plane["decorrelation"][:] = 1 - correlation(grey, local_moments(grey, _WINDOW), warped)
-    for side in (5, 11, 21, 41):
-        plane[f"deviation_of_map_{side}"][:] = np.minimum(np.sqrt(local_moments(values, side)[1]), 10)
-    for side in (11, 25):
-        plane[f"above_mean_{side}"][:] = np.clip(values - cv2.blur(values, (side, side)), -6, 6)
-    plane["above_median_5"][:] = np.clip(values - cv2.medianBlur(values, 5), -6, 6)
-    top = np.float32(max(evidence.volume.n_disparities - 1, 1))
-    coarse = cv2.medianBlur((values * (255 / top)).astype(np.uint8), 21).astype(np.float32) * (top / 255)
-    plane["above_median_21"][:] = np.clip(values - coarse, -8, 8)
-    edges = np.zeros((height, width), np.uint8)
-    edges[:, 1:] |= np.abs(np.diff(values, axis=1)) > 1
-    edges[1:] |= np.abs(np.diff(values, axis=0)) > 1
-    plane["edge_distance"][:] = np.minimum(cv2.distanceTransform(1 - edges, cv2.DIST_L2, 3), 30) if edges.any() else 30
-    line = np.ones((1, 15), np.uint8)
-    plane["step_right"][:] = np.minimum(cv2.dilate(values, line, anchor=(0, 0)) - values, 12)
-    plane["step_left"][:] = np.minimum(cv2.dilate(values, line, anchor=(14, 0)) - values, 12)
-    plane["step_around"][:] = np.minimum(values - cv2.erode(values, np.ones((9, 9), np.uint8)), 12)
-    plane["relative"][:] = values / top
+    for name, array in shape_planes(values, evidence.volume.n_disparities - 1).items():
+        plane[name][:] = array
     for name, array in shared.items():
         plane[name][:] = array
-    columns = np.arange(width, dtype=np.float32)
-    rows = np.arange(height, dtype=np.float32)[:, None]
-    plane["border_distance"][:] = np.minimum(
-        np.minimum(np.minimum(columns, width - 1 - columns), np.minimum(rows, height - 1 - rows)), 20
-    )
     return out
 
 
@@ -129,13 +91,7 @@ def other_planes(
     weight = np.ones(count, np.float32)
     for name, support in (("narrow", evidence.narrow), ("wide", evidence.wide)):
         out[:, index[f"disagreement_{name}"]] = disagreements(maps, weight, support)
-    middle = np.partition(maps, (count - 1) // 2, axis=0)[(count - 1) // 2]
-    for n in range(count):
-        distance = np.sort(np.minimum(np.abs(np.delete(maps, n, axis=0) - maps[n]), _FAR), axis=0)
-        out[n, index["nearest_map"]] = distance[0]
-        out[n, index["middle_map"]] = distance[(count - 2) // 2]
-        out[n, index["farthest_map"]] = distance[-1]
-        out[n, index["above_middle"]] = np.clip(maps[n] - middle, -_FAR, _FAR)
+    _relate(maps, *(out[:, index[name]] for name in ("nearest_map", "middle_map", "farthest_map", "above_middle")))
     for name in OTHERS:
         if name.endswith("_relative"):
             k = ALONE.index(name.removesuffix("_relative"))
@@ -242,3 +198,65 @@ def _compare(
             single[8, y, x] = empty
             single[9, y, x] = min(max(away, -far), far)
             single[10, y, x] = filled
+
+
+@parallel_jit
+def _spread(block: Any, factor: Any, planes: Any) -> None:
+    """Write ``planes[k] = block[:, :, k] factor``."""
+    count, height, width = planes.shape
+    for y in prange(height):
+        for x in range(width):
+            cells, f = block[y, x], factor[y, x]
+            for k in range(count):
+                planes[k, y, x] = cells[k] * f
+
+
+@parallel_jit
+def _relate(maps: Any, nearest: Any, middle: Any, farthest: Any, above: Any) -> None:
+    # Distances of every map to the nearest, the middle and the farthest other one, and to the middle of all.
+    count, height, width = maps.shape
+    far = np.float32(8)
+    for y in prange(height):
+        ordered = np.empty(count, np.float32)
+        for x in range(width):
+            for n in range(-1, count):  # -1: the values themselves
+                size = 0
+                for m in range(count):
+                    if m == n:
+                        continue
+                    value = maps[m, y, x] if n < 0 else min(abs(maps[m, y, x] - maps[n, y, x]), far)
+                    at = size
+                    while at > 0 and ordered[at - 1] > value:
+                        ordered[at] = ordered[at - 1]
+                        at -= 1
+                    ordered[at] = value
+                    size += 1
+                if n < 0:
+                    center = ordered[(count - 1) // 2]
+                    for m in range(count):
+                        above[m, y, x] = min(max(maps[m, y, x] - center, -far), far)
+                else:
+                    nearest[n, y, x] = ordered[0]
+                    middle[n, y, x] = ordered[(count - 2) // 2]
+                    farthest[n, y, x] = ordered[count - 2]
+
+
+def hidden_by_map(values: NDArray[np.float32], margin: float = 1.0) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) whose match a nearer pixel of the same map covers, by more than ``margin`` pixels."""
+    out = np.empty(values.shape, np.bool_)
+    _cover(values, np.float32(margin), out)
+    return out
+
+
+@parallel_jit
+def _cover(values: Any, margin: Any, out: Any) -> None:
+    height, width = values.shape
+    for y in prange(height):
+        nearest = np.full(width, np.float32(-1))
+        for x in range(width):
+            u = int(np.floor(np.float32(x) - values[y, x] + np.float32(0.5)))
+            if u >= 0:
+                nearest[u] = max(nearest[u], values[y, x])
+        for x in range(width):
+            u = int(np.floor(np.float32(x) - values[y, x] + np.float32(0.5)))
+            out[y, x] = u >= 0 and nearest[u] - values[y, x] > margin

@@ -18,17 +18,17 @@ from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice.network import softmax, take_largest
 from depthcli.methods.fusion.support import BLOCK_DEPTH
-from depthcli.methods.given_maps import MapJudgment, Networks, judged_maps, odds_of, status_of
+from depthcli.methods.given_maps import MapJudgment, Networks, judged_maps, odds_of, with_reasons
 from depthcli.methods.given_maps._evidence import BYTES_PER_CELL, BYTES_PER_PIXEL, Evidence
-from depthcli.methods.given_maps._planes import INPUTS
+from depthcli.methods.given_maps._planes import INPUTS, hidden_by_map
+from depthcli.methods.given_maps.measures import Judged
 from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
 from depthcli.methods.stereo.volume import RefinementContext
 
-_THRESHOLDS = (0.5, 1.0, 2.0)  # pixels; a map is chosen by the sum of its log odds to be right within each
-_SEGMENTS = Felzenszwalb(scale=300.0, min_size=200)
+_SEGMENTATIONS = (Felzenszwalb(scale=300.0, min_size=200),)
 _PLANES = SegmentPlaneFit(tolerance=1.0, trials=100, flatness=0.9)
 _REFINEMENT = SlantedMedian(radius=3, color_scale=10, distance_scale=3)
-_MAX_MAPS = BLOCK_DEPTH - 3  # beside them: the map of stereo fast, the median, planes
+_MAX_MAPS = BLOCK_DEPTH - 1 - len(_SEGMENTATIONS)  # beside them: the map of stereo fast, and planes
 
 MAX_MAPS = _MAX_MAPS
 """Most maps that are fused."""
@@ -37,8 +37,8 @@ MAX_MAPS = _MAX_MAPS
 class GivenMapsFusion(BaseModel):
     """Fuses maps of one pair.
 
-    Proposed are the given maps, the map of the preset ``stereo fast``, the median of these (where there are three or
-    more), and, if asked for, planes of segments, fitted where the best of them is likely right. The network of
+    Proposed are the given maps, the map of the preset ``stereo fast``, and, if asked for, planes of segments, fitted
+    where the best of these is likely right. The network of
     :mod:`depthcli.methods.given_maps` gives the log odds of each; their softmax is averaged over neighbors of
     similar color, and the largest share wins. A map that has gaps is completed on the way.
     """
@@ -81,48 +81,47 @@ class GivenMapsFusion(BaseModel):
         clock = Clock()
         evidence = Evidence.of(pair, max_disparity, clock)
         clock.start("planes")
-        proposals = [*maps, evidence.reference.values]
-        values, probability = self._chosen(evidence, proposals, clock)
+        judged = judged_maps(evidence, [*maps, evidence.reference.values])
+        clock.start("choice")
+        values, probability = self._chosen(evidence, judged)
         if self.surfaces:
             clock.start("surfaces")
-            proposals.append(self._surfaces(evidence, values, probability))
-            values, probability = self._chosen(evidence, proposals, clock)
+            planes = self._surfaces(evidence, values, probability)
+            values, probability = self._chosen(evidence, judged_maps(evidence, planes, known=judged))
         clock.start("refinement")
         context = RefinementContext(evidence.pair, evidence.optimized, evidence.right)
         values = _REFINEMENT(DisparityMap(values, np.zeros(pair.shape, np.uint8)), context).values
-        (judged,) = judged_maps(evidence, [values])
-        status = status_of(self._networks, judged, probability)
+        status = with_reasons(values, np.zeros(pair.shape, np.bool_), probability, hidden_by_map(values))
         judgment = MapJudgment(seconds=clock.seconds, probability=probability, status=status)
         return DisparityMap(values, status), judgment
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int, count: int) -> int:
         """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes."""
-        per_pixel = (max_disparity + 1) * BYTES_PER_CELL + BYTES_PER_PIXEL + 4 * (count + 3) * (len(INPUTS) + 4)
+        per_pixel = (max_disparity + 1) * BYTES_PER_CELL + BYTES_PER_PIXEL + 4 * (count + 2) * (len(INPUTS) + 4)
         return shape[0] * shape[1] * per_pixel + (64 << 20)
 
-    def _chosen(
-        self, evidence: Evidence, maps: Sequence[NDArray[np.float32]], clock: Clock
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _chosen(self, evidence: Evidence, judged: Sequence[Judged]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         # The map of the largest shares, and the probability that its values are right.
         assert self._networks is not None
-        judged = judged_maps(evidence, maps, median=len(maps) > 2)
-        clock.start("choice")
-        odds = np.stack([sum(odds_of(self._networks, one, t) for t in _THRESHOLDS) for one in judged])
-        chance = np.stack([odds_of(self._networks, one, self.within) for one in judged])
+        odds = np.stack([odds_of(self._networks, one, self.within) for one in judged])
         height, width = evidence.pair.shape
         shares = memory.empty((height, width, BLOCK_DEPTH), np.float32)
         softmax(odds, shares)
         evidence.narrow.sum(shares)
         values = np.empty((height, width), np.float32)
         probability = np.empty((height, width), np.float32)
-        take_largest(np.stack([one.values for one in judged]), chance, shares, values, probability)
+        take_largest(np.stack([one.values for one in judged]), odds, shares, values, probability)
         return values, probability
 
     @staticmethod
     def _surfaces(
         evidence: Evidence, values: NDArray[np.float32], probability: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        labels = _SEGMENTS(evidence.pair.color8[0])
-        count = int(labels.max()) + 1
-        members = RegionPixels.of(labels, (probability > 0.5).ravel(), count)
-        return _PLANES(values, members, np.arange(count)).at(labels, evidence.volume.n_disparities - 1)
+    ) -> list[NDArray[np.float32]]:
+        made = []
+        for segmentation in _SEGMENTATIONS:
+            labels = segmentation(evidence.pair.color8[0])
+            count = int(labels.max()) + 1
+            members = RegionPixels.of(labels, (probability > 0.5).ravel(), count)
+            planes = _PLANES(values, members, np.arange(count))
+            made.append(planes.at(labels, evidence.volume.n_disparities - 1))
+        return made

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from depthcli.methods.given_maps._evidence import Evidence
 from depthcli.methods.given_maps._planes import ALONE, OTHERS
+from depthcli.methods.given_maps._shape import ONE_VIEW
 
 Plane = NDArray[np.float32]
 _MAX_DIFFERENCE = np.float32(16.0)  # pixels
@@ -68,6 +69,14 @@ def _plane(name: str, sign: int) -> Callable[[Judged, Evidence, Plane | None], P
     return lambda judged, evidence, right: np.asarray(sign * judged.plane(name), np.float32)
 
 
+_OF_ONE_VIEW = {
+    "smoothness": ("deviation_of_map_11", -1),
+    "texture": ("deviation_5", 1),
+    "discontinuity": ("edge_distance", 1),
+    "border": ("border_distance", 1),
+}
+"""Measures that need no right image: plane and sign."""
+
 _MEASURES: dict[str, tuple[str, Callable[[Judged, Evidence, Plane | None], Plane]]] = {
     "left_right": (
         "-|difference from the map of the right view at the match|, pixels; without such a map, from that of the costs",
@@ -84,13 +93,16 @@ _MEASURES: dict[str, tuple[str, Callable[[Judged, Evidence, Plane | None], Plane
     "gradient": ("-|difference of the gradients along the row|, grey levels", _gradient),
     "rank": ("-share of the disparities whose costs, with smoothness, are smaller", _plane("rank", -1)),
     "margin": ("log(smallest cost elsewhere / cost), with smoothness", _plane("margin", 1)),
-    "smoothness": ("-standard deviation of the map in 11 x 11 pixels", _plane("deviation_of_map_11", -1)),
+    "smoothness": ("-standard deviation of the map in 11 x 11 pixels", _plane(*_OF_ONE_VIEW["smoothness"])),
     "texture": (
         "standard deviation of 5 x 5 pixels of the left image, at most 40 levels",
-        _plane("deviation_5", 1),
+        _plane(*_OF_ONE_VIEW["texture"]),
     ),
-    "discontinuity": ("distance to the next step of the map above 1 px, at most 30 pixels", _plane("edge_distance", 1)),
-    "border": ("distance to the border of the image, at most 20 pixels", _plane("border_distance", 1)),
+    "discontinuity": (
+        "distance to the next step of the map, at most 30 pixels",
+        _plane(*_OF_ONE_VIEW["discontinuity"]),
+    ),
+    "border": ("distance to the border of the image, at most 20 pixels", _plane(*_OF_ONE_VIEW["border"])),
     "agreement": (
         "share of the witnesses that agree, over pixels of similar color; without any, agreement with stereo fast",
         _agreement,
@@ -119,3 +131,17 @@ def measured(name: str, judged: Judged, evidence: Evidence, right: Plane | None)
     """
     values = _MEASURES[name][1](judged, evidence, right)
     return np.where(judged.missing, np.float32(np.nan), values).astype(np.float32)
+
+
+def measured_in_one_view(name: str, planes: NDArray[np.float32], missing: NDArray[np.bool_]) -> Plane | None:
+    """Return a measure as :func:`measured` does, where there is no right image; None for one that needs it.
+
+    Parameters
+    ----------
+    planes : ``ONE_VIEW``, (F, H, W) float32
+    missing : (H, W) bool, where the map has no value
+    """
+    if name not in _OF_ONE_VIEW:
+        return None
+    plane, sign = _OF_ONE_VIEW[name]
+    return np.where(missing, np.float32(np.nan), sign * planes[ONE_VIEW.index(plane)]).astype(np.float32)
