@@ -332,7 +332,7 @@ def _prepared(
         if beyond > 0.01 * max(finite[k].size, 1):
             warnings.append(
                 f"{100 * beyond / finite[k].size:.0f} % of map {k + 1} lies above the largest disparity, {top} px; see "
-                "--max-disparity, --scale"
+                "--max-disparity"
             )
     return top, clean, warnings
 

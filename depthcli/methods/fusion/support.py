@@ -82,7 +82,10 @@ class WindowSupport(Support):
 
 
 def _decay(step: NDArray[np.int16], reach: float, softness: float) -> NDArray[np.float32]:
-    decay: NDArray[np.float32] = np.exp(-(1.0 / reach + np.abs(step).max(axis=2) / softness)).astype(np.float32)
+    largest = np.abs(step[:, :, 0])
+    for channel in range(1, step.shape[2]):  # several times as fast as a maximum over the last axis
+        np.maximum(largest, np.abs(step[:, :, channel]), out=largest)
+    decay: NDArray[np.float32] = np.exp(-(1.0 / reach + largest / softness)).astype(np.float32)
     return decay
 
 

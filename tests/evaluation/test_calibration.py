@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.cli import main
+from depthcli.data.formats.disparity import write_pfm
+from depthcli.data.formats.images import read_grey, write_png
+from depthcli.evaluation.calibration import N_BINS, HiddenPixels, Reliability, reliability
+
+
+def test_expected_calibration_error_by_hand():
+    found = reliability(np.array([0.91, 0.93, 0.12, 1.0, 0.11]), np.array([True, False, False, True, False]))
+    assert found is not None
+    # Bins [.9, .95): mean .92, half right; [.1, .15): mean .115, none right; [.95, 1]: 1, all right.
+    assert found.ece == pytest.approx((2 * 0.42 + 2 * 0.115 + 0) / 5)
+    assert found.pixels[18] == 2
+    assert found.right[18] == 0.5
+    assert math.isnan(found.right[0])
+
+
+def test_calibrated_probabilities_have_no_error_and_sure_mistakes_all():
+    rng = np.random.default_rng(0)
+    p = rng.random(200_000)
+    found = reliability(p, rng.random(p.size) < p)
+    assert found is not None
+    assert found.ece < 0.006
+    wrong = reliability(np.ones(10), np.zeros(10, bool))
+    assert wrong is not None
+    assert wrong.ece == 1
+
+
+def test_what_is_no_probability_has_no_reliability():
+    right = np.array([True, False])
+    assert reliability(np.array([0.5, 1.01]), right) is None
+    assert reliability(np.array([0.5, np.nan]), right) is None
+    assert reliability(np.array([-3.0, 0.5]), right) is None
+    assert reliability(np.empty(0), np.empty(0, bool)) is None
+    with pytest.raises(ValueError, match="one length"):
+        reliability(np.ones(3), right)
+
+
+def test_pooled_is_that_of_all_pixels_together():
+    rng = np.random.default_rng(1)
+    p, right = rng.random(1000), rng.random(1000) < 0.6
+    parts = [reliability(p[k::3], right[k::3]) for k in range(3)]
+    whole = reliability(p, right)
+    assert whole is not None
+    pooled = Reliability.pooled(part for part in parts if part is not None)
+    assert pooled.pixels == whole.pixels
+    assert pooled.ece == pytest.approx(whole.ece)
+    assert len(pooled.pixels) == N_BINS
+
+
+def test_hidden_pixels_by_hand():
+    found = HiddenPixels.of(np.array([1, 1, 1, 0, 0], bool), np.array([1, 0, 0, 1, 0], bool))
+    assert found == HiddenPixels(both=1, said=3, true=2, pixels=5)
+    shares = found.shares()
+    assert [round(shares[name], 2) for name in ("precision", "recall", "F1", "said", "true")] == [
+        33.33, 50, 40, 60, 40
+    ]  # fmt: skip
+    assert HiddenPixels.pooled([found, found]).said == 6
+    assert math.isnan(HiddenPixels(0, 0, 0, 4).shares()["precision"])
+
+
+def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    name = sorted(path.name for path in made_scenes.iterdir() if (path / "disp_left.pfm").is_file())[0]
+    visible = read_grey(made_scenes / name / "mask_nonocc.png") == 255
+    folder = tmp_path / "run" / name
+    folder.mkdir(parents=True)
+    write_pfm(folder / "disp_left.pfm", np.full(visible.shape, 5, np.float32))
+    write_pfm(folder / "confidence.pfm", np.full(visible.shape, 0.25, np.float32))
+    write_png(folder / "status.png", np.where(visible, 0, 1).astype(np.uint8))
+    words = ["evaluate", tmp_path / "run", "--truth", made_scenes, "--scenes", name, "-o", tmp_path / "out", "--html"]
+    assert main([str(word) for word in [*words, "--tables", "confidence,hidden"]]) == 0
+    printed = capsys.readouterr().out
+    assert "ECE" in printed
+    assert "Hidden pixels" in printed
+    (result,) = json.loads((tmp_path / "out" / "scores.json").read_text())["results"]
+    assert result["hidden"]["F1"] == 100
+    curve = next(c for c in result["confidence"] if (c["measure"], c["mask"], c["of"]) == ("confidence", "all", "bad"))
+    assert curve["ece"] == pytest.approx(abs(0.25 - (1 - curve["mean"])), abs=1e-6)
+    assert "Reliability, all" in (tmp_path / "out" / "report.html").read_text("utf-8")

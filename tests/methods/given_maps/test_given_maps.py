@@ -1,0 +1,142 @@
+"""Planes of maps against loops over single pixels, the network against numpy, and what the judgment is worth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from depthcli.api.maps import fusion_of, judge_of, networks
+from depthcli.core.errors import InputError
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import Status
+from depthcli.core.result import Clock
+from depthcli.data.generated.arrays.stereo_scenes import SyntheticScene, make_scene
+from depthcli.methods.given_maps import Networks, judged_maps, map_measures, odds_of, offsets
+from depthcli.methods.given_maps._evidence import Evidence
+from depthcli.methods.given_maps._planes import OTHERS, hidden_by_map
+
+
+@pytest.fixture(scope="module")
+def scene() -> SyntheticScene:
+    return make_scene("planes", 3, 160, 120, 32)
+
+
+@pytest.fixture(scope="module")
+def pair(scene: SyntheticScene) -> StereoPair:
+    return StereoPair(scene.left, scene.right)
+
+
+@pytest.fixture(scope="module")
+def broken(scene: SyntheticScene) -> np.ndarray:
+    """The truth with a wrong block and a gap."""
+    values = scene.disparity_left.copy()
+    values[40:70, 60:100] += 6
+    values[90:100, 100:120] = np.nan
+    return values
+
+
+def test_planes_are_those_of_single_pixels(pair: StereoPair, broken: np.ndarray):
+    evidence = Evidence.of(pair, 32, Clock())
+    (judged,) = judged_maps(evidence, [broken])
+    values, costs = judged.values, evidence.optimized.costs / evidence.optimized.scale
+    rng = np.random.default_rng(0)
+    for y, x in zip(rng.integers(0, 120, 60), rng.integers(0, 160, 60), strict=True):
+        value, n = float(values[y, x]), min(33, x + 1)
+        low = min(int(value), 32)
+        here = costs[y, x, low]
+        if low + 1 < 33:
+            here += (value - low) * (costs[y, x, low + 1] - here)
+        rank = np.count_nonzero(evidence.optimized.costs[y, x, :n] < int(here * evidence.optimized.scale + 1e-3)) / n
+        assert judged.plane("rank")[y, x] == pytest.approx(rank, abs=1.5 / n)
+        others = [costs[y, x, d] for d in range(n) if abs(d - int(value + 0.5)) > 1]
+        margin = min(max(math.log((min(others, default=65535) + 2) / (here + 2)), -2), 2)
+        assert judged.plane("margin")[y, x] == pytest.approx(margin, abs=2e-3)
+        excess = min(math.log((here + 2) / (costs[y, x, evidence.left[y, x]] + 2)), 2)
+        assert judged.plane("excess")[y, x] == pytest.approx(excess, abs=2e-3)
+        assert judged.plane("missing")[y, x] == np.isnan(broken[y, x])
+
+
+def test_pixels_that_a_nearer_one_covers():
+    values = np.full((1, 20), 2, np.float32)
+    values[0, 10:14] = 6  # matches 4 .. 7, which 6 .. 9 have, too
+    assert np.flatnonzero(hidden_by_map(values)[0]).tolist() == [6, 7, 8, 9]
+
+
+def test_the_kernel_is_the_network(pair: StereoPair, broken: np.ndarray):
+    evidence, known = Evidence.of(pair, 32, Clock()), networks()
+    judged = judged_maps(evidence, [broken, broken + 1])[0]
+    (w1, _), (w2, b2), (w3, b3) = known.right.layers
+    inputs = np.concatenate([judged.alone, judged.others]).reshape(len(known.right.mean), -1).T
+    scaled = np.clip((inputs - known.right.mean) * known.right.scale, -4, 4)
+    want = np.maximum(np.maximum(scaled @ w1 + offsets(known.right, 1.0), 0) @ w2 + b2, 0) @ w3 + b3
+    np.testing.assert_allclose(odds_of(known, judged, 1.0).ravel(), want[:, 0], rtol=1e-3, atol=2e-3)
+
+
+def test_offsets_lie_between_those_of_the_thresholds():
+    network = networks().right
+    rows = network.layers[0][1]
+    np.testing.assert_array_equal(offsets(network, 1.0), rows[1])
+    np.testing.assert_allclose(offsets(network, math.sqrt(2)), (rows[1] + rows[2]) / 2, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(offsets(network, 8.0), rows[-1], rtol=1e-5, atol=1e-7)
+
+
+def test_networks_for_other_inputs_are_refused():
+    known = networks()
+    with pytest.raises(InputError, match="another version"):
+        Networks(replace(known.right, inputs=("x", *known.right.inputs[1:])), known.hidden, known.one_view)
+
+
+def test_one_map_has_no_relation_to_others(pair: StereoPair, broken: np.ndarray):
+    evidence = Evidence.of(pair, 32, Clock())
+    (judged,) = judged_maps(evidence, [broken])
+    assert not judged.others.any()
+    first, second = judged_maps(evidence, [broken, np.where(np.isnan(broken), broken, broken + 3)])
+    assert first.plane("nearest_map")[10, 80] == pytest.approx(3)
+    assert second.plane("above_middle")[10, 80] == pytest.approx(3)
+    assert len(first.others) == len(OTHERS)
+    with pytest.raises(ValueError, match="size"):
+        judged_maps(evidence, [broken[:, 1:]])
+
+
+def test_wrong_pixels_are_doubted_and_hidden_ones_found(pair: StereoPair, scene: SyntheticScene, broken: np.ndarray):
+    judgment = judge_of(measures=["all"])(pair, [broken], 32)
+    wrong = np.zeros(broken.shape, bool)
+    wrong[42:68, 62:98] = True
+    right = scene.nonocc & ~wrong & np.isfinite(broken)
+    assert judgment.probability[wrong].mean() < 0.25
+    assert judgment.probability[right].mean() > 0.9
+    assert (judgment.probability[np.isnan(broken)] == 0).all()
+    assert (judgment.status[np.isnan(broken)] == Status.NO_DATA).all()
+    hidden = (judgment.status & int(Status.OCCLUDED | Status.OUT_OF_RANGE)) != 0
+    both = np.count_nonzero(hidden & ~scene.nonocc)
+    assert 2 * both / (hidden.sum() + np.count_nonzero(~scene.nonocc)) > 0.7
+    assert set(judgment.confidence) == set(map_measures())
+    for values in judgment.confidence.values():
+        assert values.shape == broken.shape
+        assert np.isfinite(values[np.isfinite(broken)]).all()
+
+
+def test_the_best_of_two_halves(pair: StereoPair, scene: SyntheticScene):
+    upper, lower = scene.disparity_left.copy(), scene.disparity_left.copy()
+    upper[:60] += 5
+    lower[60:] -= 3
+    for surfaces in (False, True):
+        found, judgment = fusion_of(surfaces=surfaces)(pair, [upper, np.clip(lower, 0, None)], 32)
+        error = np.abs(found.values - scene.disparity_left)[scene.nonocc]
+        assert np.mean(error > 1) < 0.05
+        assert np.isfinite(found.values).all()
+        assert judgment.probability[scene.nonocc].mean() > 0.8
+
+
+def test_without_a_right_image_only_the_shape_counts(pair: StereoPair, scene: SyntheticScene):
+    values = scene.disparity_left.copy()
+    values[40:60, 60:90] += np.random.default_rng(0).normal(0, 4, (20, 30)).astype(np.float32)
+    judge = judge_of(measures=["smoothness", "census"])
+    found = judge.by_one_view(pair.left, np.clip(values, 0, 32), 32)
+    assert found.probability[42:58, 62:88].mean() < found.probability[80:110, 20:140].mean() - 0.3
+    assert set(found.confidence) == {"smoothness"}
+    with pytest.raises(ValueError, match="size"):
+        judge.by_one_view(pair.left, values[1:], 32)
