@@ -71,7 +71,13 @@ def __getattr__(name: str) -> object:
 
 _GROUPS = {
     "Match and refine": (
-        "stereo", "fuse", "refine-kinect", "transparent", "confidence", "fuse-maps", "register-confidence",
+        "stereo",
+        "fuse",
+        "refine-kinect",
+        "transparent",
+        "confidence",
+        "fuse-maps",
+        "register-confidence",
     ),
     "Prepare and convert": ("sample", "rectify", "depth"),
     "Evaluate and report": ("evaluate", "sweep", "export", "merge"),
