@@ -34,7 +34,9 @@ def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Repor
     """
     place, name, patterns = values["input"], values["name"], values["scenes"] or ["*"]
     evaluates = values.get("evaluate")
-    flags = (" and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path) for kind in kinds)
+    flags = (
+        " and ".join(f"{o.flag} FILE" for o in kind.options if o.type is Path and o.name in values) for kind in kinds
+    )
     single = ", or ".join(filter(None, flags))
     if named := next((scenes for kind in kinds if (scenes := kind.named(values))), []):
         if place is not None:

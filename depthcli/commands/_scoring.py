@@ -181,13 +181,14 @@ class Scoring:
                 confidences[name] = protocol.read_confidence(file, truth)
             except DepthcliError as error:
                 warnings.append(str(error))
+        hidden = _hidden(protocol, files.status(path), truth, warnings)
         result = replace(
             start,
             source=path.name if path == place else path.relative_to(place).as_posix(),
             scores=tuple(protocol.scores(estimate, truth)),
             dense=tuple(protocol.threshold_curve(estimate, truth)),
             curves=tuple(protocol.curves(estimate, truth, confidences)),
-            hidden=_hidden(protocol, files.status(path), truth),
+            hidden=hidden,
             seconds=math.fsum(row.get("seconds", {}).values()) or math.nan,
             size=protocol.size(truth),
             n_disparities=largest if isinstance(largest := row.get("max_disparity"), int) and largest > 0 else 0,
@@ -209,11 +210,12 @@ class Scoring:
         return result
 
 
-def _hidden(protocol: AnyProtocol, file: Path | None, truth: object) -> HiddenPixels | None:
-    """How well the status map beside a map says what is hidden; None where it cannot be read, or nothing is known."""
+def _hidden(protocol: AnyProtocol, file: Path | None, truth: object, warnings: list[str]) -> HiddenPixels | None:
+    """How well the status map beside a map says what is hidden; None where nothing is known, or it cannot be read."""
     if file is None:
         return None
     try:
         return protocol.hidden(read_status(file), truth)
-    except DepthcliError:
+    except DepthcliError as error:
+        warnings.append(str(error))
         return None

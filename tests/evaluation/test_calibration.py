@@ -85,3 +85,6 @@ def test_evaluate_reads_confidence_and_status(made_scenes: Path, tmp_path: Path,
     curve = next(c for c in result["confidence"] if (c["measure"], c["mask"], c["of"]) == ("confidence", "all", "bad"))
     assert curve["ece"] == pytest.approx(abs(0.25 - (1 - curve["mean"])), abs=1e-6)
     assert "Reliability, all" in (tmp_path / "out" / "report.html").read_text("utf-8")
+    (folder / "status.png").write_bytes(b"damaged")
+    assert main([str(word) for word in words]) == 0
+    assert "status.png" in capsys.readouterr().err
