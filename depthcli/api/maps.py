@@ -152,9 +152,8 @@ def map_confidence(
         values = as_map(disparity, "disparity", image.shape[:2])
         with computing():
             return judge_by_one_view(judge_of(within, measures), image, values, max_disparity)
-    pair, maps = _inputs(
-        left, right, [disparity, *witnesses], ["disparity", *(f"witnesses[{k}]" for k in range(len(witnesses)))]
-    )
+    names = ("disparity", *(f"witnesses[{k}]" for k in range(len(witnesses))))
+    pair, maps = _inputs(left, right, dict(zip(names, (disparity, *witnesses), strict=True)))
     other = None if right_disparity is None else as_map(right_disparity, "right_disparity", pair.shape)
     with computing():
         return judge(judge_of(within, measures), pair, maps, max_disparity, other, available_memory())
@@ -199,18 +198,18 @@ def fuse_maps(
     >>> bool(np.mean(np.abs(depthcli.fuse_maps(left, right, [upper, lower]).values - 8) < 1) > 0.9)
     True
     """
-    pair, arrays = _inputs(left, right, maps, [f"maps[{k}]" for k in range(len(maps))])
+    pair, arrays = _inputs(left, right, {f"maps[{k}]": one for k, one in enumerate(maps)})
     with computing():
         return fused(fusion_of(within, surfaces), pair, arrays, max_disparity, available_memory())
 
 
 def _inputs(
-    left: ArrayLike, right: ArrayLike, maps: Sequence[ArrayLike], names: Sequence[str]
-) -> tuple[StereoPair, list[NDArray[np.float32]]]:
+    left: ArrayLike, right: ArrayLike, maps: Mapping[str, ArrayLike]
+) -> tuple[StereoPair, dict[str, NDArray[np.float32]]]:
     images = as_image(left, "left"), as_image(right, "right")
     floats = np.asarray(left).dtype.kind == "f"  # dark ones use all 16 bits, too
     pair = pair_of(*images, (Path("left"), Path("right")), 16 if floats else None)
-    return pair, [as_map(one, name, pair.shape) for one, name in zip(maps, names, strict=True)]
+    return pair, {name: as_map(one, name, pair.shape) for name, one in maps.items()}
 
 
 @cache
@@ -243,7 +242,7 @@ def judge_by_one_view(
     method: MapJudge, left: Image, values: NDArray[np.float32], max_disparity: int | None
 ) -> MapConfidence:
     """Judge a map where there is no right image. Parameters and errors as for :func:`judge`."""
-    top, clean, warnings = _prepared(left.shape[1], [values], max_disparity)
+    top, clean, warnings = _prepared(left.shape[1], {"disparity": values}, max_disparity)
     made = method.by_one_view(left, clean[0], top)
     known = np.where(np.isfinite(values) & (values >= 0), values, np.float32(np.nan))
     note = "no right image: judged by the map's shape and the left image alone, which say far less"
@@ -253,7 +252,7 @@ def judge_by_one_view(
 def judge(
     method: MapJudge,
     pair: StereoPair,
-    maps: Sequence[NDArray[np.float32]],
+    maps: Mapping[str, NDArray[np.float32]],
     max_disparity: int | None,
     right: NDArray[np.float32] | None,
     memory: int,
@@ -262,6 +261,7 @@ def judge(
 
     Parameters
     ----------
+    maps : by the names that messages call them
     max_disparity : largest disparity of the costs, pixels; None: that of the maps
     memory : bytes that may be used
 
@@ -273,7 +273,8 @@ def judge(
     top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity)
     _check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory)
     made = method(pair, clean, top, right)
-    values = np.where(np.isfinite(maps[0]) & (maps[0] >= 0), maps[0], np.float32(np.nan))
+    first = next(iter(maps.values()))
+    values = np.where(np.isfinite(first) & (first >= 0), first, np.float32(np.nan))
     beyond = np.isfinite(values) & np.isnan(clean[0])
     status = np.where(beyond, np.uint8(Status.MISMATCH), made.status)
     return MapConfidence(
@@ -285,7 +286,7 @@ def judge(
 def fused(
     method: GivenMapsFusion,
     pair: StereoPair,
-    maps: Sequence[NDArray[np.float32]],
+    maps: Mapping[str, NDArray[np.float32]],
     max_disparity: int | None,
     memory: int,
 ) -> Disparity:
@@ -304,34 +305,34 @@ def fused(
 
 
 def _prepared(
-    width: int, maps: Sequence[NDArray[np.float32]], max_disparity: int | None
+    width: int, maps: Mapping[str, NDArray[np.float32]], max_disparity: int | None
 ) -> tuple[int, list[NDArray[np.float32]], list[str]]:
     # Largest disparity, the maps with what lies within the range, and warnings.
     if max_disparity is not None and not max_disparity >= 1:
         raise InputError(f"max_disparity: want at least 1 (got {max_disparity})")
-    finite = [one[np.isfinite(one)] for one in maps]
-    for k, known in enumerate(finite):
+    finite = {name: one[np.isfinite(one)] for name, one in maps.items()}
+    for name, known in finite.items():
         if known.size and np.count_nonzero(known < 0) > _MAX_OUTSIDE * known.size:
             raise InputError(
-                f"map {k + 1}: most disparities are negative; want pixels from 0 on, by which matches lie to the left "
+                f"{name}: most disparities are negative; want pixels from 0 on, by which matches lie to the left "
                 "in the right image: is the sign swapped?"
             )
-    if not finite[0].size and len(maps) == 1:
-        raise InputError("the map has no value at any pixel")
+    if not any(known.size for known in finite.values()):
+        raise InputError(f"{', '.join(maps)}: no value at any pixel")
     top = max_disparity
     if top is None:
-        highest = [float(np.quantile(known, _TOP_SHARE)) for known in finite if known.size]
+        highest = [float(np.quantile(known, _TOP_SHARE)) for known in finite.values() if known.size]
         top = min(max(math.ceil(max(highest, default=1.0)), 1), width - 1)
     warnings = []
     clean = []
-    for k, one in enumerate(maps):
+    for name, one in maps.items():
         with np.errstate(invalid="ignore"):
             inside = np.isfinite(one) & (one >= 0) & (one <= top + 0.5)
         clean.append(np.where(inside, one, np.float32(np.nan)))
-        beyond = np.count_nonzero(finite[k] > top + 0.5)
-        if beyond > 0.01 * max(finite[k].size, 1):
+        beyond = np.count_nonzero(finite[name] > top + 0.5)
+        if beyond > 0.01 * max(finite[name].size, 1):
             warnings.append(
-                f"{100 * beyond / finite[k].size:.0f} % of map {k + 1} lies above the largest disparity, {top} px; see "
+                f"{100 * beyond / finite[name].size:.0f} % of {name} lies above the largest disparity, {top} px; see "
                 "--max-disparity"
             )
     return top, clean, warnings

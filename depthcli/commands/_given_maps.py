@@ -80,21 +80,22 @@ def find_map_scenes(
 
     places = find_runs([*first, *others])
     own = dict(list(places.items())[: len(first)])
-    pattern, patterns = by_run("--pattern", values["pattern"] or [], places, pattern_of)
-    scale, scales = by_run("--scale", values["scale"] or [], places, positive)
-    invalid, invalids = by_run("--invalid", values["invalid"] or [], places, number_of)
+    rights = find_runs(right) if right else {}
+    coded = {**rights, **places}
+    pattern, patterns = by_run("--pattern", values["pattern"] or [], coded, pattern_of)
+    scale, scales = by_run("--scale", values["scale"] or [], coded, positive)
+    invalid, invalids = by_run("--invalid", values["invalid"] or [], coded, number_of)
     scenes = find_scenes((StereoScene,), values, reporter)
     names = _names(scenes, values["input"])
     known: MapFiles = DisparityFiles()
     options = {
         run: MapOptions(patterns.get(run) or pattern or "", scales.get(run, scale), invalids.get(run, invalid))
-        for run in places
+        for run in coded
     }
     for run, place in places.items():
         if os.path.isfile(place) and len(scenes) > 1:
             raise ConfigError(f"{place}: one map for {len(scenes)} scenes; want the folder of their maps")
         options[run] = _recognized(run, place, options[run], scenes, names, reporter)
-    rights = find_runs(right) if right else {}
     right_files = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right", "{scene}"), known.suffixes)
     found = []
     for scene in scenes:
@@ -111,8 +112,12 @@ def find_map_scenes(
             problem = f"{where}: no map of scene {scene.name}{known.searched(names[scene.name])}"
         other = None
         for run, place in rights.items():
-            path = _file(place, right_files, names[scene.name])
-            other = None if path is None else GivenMap(run, path, scale, invalid)
+            coding = MapOptions(patterns.get(run, ""), options[run].scale, options[run].invalid)
+            path = _file(place, coding.files(right_files), names[scene.name])
+            if path is None:
+                absent.append(f"{run} (right view)")
+            else:
+                other = GivenMap(run, path, coding.scale, coding.invalid)
         found.append(MapsScene.of(scene, tuple(maps), other, tuple(absent), problem))
     return found
 
@@ -186,14 +191,11 @@ def _recognized(
     return found
 
 
-def loaded(scene: MapsScene, shape: tuple[int, int]) -> list[NDArray[np.float32]]:
-    """Return the maps of a scene; InputError where one cannot be read or has another size than the images."""
-    made = []
-    for one in scene.maps:
-        values = one.load()
-        if values.shape != shape:
-            raise InputError(
-                f"{one.path}: {values.shape[1]} x {values.shape[0]}, but the images are {shape[1]} x {shape[0]}"
-            )
-        made.append(values)
-    return made
+def loaded(one: GivenMap, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return a map; InputError where it cannot be read or has another size than the images."""
+    values = one.load()
+    if values.shape != shape:
+        raise InputError(
+            f"{one.path}: {values.shape[1]} x {values.shape[0]}, but the images are {shape[1]} x {shape[0]}"
+        )
+    return values

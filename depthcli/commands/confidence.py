@@ -126,13 +126,13 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
             if len(scene.maps) > 1:
                 raise InputError(f"{scene.left.parent}: no right image, without which there are no witnesses")
             left = read_image(scene.left)
-            shape, (values,) = left.shape[:2], loaded(scene, left.shape[:2])
+            shape, values = left.shape[:2], loaded(scene.maps[0], left.shape[:2])
             clock.start("other")
             found = judge_by_one_view(method, left, values, top)
         else:
             pair = scene.load()
-            shape, maps = pair.shape, loaded(scene, pair.shape)
-            right = None if scene.right_map is None else scene.right_map.load()
+            shape, maps = pair.shape, {one.run: loaded(one, pair.shape) for one in scene.maps}
+            right = None if scene.right_map is None else loaded(scene.right_map, pair.shape)
             clock.start("other")
             found = judge(method, pair, maps, top, right, memory)
         clock.include(found.seconds)

@@ -102,7 +102,7 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         clock = Clock()
         clock.start("load")
         pair = scene.load()
-        maps = loaded(scene, pair.shape)
+        maps = {one.run: loaded(one, pair.shape) for one in scene.maps}
         clock.start("other")
         method = fusion_of(config["within"], config["surfaces"])
         found = fused(method, pair, maps, config["max_disparity"] or scene.max_disparity, memory)

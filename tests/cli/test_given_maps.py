@@ -157,8 +157,8 @@ def test_what_is_wrong_with_one_scene_fails_alone(
     rng = np.random.default_rng(0)
     cases: dict[str, tuple[str, object]] = {
         "size": ("100 x 80, but the images are 120 x 80", np.ones((80, 100), np.float32)),
-        "sign": ("most disparities are negative", -rng.uniform(1, 9, (80, 120)).astype(np.float32)),
-        "empty": ("the map has no value at any pixel", np.full((80, 120), np.nan, np.float32)),
+        "sign": ("sgm: most disparities are negative", -rng.uniform(1, 9, (80, 120)).astype(np.float32)),
+        "empty": ("sgm: no value at any pixel", np.full((80, 120), np.nan, np.float32)),
         "cut": ("damaged PFM", whole[: len(whole) // 2]),
         "gone": (f"no map of scene {names[0]}", None),
     }
@@ -228,6 +228,15 @@ def test_witnesses_right_maps_and_evaluation(
     assert (tmp_path / "out" / "evaluation" / "report.html").is_file()
     agreement = read_pfm(tmp_path / "out" / names[0] / "confidence_agreement.pfm")
     assert agreement[24:36, 44:66].mean() < 0.5 < agreement[42:58, 60:110].mean()
+    assert run("confidence", "-i", scenes, "--maps", maps, "-o", tmp_path / "x", "--right-maps", f"r={rights}",
+               "--scale", "r=2", "--measure", "left_right", "-q") == 0  # fmt: skip
+    (rights / names[0] / "disp_right.pfm").unlink()
+    write_pfm(rights / names[1] / "disp_right.pfm", np.ones((80, 100), np.float32))
+    assert run("confidence", "-i", scenes, "--maps", maps, "-o", tmp_path / "y", "--right-maps", rights) == 3
+    shown = capsys.readouterr().err
+    assert f"{names[0]}: warning: " in shown
+    assert "no map of rights (right view): judged without it" in shown
+    assert "disp_right.pfm: 100 x 80, but the images are 120 x 80" in shown
     consistent = read_pfm(tmp_path / "out" / names[0] / "confidence_left_right.pfm")
     assert np.nanmedian(consistent[42:58, 60:110]) > -0.6 > -3 > np.nanmedian(consistent[24:36, 44:66])
     capsys.readouterr()
