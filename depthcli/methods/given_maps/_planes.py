@@ -20,10 +20,33 @@ AVERAGED = (
     "cost", "far_cost", "contradiction", "hidden", "excess", "winner_difference", "other_winner", "right_difference",
     "missing", "color_difference", "margin", "reference_difference", "other_reference", "reference_filled",
 )  # fmt: skip
+"""Planes that are averaged over pixels of similar color, in a narrow and in a wide support.
+
+| plane | what it measures |
+|---|---|
+| ``cost``, ``far_cost`` | matching cost along the map, 1 from 30, from 12 of 48 bits on |
+| ``contradiction``, ``hidden`` | by the costs of the right view: in front of what it sees; behind it, or outside |
+| ``excess`` | log(cost / smallest cost), with smoothness |
+| ``winner_difference``, ``other_winner`` | to the disparity of the smallest cost, pixels; whether above 1 |
+| ``right_difference`` | to the disparity of the match in the right view, pixels |
+| ``missing`` | whether the map has a gap |
+| ``color_difference`` | largest channel difference to the match, grey levels |
+| ``margin`` | log(smallest cost elsewhere / cost), with smoothness |
+| ``reference_difference``, ``other_reference`` | to the map of ``stereo fast``, pixels; whether above 1 |
+| ``reference_filled`` | whether that map was filled in |
+"""
 SINGLE = (
     "cost", "excess", "winner_difference", "right_difference", "match_column", "self_occlusion", "rank", "margin",
     "missing", "reference_difference", "reference_filled",
 )  # fmt: skip
+"""Planes of the pixel itself; as above, with the sign where it has one, and:
+
+| plane | what it measures |
+|---|---|
+| ``match_column`` | column of the match in the right image, at most 20 from its border, pixels |
+| ``self_occlusion`` | by how much a nearer pixel of the map covers the match, pixels |
+| ``rank`` | share of the disparities whose costs, with smoothness, are smaller |
+"""
 VIEWS = ("decorrelation", "color_difference")
 PIXEL = (*IMAGE[:4], "light_trust", "min_cost", "peak", IMAGE[4])
 ALONE = (*(f"{n}_narrow" for n in AVERAGED), *(f"{n}_wide" for n in AVERAGED), *SINGLE, *VIEWS, *SHAPE, *PIXEL)
@@ -32,7 +55,10 @@ OTHERS = (
     "cost_narrow_relative", "cost_wide_relative", "excess_narrow_relative", "decorrelation_relative",
     "deviation_of_map_11_relative", "maps",
 )  # fmt: skip
+"""Planes of a map's relation to others: share of them that disagree, distances to the nearest, the middle and the
+farthest one, pixels above their middle, planes relative to the smallest among the maps, and log2 of their number."""
 INPUTS = (*ALONE, *OTHERS)
+"""Inputs of the network, in their order."""
 
 _WINDOW = 7
 
@@ -133,17 +159,17 @@ def _compare(
             v = int(value + half)
             bound = np.uint16(min(here, np.float32(65535)))
             lower = np.uint16(0)
-            least = np.uint16(65535)
+            smallest = np.uint16(65535)
             for d in range(count):
                 lower += np.uint16(row[d] < bound)
             for d in range(max(0, min(v - 1, count))):
-                least = min(least, row[d])
+                smallest = min(smallest, row[d])
             for d in range(v + 2, count):
-                least = min(least, row[d])
+                smallest = min(smallest, row[d])
             c_here, c_winner = here * optimized_unit, best[y, x]
             excess = min(np.float32(np.log((c_here + soft) / (c_winner + soft))), soft)
             margin = min(
-                max(np.float32(np.log((np.float32(least) * optimized_unit + soft) / (c_here + soft))), -soft), soft
+                max(np.float32(np.log((np.float32(smallest) * optimized_unit + soft) / (c_here + soft))), -soft), soft
             )
             to_winner = min(abs(value - winner), far)
             column = min(max(np.float32(x) - value, np.float32(-20)), np.float32(20))

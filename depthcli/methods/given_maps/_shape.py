@@ -15,6 +15,8 @@ SHAPE = (
     "above_mean_25", "above_median_5", "above_median_21", "edge_distance", "step_right", "step_left", "step_around",
     "relative",
 )  # fmt: skip
+"""Planes of a map's shape: standard deviations of windows, differences from means and medians of windows, distance to
+the next step, steps to the largest disparity beside a pixel and to the smallest around, share of the range."""
 IMAGE = ("deviation_5", "deviation_13", "deviation_31", "gradient", "border_distance")
 ONE_VIEW = (*SHAPE, *IMAGE)
 """Planes of a map and the left image alone."""

@@ -28,19 +28,18 @@ from depthcli.methods.stereo.volume import RefinementContext
 _SEGMENTATIONS = (Felzenszwalb(scale=300.0, min_size=200),)
 _PLANES = SegmentPlaneFit(tolerance=1.0, trials=100, flatness=0.9)
 _REFINEMENT = SlantedMedian(radius=3, color_scale=10, distance_scale=3)
-_MAX_MAPS = BLOCK_DEPTH - 1 - len(_SEGMENTATIONS)  # beside them: the map of stereo fast, and planes
 
-MAX_MAPS = _MAX_MAPS
-"""Most maps that are fused."""
+MAX_MAPS = BLOCK_DEPTH - 1 - len(_SEGMENTATIONS)
+"""Most maps that are fused, beside that of stereo fast and planes."""
 
 
 class GivenMapsFusion(BaseModel):
     """Fuses maps of one pair.
 
     Proposed are the given maps, the map of the preset ``stereo fast``, and, if asked for, planes of segments, fitted
-    where the best of these is likely right. The network of
-    :mod:`depthcli.methods.given_maps` gives the log odds of each; their softmax is averaged over neighbors of
-    similar color, and the largest share wins. A map that has gaps is completed on the way.
+    where the best of these is likely right. The network of :mod:`depthcli.methods.given_maps` gives the log odds of
+    each; their softmax is averaged over neighbors of similar color, and the largest share wins. A map that has gaps is
+    completed on the way.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
