@@ -10,7 +10,8 @@ __version__ = "0.2.0"
 _MODULES = {
     "api.config": ("load_config",),
     "api.depth": ("complete_transparent", "refine_depth"),
-    "api.maps": ("MapConfidence", "fuse_maps", "map_confidence"),
+    "api.judging": ("MapConfidence",),
+    "api.maps": ("fuse_maps", "map_confidence"),
     "api.points": ("PointCloud",),
     "api.registration": ("RegistrationConfidence", "registration_confidence"),
     "api.results": ("Depth", "Disparity", "RefinedDepth"),

@@ -1,7 +1,7 @@
 from depthcli.api.config import load_config as load_config
 from depthcli.api.depth import complete_transparent as complete_transparent
 from depthcli.api.depth import refine_depth as refine_depth
-from depthcli.api.maps import MapConfidence as MapConfidence
+from depthcli.api.judging import MapConfidence as MapConfidence
 from depthcli.api.maps import fuse_maps as fuse_maps
 from depthcli.api.maps import map_confidence as map_confidence
 from depthcli.api.points import PointCloud as PointCloud

@@ -73,7 +73,7 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Judge the map of every scene; return the exit code."""
-        from depthcli.api.maps import judge_of
+        from depthcli.api.judging import judge_of
 
         share, names = _share(values["keep"])
         if share is not None and values["threshold"] is not None:
@@ -93,7 +93,7 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
 
     def memory_of(self, config: ConfidenceOptions, scene: MapsScene) -> int | None:
         """Estimate by the left image's size; None where the maps give the range."""
-        from depthcli.api.maps import judge_of
+        from depthcli.api.judging import judge_of
         from depthcli.data.formats.headers import image_size
 
         top = config["max_disparity"] or scene.max_disparity
@@ -114,7 +114,7 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
         """
         import numpy as np
 
-        from depthcli.api.maps import judge, judge_by_one_view, judge_of
+        from depthcli.api.judging import judge, judge_by_one_view, judge_of
         from depthcli.core.maps import Status
         from depthcli.core.result import Clock
         from depthcli.data.formats.images import read_image

@@ -74,7 +74,7 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
 
     def memory_of(self, config: FuseMapsOptions, scene: MapsScene) -> int | None:
         """Estimate by the left image's size; None where the maps give the range."""
-        from depthcli.api.maps import fusion_of
+        from depthcli.api.judging import fusion_of
         from depthcli.data.formats.headers import image_size
 
         top = config["max_disparity"] or scene.max_disparity
@@ -96,7 +96,7 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         """
         import numpy as np
 
-        from depthcli.api.maps import fused, fusion_of
+        from depthcli.api.judging import fused, fusion_of
         from depthcli.core.result import Clock
 
         clock = Clock()

@@ -28,6 +28,7 @@ SCENES = PAIRS | GIVEN | {"refine-kinect", "transparent", "register-confidence"}
 # Modules that more commands import than call for messages with options, or that are found by their files: who calls.
 CALLERS = {
     "depthcli.api.matching": {"stereo", "fuse"},
+    "depthcli.api.judging": GIVEN,
     "depthcli.api.maps": GIVEN,
     "depthcli.api.wording": {"stereo", "fuse"},  # options that Python's messages go without
     "depthcli.batch": BATCH,
