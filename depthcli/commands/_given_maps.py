@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from depthcli.data.formats.pictures import Palette
     from depthcli.evaluation.map_files import MapFiles, MapOptions
-
+    from depthcli.methods.given_maps import UsesNetworks
 
 PAIR_OPTIONS = (
     *(option for option in StereoScene.options if option.name in ("left", "right")),
@@ -74,7 +74,7 @@ def find_map_scenes(
     ConfigError, InputError
         As :func:`depthcli.commands._scenes.find_scenes`; no such run, or several files may be its maps.
     """
-    from depthcli.commands._runs import by_run, find_runs, number_of, pattern_of, positive
+    from depthcli.commands._runs import by_run, find_runs, names_in_run, number_of, pattern_of, positive
     from depthcli.commands._scenes import find_scenes
     from depthcli.evaluation.map_files import DisparityFiles, MapFiles, MapOptions
 
@@ -86,7 +86,11 @@ def find_map_scenes(
     scale, scales = by_run("--scale", values["scale"] or [], coded, positive)
     invalid, invalids = by_run("--invalid", values["invalid"] or [], coded, number_of)
     scenes = find_scenes((StereoScene,), values, reporter)
-    names = _names(scenes, values["input"])
+    short = [scene.name.rpartition("/")[2] for scene in scenes]
+    names = {
+        scene.name: names_in_run(scene.name, values["input"], short.count(name) == 1)
+        for scene, name in zip(scenes, short, strict=True)
+    }
     known: MapFiles = DisparityFiles()
     options = {
         run: MapOptions(patterns.get(run) or pattern or "", scales.get(run, scale), invalids.get(run, invalid))
@@ -140,19 +144,6 @@ def threshold_of(values: Values) -> float:
     return within
 
 
-def _names(scenes: Sequence[StereoScene], folder: Path | None) -> dict[str, list[str]]:
-    # Names that a scene may have in a run folder.
-    short = [scene.name.rpartition("/")[2] for scene in scenes]
-    return {
-        scene.name: [
-            scene.name,
-            *([] if folder is None else [f"{folder.resolve().name}/{scene.name}"]),
-            *([name] if short.count(name) == 1 else []),
-        ]
-        for scene, name in zip(scenes, short, strict=True)
-    }
-
-
 def _file(place: Path, files: MapFiles, names: Sequence[str]) -> Path | None:
     return place if os.path.isfile(place) else files.find(place, names)
 
@@ -189,6 +180,14 @@ def _recognized(
     if found != options:
         reporter.info(f"{run}: taken as its maps: {found.pattern} (--pattern says otherwise)")
     return found
+
+
+def memory_for(method: UsesNetworks, scene: MapsScene, max_disparity: int | None) -> int | None:
+    """Estimate the memory for a scene by the left image's size; None where the maps give the range."""
+    from depthcli.data.formats.headers import image_size
+
+    top = max_disparity or scene.max_disparity
+    return None if top is None else method.peak_bytes(image_size(scene.left)[:2], top, len(scene.maps))
 
 
 def loaded(one: GivenMap, shape: tuple[int, int]) -> NDArray[np.float32]:

@@ -106,6 +106,18 @@ def positive(text: str) -> float:
     return value
 
 
+def names_in_run(scene: str, folder: Path | None, unique: bool) -> list[str]:
+    """Return the names that a scene may have in a run folder, the longest form first.
+
+    Parameters
+    ----------
+    folder : that of the scenes, or None
+    unique : no other scene has its short name
+    """
+    of_folder = [] if folder is None else [f"{folder.resolve().name}/{scene}"]
+    return [scene, *of_folder, *([scene.rpartition("/")[2]] if unique else [])]
+
+
 def _has_standard_map(folder: Path, protocol: AnyProtocol, names: Sequence[str]) -> bool:
     try:
         return protocol.files.find(folder, names) is not None

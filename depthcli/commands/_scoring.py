@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from depthcli.batch.json_csv import Row, to_csv
 from depthcli.batch.reports import read_report
-from depthcli.commands._runs import recognized
+from depthcli.commands._runs import names_in_run, recognized
 from depthcli.core.errors import DepthcliError, InputError
 from depthcli.data.formats.files import collected_warnings, write_text
 from depthcli.data.formats.images import write_png
@@ -105,8 +105,7 @@ class Scoring:
 
     def _names(self, scene: Scene, unique: bool) -> list[str]:
         """Names that a scene may have in a run folder."""
-        short = [scene.name.rpartition("/")[2]] if unique else []
-        return [scene.name, f"{self.truth.resolve().name}/{scene.name}", *short]
+        return names_in_run(scene.name, self.truth, unique)
 
     def _reader(self, protocol: AnyProtocol, options: MapOptions) -> AnyProtocol:
         """The protocol with the settings of one run, by which its maps are read."""

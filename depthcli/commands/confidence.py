@@ -17,6 +17,7 @@ from depthcli.commands._given_maps import (
     find_map_scenes,
     largest_of,
     loaded,
+    memory_for,
     threshold_of,
 )
 from depthcli.commands._options import DRY_RUN, EVALUATE, HTML_FLAG, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
@@ -92,12 +93,9 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
         return self.run_on(config, scenes, {**values, "keep": names}, reporter)
 
     def memory_of(self, config: ConfidenceOptions, scene: MapsScene) -> int | None:
-        """Estimate by the left image's size; None where the maps give the range."""
         from depthcli.api.judging import judge_of
-        from depthcli.data.formats.headers import image_size
 
-        top = config["max_disparity"] or scene.max_disparity
-        return None if top is None else judge_of().peak_bytes(image_size(scene.left)[:2], top, len(scene.maps))
+        return memory_for(judge_of(), scene, config["max_disparity"])
 
     def columns(self) -> tuple[Column, ...]:
         """Return size, share of pixels with a value, share expected to be right, share hidden in the right view."""

@@ -18,6 +18,7 @@ from depthcli.commands._given_maps import (
     find_map_scenes,
     largest_of,
     loaded,
+    memory_for,
     threshold_of,
 )
 from depthcli.commands._options import DRY_RUN, EVALUATE, HTML_FLAG, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
@@ -73,12 +74,9 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         return self.run_on(config, find_map_scenes(values, reporter, values["maps"]), values, reporter)
 
     def memory_of(self, config: FuseMapsOptions, scene: MapsScene) -> int | None:
-        """Estimate by the left image's size; None where the maps give the range."""
         from depthcli.api.judging import fusion_of
-        from depthcli.data.formats.headers import image_size
 
-        top = config["max_disparity"] or scene.max_disparity
-        return None if top is None else fusion_of().peak_bytes(image_size(scene.left)[:2], top, len(scene.maps))
+        return memory_for(fusion_of(), scene, config["max_disparity"])
 
     def columns(self) -> tuple[Column, ...]:
         """Return size, number of maps, share expected to be right, share measured."""

@@ -124,6 +124,17 @@ def cost_between(costs: Any, value: Any) -> Any:
     return cost
 
 
+@jit
+def nearest_matches(row: Any) -> Any:
+    """Return the largest disparity of a row's pixels on every pixel of the right view, -1 where none is matched."""
+    nearest = np.full(row.size, np.float32(-1))
+    for x in range(row.size):
+        u = int(np.floor(np.float32(x) - row[x] + np.float32(0.5)))
+        if u >= 0:
+            nearest[u] = max(nearest[u], row[x])
+    return nearest
+
+
 @parallel_jit
 def _along(maps: Any, first: int, costs: Any, unit: Any, truncation: Any, block: Any) -> None:
     height, width, n_disparities = costs.shape

@@ -15,6 +15,8 @@ BLOCK_DEPTH = 16
 """Disparities, or maps, that a support sums at a time; the loops of its kernels are written for this number."""
 NO_VOTE = np.float32(1e-20)  # instead of 0: what is left of far votes must not become denormal, which is slow
 
+_SOFTNESS = 15.0  # of the supports by which maps are judged, grey levels
+
 
 class Support(ABC):
     """Weighted sums over the pixels that vote for a pixel, for 16 disparities at a time.
@@ -62,6 +64,16 @@ class ColorSupport(Support):
     def sum(self, block: NDArray[np.float32]) -> None:
         _recurse_rows(block, self._across)
         _recurse_columns(block, self._down)
+
+
+def wide_support(image: NDArray[np.uint8]) -> ColorSupport:
+    """Return the wide support of an (H, W, 3) image, by which maps are judged; networks are trained with it."""
+    return ColorSupport(image, 8.0, _SOFTNESS)
+
+
+def narrow_support(image: NDArray[np.uint8]) -> ColorSupport:
+    """Return the narrow support, which is used where outlines matter."""
+    return ColorSupport(image, 2.0, _SOFTNESS)
 
 
 class WindowSupport(Support):

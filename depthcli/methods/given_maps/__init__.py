@@ -99,15 +99,12 @@ def offsets(network: TrainedNetwork, within: float) -> NDArray[np.float32]:
     return between
 
 
-class MapJudge(BaseModel):
-    """Judges the map of a pair."""
+class UsesNetworks(BaseModel):
+    """What judges maps by the networks, which are handed in."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     within: float = Field(1.0, ge=0.25, le=8, description="error up to which a value counts as right, pixels")
-    measures: tuple[Annotated[str, AfterValidator(measure_name)], ...] = Field(
-        (), description="single measures that are also computed"
-    )
     _networks: Networks | None = PrivateAttr(None)
 
     def with_networks(self, networks: Networks) -> Self:
@@ -115,6 +112,26 @@ class MapJudge(BaseModel):
         copy = self.model_copy()
         copy._networks = networks
         return copy
+
+    @property
+    def networks(self) -> Networks:
+        """The networks; ValueError where they were not handed in."""
+        if self._networks is None:
+            raise ValueError("hand the networks in with with_networks first")
+        return self._networks
+
+    def peak_bytes(self, shape: tuple[int, int], max_disparity: int, count: int) -> int:
+        """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes."""
+        per_pixel = (max_disparity + 1) * BYTES_PER_CELL + BYTES_PER_PIXEL + 4 * count * (len(INPUTS) + 4)
+        return shape[0] * shape[1] * per_pixel + (64 << 20)
+
+
+class MapJudge(UsesNetworks):
+    """Judges the map of a pair."""
+
+    measures: tuple[Annotated[str, AfterValidator(measure_name)], ...] = Field(
+        (), description="single measures that are also computed"
+    )
 
     def __call__(
         self,
@@ -136,16 +153,14 @@ class MapJudge(BaseModel):
         ValueError
             There is no map, or one has not the size of the images.
         """
-        if self._networks is None:
-            raise ValueError("hand the networks in with with_networks first")
-        clock = Clock()
+        networks, clock = self.networks, Clock()
         evidence = Evidence.of(pair, max_disparity, clock)
         clock.start("planes")
         judged = judged_maps(evidence, maps)
         clock.start("network")
-        odds = odds_of(self._networks, judged[0], self.within)
+        odds = odds_of(networks, judged[0], self.within)
         probability = np.where(judged[0].missing, np.float32(0), _logistic(odds))
-        status = status_of(self._networks, judged[0], probability)
+        status = status_of(networks, judged[0], probability)
         confidence = {name: measured(name, judged[0], evidence, right) for name in self.measures}
         return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
 
@@ -164,8 +179,7 @@ class MapJudge(BaseModel):
         ValueError
             The map has not the size of the image.
         """
-        if self._networks is None:
-            raise ValueError("hand the networks in with with_networks first")
+        network = self.networks.one_view
         if values.shape != left.shape[:2]:
             raise ValueError(f"want a map of the image's size {left.shape[:2]}, got {values.shape}")
         clock = Clock()
@@ -174,7 +188,6 @@ class MapJudge(BaseModel):
         grey = StereoPair(left, left).grey8[0].astype(np.float32)
         planes = one_view_planes(whole, grey, max_disparity)
         clock.start("network")
-        network = self._networks.one_view
         odds = log_odds(network, offsets(network, self.within), (planes, planes[:0]))
         probability = np.where(missing, np.float32(0), _logistic(odds))
         status = np.where(probability < 0.5, Status.MISMATCH, Status.MEASURED)
@@ -182,12 +195,6 @@ class MapJudge(BaseModel):
         found = {name: measured_in_one_view(name, planes, missing) for name in self.measures}
         confidence = {name: values for name, values in found.items() if values is not None}
         return MapJudgment(seconds=clock.seconds, confidence=confidence, probability=probability, status=status)
-
-    def peak_bytes(self, shape: tuple[int, int], max_disparity: int, count: int) -> int:
-        """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes."""
-        return shape[0] * shape[1] * (
-            (max_disparity + 1) * BYTES_PER_CELL + BYTES_PER_PIXEL + 4 * count * (len(INPUTS) + 4)
-        ) + (64 << 20)
 
 
 def judged_maps(evidence: Evidence, maps: Sequence[NDArray[np.float32]], known: Sequence[Judged] = ()) -> list[Judged]:

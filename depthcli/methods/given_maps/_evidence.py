@@ -14,7 +14,7 @@ from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.kernels.winners import winners
-from depthcli.methods.fusion.support import ColorSupport
+from depthcli.methods.fusion.support import ColorSupport, narrow_support, wide_support
 from depthcli.methods.given_maps._shape import image_planes
 from depthcli.methods.stereo.adjustment import adjusted
 from depthcli.methods.stereo.cost.census import Census
@@ -35,7 +35,6 @@ _REFINEMENT = (
     LeftRightCheck(), SpeckleFilter(size=50), Subpixel(), SurfaceFill(rows=4, reach=20), BackgroundFill(),
     Median(window=5),
 )  # fmt: skip
-_WIDE_REACH, _NARROW_REACH, _SOFTNESS = 8.0, 2.0, 15.0  # of the supports: pixels, and grey levels
 
 BYTES_PER_CELL = 7
 """Of the costs: raw ones, two sums of paths, optimized ones."""
@@ -79,12 +78,12 @@ class Evidence:
     @cached_property
     def wide(self) -> ColorSupport:
         """The wide support that planes are averaged over."""
-        return ColorSupport(self.pair.color8[0], _WIDE_REACH, _SOFTNESS)
+        return wide_support(self.pair.color8[0])
 
     @cached_property
     def narrow(self) -> ColorSupport:
         """The narrow support that is used where outlines matter."""
-        return ColorSupport(self.pair.color8[0], _NARROW_REACH, _SOFTNESS)
+        return narrow_support(self.pair.color8[0])
 
     @cached_property
     def grey(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

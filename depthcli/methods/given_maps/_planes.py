@@ -11,7 +11,7 @@ from depthcli.algorithms.filters import local_moments
 from depthcli.core import memory
 from depthcli.kernels.jit import parallel_jit, prange
 from depthcli.methods.fusion.choice._inputs import correlation
-from depthcli.methods.fusion.map_costs import cost_between, disagreements
+from depthcli.methods.fusion.map_costs import cost_between, disagreements, nearest_matches
 from depthcli.methods.fusion.support import BLOCK_DEPTH, NO_VOTE
 from depthcli.methods.given_maps._evidence import Evidence
 from depthcli.methods.given_maps._shape import IMAGE, SHAPE, shape_planes
@@ -141,11 +141,7 @@ def _compare(
     last, half, one, zero = np.float32(width - 1), np.float32(0.5), np.float32(1), np.float32(0)
     far, soft = np.float32(8), np.float32(2)
     for y in prange(height):
-        nearest = np.full(width, np.float32(-1))
-        for x in range(width):
-            u = int(np.floor(np.float32(x) - values[y, x] + half))
-            if u >= 0:
-                nearest[u] = max(nearest[u], values[y, x])
+        nearest = nearest_matches(values[y])
         for x in range(width):
             value = values[y, x]
             cells = block[y, x]
@@ -278,11 +274,7 @@ def hidden_by_map(values: NDArray[np.float32], margin: float = 1.0) -> NDArray[n
 def _cover(values: Any, margin: Any, out: Any) -> None:
     height, width = values.shape
     for y in prange(height):
-        nearest = np.full(width, np.float32(-1))
-        for x in range(width):
-            u = int(np.floor(np.float32(x) - values[y, x] + np.float32(0.5)))
-            if u >= 0:
-                nearest[u] = max(nearest[u], values[y, x])
+        nearest = nearest_matches(values[y])
         for x in range(width):
             u = int(np.floor(np.float32(x) - values[y, x] + np.float32(0.5)))
             out[y, x] = u >= 0 and nearest[u] - values[y, x] > margin

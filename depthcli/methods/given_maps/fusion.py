@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.segment_planes import SegmentPlaneFit
 from depthcli.algorithms.regions import RegionPixels
@@ -18,9 +17,9 @@ from depthcli.core.maps import DisparityMap
 from depthcli.core.result import Clock
 from depthcli.methods.fusion.choice.network import softmax, take_largest
 from depthcli.methods.fusion.support import BLOCK_DEPTH
-from depthcli.methods.given_maps import MapJudgment, Networks, judged_maps, odds_of, with_reasons
-from depthcli.methods.given_maps._evidence import BYTES_PER_CELL, BYTES_PER_PIXEL, Evidence
-from depthcli.methods.given_maps._planes import INPUTS, hidden_by_map
+from depthcli.methods.given_maps import MapJudgment, UsesNetworks, judged_maps, odds_of, with_reasons
+from depthcli.methods.given_maps._evidence import Evidence
+from depthcli.methods.given_maps._planes import hidden_by_map
 from depthcli.methods.given_maps.measures import Judged
 from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
 from depthcli.methods.stereo.volume import RefinementContext
@@ -33,7 +32,7 @@ MAX_MAPS = BLOCK_DEPTH - 1 - len(_SEGMENTATIONS)
 """Most maps that are fused, beside that of stereo fast and planes."""
 
 
-class GivenMapsFusion(BaseModel):
+class GivenMapsFusion(UsesNetworks):
     """Fuses maps of one pair.
 
     Proposed are the given maps, the map of the preset ``stereo fast``, and, if asked for, planes of segments, fitted
@@ -42,17 +41,7 @@ class GivenMapsFusion(BaseModel):
     completed on the way.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    within: float = Field(1.0, ge=0.25, le=8, description="error up to which a value counts as right, pixels")
     surfaces: bool = Field(False, description="whether planes of segments are proposed, too")
-    _networks: Networks | None = PrivateAttr(None)
-
-    def with_networks(self, networks: Networks) -> Self:
-        """Return a copy that judges by these networks."""
-        copy = self.model_copy()
-        copy._networks = networks
-        return copy
 
     def __call__(
         self, pair: StereoPair, maps: Sequence[NDArray[np.float32]], max_disparity: int
@@ -73,8 +62,6 @@ class GivenMapsFusion(BaseModel):
         ValueError
             There is no map, too many, or one has not the size of the images.
         """
-        if self._networks is None:
-            raise ValueError("hand the networks in with with_networks first")
         if not 1 <= len(maps) <= MAX_MAPS:
             raise ValueError(f"want 1 to {MAX_MAPS} maps, got {len(maps)}")
         clock = Clock()
@@ -95,14 +82,12 @@ class GivenMapsFusion(BaseModel):
         return DisparityMap(values, status), judgment
 
     def peak_bytes(self, shape: tuple[int, int], max_disparity: int, count: int) -> int:
-        """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes."""
-        per_pixel = (max_disparity + 1) * BYTES_PER_CELL + BYTES_PER_PIXEL + 4 * (count + 2) * (len(INPUTS) + 4)
-        return shape[0] * shape[1] * per_pixel + (64 << 20)
+        """Estimate the peak working memory for ``count`` maps of (H, W) ``shape``, bytes; two more are proposed."""
+        return super().peak_bytes(shape, max_disparity, count + 2)
 
     def _chosen(self, evidence: Evidence, judged: Sequence[Judged]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         # The map of the largest shares, and the probability that its values are right.
-        assert self._networks is not None
-        odds = np.stack([odds_of(self._networks, one, self.within) for one in judged])
+        odds = np.stack([odds_of(self.networks, one, self.within) for one in judged])
         height, width = evidence.pair.shape
         shares = memory.empty((height, width, BLOCK_DEPTH), np.float32)
         softmax(odds, shares)

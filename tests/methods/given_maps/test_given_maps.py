@@ -9,14 +9,18 @@ import numpy as np
 import pytest
 
 from depthcli.api.judging import fusion_of, judge_of, networks
+from depthcli.batch.presets import find_config
+from depthcli.core.config_file import load_config
 from depthcli.core.errors import InputError
 from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.core.result import Clock
 from depthcli.data.generated.arrays.stereo_scenes import SyntheticScene, make_scene
 from depthcli.methods.given_maps import Networks, judged_maps, map_measures, odds_of, offsets
-from depthcli.methods.given_maps._evidence import Evidence
+from depthcli.methods.given_maps._evidence import _COST, _OPTIMIZATION, _REFINEMENT, Evidence
 from depthcli.methods.given_maps._planes import OTHERS, hidden_by_map
+from depthcli.methods.stereo.config import StereoConfig
+from depthcli.methods.stereo.pipeline.local import Local
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +85,12 @@ def test_offsets_lie_between_those_of_the_thresholds():
     np.testing.assert_array_equal(offsets(network, 1.0), rows[1])
     np.testing.assert_allclose(offsets(network, math.sqrt(2)), (rows[1] + rows[2]) / 2, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(offsets(network, 8.0), rows[-1], rtol=1e-5, atol=1e-7)
+
+
+def test_the_costs_are_those_of_the_preset_fast():
+    fast = load_config(StereoConfig, find_config("stereo", "fast")).pipeline
+    assert isinstance(fast, Local)
+    assert (fast.cost, fast.optimization, fast.refinement) == (_COST, _OPTIMIZATION, _REFINEMENT)
 
 
 def test_networks_for_other_inputs_are_refused():

@@ -17,11 +17,8 @@ from numpy.typing import NDArray
 from depthcli.core.frames import StereoPair
 from depthcli.core.method import Method, method_of
 from depthcli.core.networks import TrainedNetwork
-from depthcli.methods.fusion.support import ColorSupport
+from depthcli.methods.fusion.support import ColorSupport, narrow_support, wide_support
 from depthcli.methods.stereo.volume import CostVolume
-
-# Reaches of the supports, pixels, and their softness, grey levels; networks are trained with these.
-_WIDE_REACH, _NARROW_REACH, _SOFTNESS = 8.0, 2.0, 15.0
 
 
 @dataclass(frozen=True)
@@ -50,12 +47,12 @@ class Proposals:
     @cached_property
     def wide(self) -> ColorSupport:
         """The wide support that costs are averaged over."""
-        return ColorSupport(self.pair.color8[0], _WIDE_REACH, _SOFTNESS)
+        return wide_support(self.pair.color8[0])
 
     @cached_property
     def narrow(self) -> ColorSupport:
         """The narrow support that is used where outlines matter."""
-        return ColorSupport(self.pair.color8[0], _NARROW_REACH, _SOFTNESS)
+        return narrow_support(self.pair.color8[0])
 
 
 @dataclass(frozen=True)

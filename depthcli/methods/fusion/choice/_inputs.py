@@ -22,6 +22,7 @@ from depthcli.methods.fusion.map_costs import (
     disagreements,
     matching_costs,
     misfit,
+    nearest_matches,
 )
 
 PROPOSAL_PLANES = (
@@ -217,11 +218,7 @@ def _compare_views(
     height, width = values.shape
     last, half = np.float32(width - 1), np.float32(0.5)
     for y in prange(height):
-        nearest = np.full(width, np.float32(-1))  # on every pixel of the right view
-        for x in range(width):
-            u = int(np.floor(np.float32(x) - values[y, x] + half))
-            if u >= 0:
-                nearest[u] = max(nearest[u], values[y, x])
+        nearest = nearest_matches(values[y])
         for x in range(width):
             value = values[y, x]
             excess[y, x] = cost_between(costs[y, x], value) * unit - min_cost[y, x]
