@@ -49,7 +49,8 @@ class MapsCommand(BatchCommand[ConfigT, MapsScene]):
 
     def settings(self, config: ConfigT, scene: MapsScene) -> dict[str, str]:
         """Return by what the maps are read, and the range of the scene."""
-        coding = ", ".join(f"{one.scale} {one.invalid}" for one in scene.maps)
+        maps = scene.maps if scene.right_map is None else (*scene.maps, scene.right_map)
+        coding = ", ".join(f"{one.scale} {one.invalid}" for one in maps)
         return {"max_disparity": str(scene.max_disparity), "coding": coding}
 
     def palette(self) -> Palette:
