@@ -1,4 +1,4 @@
-"""Sixteen floats as one value in kernels, against numpy."""
+"""Sixteen floats or 32 short integers as one value in kernels, against numpy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,25 @@ import numpy as np
 
 from depthcli.kernels import lanes
 from depthcli.kernels.jit import jit
-from depthcli.kernels.lanes import exp_minus, lane_min, lane_sum, load, minimum, splat, store
+from depthcli.kernels.lanes import (
+    absolute_difference,
+    exp_minus,
+    halves,
+    lane_exp_minus_16,
+    lane_max,
+    lane_min,
+    lane_sum,
+    load,
+    load_shorts,
+    maximum,
+    minimum,
+    shifted_right,
+    splat,
+    splat_shorts,
+    store,
+    truncated,
+    where_at_most,
+)
 
 
 @jit
@@ -49,3 +67,60 @@ def test_exponentials_of_large_numbers_are_as_good_as_zero():
 @jit
 def _exponentials(a, out):
     store(out, 0, exp_minus(load(a, 1)))
+
+
+@jit
+def _compute_more(a, b, levels, out, bytes_out):
+    x, y, z = load(a, 0), load(b, 0), load(levels, 1)
+    store(out, 0, x / y)
+    store(out, 16, maximum(x, y))
+    store(out, 32, where_at_most(x, y, x + y, z))
+    store(out, 48, truncated(x))
+    store(out, 64, lane_exp_minus_16(x * x))
+    store(bytes_out, 1, z + splat(np.float32(0.9)))
+    return lane_max(x)
+
+
+def test_more_operations_on_floats_and_bytes():
+    rng = np.random.default_rng(2)
+    a, b = (rng.normal(0, 2, 16).astype(np.float32) for _ in range(2))
+    b += np.sign(b)
+    levels = rng.integers(0, 255, 17).astype(np.uint8)
+    out, bytes_out = np.zeros((5, 16), np.float32), np.zeros(18, np.uint8)
+    assert _compute_more(a, b, levels, out.reshape(-1), bytes_out) == a.max()
+    z = levels[1:].astype(np.float32)
+    expected = (a / b, np.maximum(a, b), np.where(a <= b, a + b, z), np.trunc(a))
+    np.testing.assert_allclose(out[:4], expected, rtol=1e-6)
+    np.testing.assert_allclose(out[4], np.exp(-16 * np.minimum(a * a, 1)), atol=1e-4)
+    np.testing.assert_array_equal(bytes_out[1:17], levels[1:])
+    assert bytes_out[0] == bytes_out[17] == 0
+
+
+@jit
+def _compute_shorts(a, levels, out, bytes_out, floats):
+    x, y = load_shorts(a, 1), load_shorts(levels, 2)
+    store(out, 0, x + y)
+    store(out, 32, x - y)
+    store(out, 64, minimum(x, y))
+    store(out, 96, maximum(x, y))
+    store(out, 128, absolute_difference(x, y))
+    store(out, 160, shifted_right(y, np.int16(3)))
+    store(out, 192, splat_shorts(np.int16(-7)))
+    store(bytes_out, 0, y)
+    low, high = halves(x)
+    store(floats, 0, low)
+    store(floats, 16, high)
+
+
+def test_short_integers_compute_as_numpy_does():
+    rng = np.random.default_rng(3)
+    a = rng.integers(-2000, 2000, 33).astype(np.int16)
+    levels = rng.integers(0, 256, 34).astype(np.uint8)
+    out, bytes_out, floats = np.zeros((7, 32), np.int16), np.zeros(32, np.uint8), np.zeros(32, np.float32)
+    _compute_shorts(a, levels, out.reshape(-1), bytes_out, floats)
+    x, y = a[1:], levels[2:].astype(np.int16)
+    seven = np.full(32, -7, np.int16)
+    expected = (x + y, x - y, np.minimum(x, y), np.maximum(x, y), np.abs(x - y), y >> 3, seven)
+    np.testing.assert_array_equal(out, expected)
+    np.testing.assert_array_equal(bytes_out, y)
+    np.testing.assert_array_equal(floats, x)

@@ -7,11 +7,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.algorithms.plane_fitting.least_squares import biweight_root, plane_slopes
+from depthcli.algorithms.plane_fitting.least_squares import plane_slopes
 from depthcli.kernels.jit import jit, parallel_jit, prange
-
-BLOCK = 64
-"""Number of pixels of a row that kernels process together; widths of their arrays are multiples of it."""
+from depthcli.kernels.lanes import (
+    LANES,
+    SHORT_LANES,
+    absolute_difference,
+    halves,
+    load,
+    load_shorts,
+    maximum,
+    minimum,
+    splat,
+    store,
+    where_at_most,
+)
 
 # Values of the preset stereo accurate, not varied by any script; the device kernels (slanted.cl) have the same.
 _RIDGE = np.float32(0.2)  # square pixels added to the variance of positions
@@ -24,9 +34,9 @@ _STEPS = 4  # samples from the center of the window to its side
 
 
 def framed(array: NDArray[Any], margin: int, value: float = 0) -> NDArray[Any]:
-    """Return (..., H, W) padded with ``value``: by ``margin`` on all sides, and on the right up to a whole block."""
+    """Return (..., H, W) padded with ``value``: by ``margin`` on all sides, and on the right up to whole vectors."""
     *others, _, width = array.shape
-    frame = [(0, 0)] * len(others) + [(margin, margin), (margin, margin + -width % BLOCK)]
+    frame = [(0, 0)] * len(others) + [(margin, margin), (margin, margin + -width % SHORT_LANES)]
     return np.pad(array, frame, constant_values=value)
 
 
@@ -56,14 +66,12 @@ def slopes(values: NDArray[np.float32], image: NDArray[np.uint8], radius: int = 
         Along the row and along the column, within -1 .. 1; 0 where fewer than 6 pixels agree, or without a value.
     """
     height, width = values.shape
-    result = np.zeros((2, height, width + -width % BLOCK), np.float32)
+    result = np.zeros((2, height, width + -width % SHORT_LANES), np.float32)
     step, limits, spread = window_sampling(radius)
     reach = _STEPS * step
-    offsets = np.arange(-reach, reach + 1, step)
-    grid = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.int64)
     known = framed(np.nan_to_num(values), reach)
     valid = framed((~np.isnan(values)).astype(np.float32), reach)
-    _fit(known, valid, color_planes(image, reach), grid, limits.ravel(), reach, spread, result)
+    _fit(known, valid, color_planes(image, reach), step, limits, spread, result)
     return np.ascontiguousarray(result[:, :, :width])
 
 
@@ -84,116 +92,112 @@ def window_sampling(radius: int) -> tuple[int, NDArray[np.float32], np.float32]:
 
 
 @parallel_jit
-def _fit(values, valid, planes, grid, limits, margin, spread, result):  # type: ignore[no-untyped-def]
-    # Weights and differences of all samples first (SIMD over the block), then one sum after another.
+def _fit(values, valid, planes, step, limits, spread, result):  # type: ignore[no-untyped-def]
+    # Differences and weights of all samples of a block of pixels are kept while planes are fitted to them.
     _, height, width = result.shape
-    count = grid.shape[0]
+    side = limits.shape[0]
+    row_size = values.shape[1]
+    plane_size = values.shape[0] * row_size
+    colors, value_of, known = planes.reshape(planes.size), values.reshape(plane_size), valid.reshape(plane_size)
+    slope_of = result.reshape(2 * height * width)
+    margin = _STEPS * step
+    zero, color_limit = splat(np.float32(0)), splat(_COLOR_THRESHOLD)
     for y in prange(height):
-        near = np.empty((count, BLOCK), np.float32)
-        apart = np.empty((count, BLOCK), np.float32)
-        weights = np.empty((count, BLOCK), np.float32)
-        sums = np.empty((9, BLOCK), np.float32)
-        slope_x = np.empty(BLOCK, np.float32)
-        slope_y = np.empty(BLOCK, np.float32)
-        offset = np.empty(BLOCK, np.float32)
-        for x in range(0, width, BLOCK):
-            first = x + margin
-            _near_samples(values, valid, planes, grid, limits, y + margin, first, near, apart)
-            _sum_moments(near, apart, grid, sums)
-            _solve(sums, slope_x, slope_y, offset)
-            _reweight(near, apart, grid, slope_x, slope_y, offset, weights)
-            _sum_moments(weights, apart, grid, sums)
-            _solve(sums, slope_x, slope_y, offset)
-            _residual_variance(weights, apart, grid, slope_x, slope_y, offset, sums)
-            here = valid[y + margin, first : first + BLOCK]
-            for i in range(BLOCK):
-                steep = slope_x[i] * slope_x[i] + slope_y[i] * slope_y[i]
-                uncertainty = _SHRINKAGE * spread * (sums[0, i] + _NOISE_VARIANCE)
-                share = here[i] * steep / (steep + uncertainty)
-                result[0, y, x + i] = slope_x[i] * share
-                result[1, y, x + i] = slope_y[i] * share
+        apart = np.empty(side * side * SHORT_LANES, np.float32)
+        weights = np.empty(side * side * SHORT_LANES, np.float32)
+        for x in range(0, width, SHORT_LANES):
+            center = (y + margin) * row_size + x + margin
+            red, green = load_shorts(colors, center), load_shorts(colors, center + plane_size)
+            blue = load_shorts(colors, center + 2 * plane_size)
+            for i in range(side):
+                for j in range(side):
+                    there = (y + i * step) * row_size + x + j * step
+                    color = halves(
+                        absolute_difference(load_shorts(colors, there), red)
+                        + absolute_difference(load_shorts(colors, there + plane_size), green)
+                        + absolute_difference(load_shorts(colors, there + 2 * plane_size), blue)
+                    )
+                    limit, at = splat(limits[i, j]), (i * side + j) * SHORT_LANES
+                    for half in range(2):
+                        shift = half * LANES
+                        difference = load(value_of, there + shift) - load(value_of, center + shift)
+                        weight = load(known, there + shift)
+                        weight = where_at_most(color[half], color_limit, weight, zero)
+                        distance = maximum(difference, zero - difference)
+                        store(apart, at + shift, difference)
+                        store(weights, at + shift, where_at_most(distance, limit, weight, zero))
+            for shift in range(0, SHORT_LANES, LANES):
+                slope_x, slope_y, offset = _fitted(weights, apart, side, step, shift)
+                _reweight(weights, apart, side, step, shift, slope_x, slope_y, offset)
+                slope_x, slope_y, offset = _fitted(weights, apart, side, step, shift)
+                variance = _residual_variance(weights, apart, side, step, shift, slope_x, slope_y, offset)
+                steep = slope_x * slope_x + slope_y * slope_y
+                uncertainty = splat(_SHRINKAGE * spread) * (variance + splat(_NOISE_VARIANCE))
+                share = load(known, center + shift) * steep / (steep + uncertainty)
+                at = y * width + x + shift
+                store(slope_of, at, slope_x * share)
+                store(slope_of, at + height * width, slope_y * share)
 
 
 @jit
-def _near_samples(values, valid, planes, grid, limits, y, x, near, apart):  # type: ignore[no-untyped-def]
-    red0, green0, blue0 = planes[0, y, x : x + BLOCK], planes[1, y, x : x + BLOCK], planes[2, y, x : x + BLOCK]
-    value0 = values[y, x : x + BLOCK]
-    for k in range(grid.shape[0]):
-        v, u = y + grid[k, 0], x + grid[k, 1]
-        red, green, blue = planes[0, v, u : u + BLOCK], planes[1, v, u : u + BLOCK], planes[2, v, u : u + BLOCK]
-        value, known = values[v, u : u + BLOCK], valid[v, u : u + BLOCK]
-        out, difference, limit = near[k], apart[k], limits[k]
-        for i in range(BLOCK):
-            difference[i] = value[i] - value0[i]
-        for i in range(BLOCK):
-            color = np.float32(
-                np.int16(abs(np.int16(np.int16(red[i]) - np.int16(red0[i]))))
-                + np.int16(abs(np.int16(np.int16(green[i]) - np.int16(green0[i]))))
-                + np.int16(abs(np.int16(np.int16(blue[i]) - np.int16(blue0[i]))))
-            )
-            belongs = color <= _COLOR_THRESHOLD and abs(difference[i]) <= limit
-            out[i] = known[i] if belongs else np.float32(0)
+def _fitted(weights, apart, side, step, shift):  # type: ignore[no-untyped-def]
+    # Slopes along the row and the column, and the offset at the center, of the planes through the samples.
+    zero = splat(np.float32(0))
+    s, sx, sy, sxx, sxy, syy, sd, sxd, syd = zero, zero, zero, zero, zero, zero, zero, zero, zero
+    for i in range(side):
+        row, row_x, row_xx, row_d, row_xd = zero, zero, zero, zero, zero
+        for j in range(side):
+            at = (i * side + j) * SHORT_LANES + shift
+            dx = splat(np.float32((j - side // 2) * step))
+            w = load(weights, at)
+            wx, wd = w * dx, w * load(apart, at)
+            row = row + w
+            row_x = row_x + wx
+            row_xx = row_xx + wx * dx
+            row_d = row_d + wd
+            row_xd = row_xd + wd * dx
+        dy = splat(np.float32((i - side // 2) * step))
+        down = dy * row
+        s, sx, sy = s + row, sx + row_x, sy + down
+        sxx, sxy, syy = sxx + row_xx, sxy + dy * row_x, syy + dy * down
+        sd, sxd, syd = sd + row_d, sxd + row_xd, syd + dy * row_d
+    few, one = splat(_MIN_SAMPLES), splat(np.float32(1))
+    scale = where_at_most(few, s, one / maximum(s, few), one)
+    mx, my, md = sx * scale, sy * scale, sd * scale
+    ridge = splat(_RIDGE)
+    xx, xy, yy = sxx * scale - mx * mx + ridge, sxy * scale - mx * my, syy * scale - my * my + ridge
+    a, b = plane_slopes(xx, xy, yy, sxd * scale - mx * md, syd * scale - my * md, xx * yy - xy * xy)
+    steepest = splat(_MAX_SLOPE)
+    a = minimum(maximum(a, zero - steepest), steepest)
+    b = minimum(maximum(b, zero - steepest), steepest)
+    offset = md - a * mx - b * my
+    return where_at_most(few, s, a, zero), where_at_most(few, s, b, zero), where_at_most(few, s, offset, zero)
 
 
 @jit
-def _reweight(near, apart, grid, slope_x, slope_y, offset, weights):  # type: ignore[no-untyped-def]
-    for k in range(grid.shape[0]):
-        dy, dx = np.float32(grid[k, 0]), np.float32(grid[k, 1])
-        source, difference, out = near[k], apart[k], weights[k]
-        for i in range(BLOCK):
-            out[i] = source[i] * biweight_root(difference[i] - offset[i] - slope_x[i] * dx - slope_y[i] * dy)
+def _residual(apart, at, i, j, side, step, slope_x, slope_y, offset):  # type: ignore[no-untyped-def]
+    dy, dx = splat(np.float32((i - side // 2) * step)), splat(np.float32((j - side // 2) * step))
+    return load(apart, at) - offset - slope_x * dx - slope_y * dy
 
 
 @jit
-def _sum_moments(weights, apart, grid, sums):  # type: ignore[no-untyped-def]
-    sums[:] = 0
-    for k in range(grid.shape[0]):
-        dy, dx = np.float32(grid[k, 0]), np.float32(grid[k, 1])
-        w, d = weights[k], apart[k]
-        for n, factor in enumerate((np.float32(1), dx, dy, dx * dx, dx * dy, dy * dy)):
-            total = sums[n]
-            for i in range(BLOCK):
-                total[i] += factor * w[i]
-        for n, factor in enumerate((np.float32(1), dx, dy)):
-            total = sums[6 + n]
-            for i in range(BLOCK):
-                total[i] += factor * w[i] * d[i]
+def _reweight(weights, apart, side, step, shift, slope_x, slope_y, offset):  # type: ignore[no-untyped-def]
+    one, zero = splat(np.float32(1)), splat(np.float32(0))
+    for i in range(side):
+        for j in range(side):
+            at = (i * side + j) * SHORT_LANES + shift
+            residual = _residual(apart, at, i, j, side, step, slope_x, slope_y, offset)
+            store(weights, at, load(weights, at) * maximum(one - residual * residual, zero))
 
 
 @jit
-def _residual_variance(weights, apart, grid, slope_x, slope_y, offset, sums):  # type: ignore[no-untyped-def]
-    # The weighted mean of the squared residuals, into the first row of ``sums``.
-    squares, total = sums[0], sums[1]
-    squares[:] = 0
-    total[:] = 0
-    for k in range(grid.shape[0]):
-        dy, dx = np.float32(grid[k, 0]), np.float32(grid[k, 1])
-        w, difference = weights[k], apart[k]
-        for i in range(BLOCK):
-            residual = difference[i] - offset[i] - slope_x[i] * dx - slope_y[i] * dy
-            squares[i] += w[i] * residual * residual
-        for i in range(BLOCK):
-            total[i] += w[i]
-    for i in range(BLOCK):
-        squares[i] /= max(total[i], np.float32(1))
-
-
-@jit
-def _solve(sums, slope_x, slope_y, offset):  # type: ignore[no-untyped-def]
-    one = np.float32(1)
-    for i in range(BLOCK):
-        s = sums[0, i]
-        sparse = s < _MIN_SAMPLES
-        scale = one if sparse else one / s
-        mx, my, md = sums[1, i] * scale, sums[2, i] * scale, sums[6, i] * scale
-        xx = sums[3, i] * scale - mx * mx + _RIDGE
-        xy = sums[4, i] * scale - mx * my
-        yy = sums[5, i] * scale - my * my + _RIDGE
-        xd = sums[7, i] * scale - mx * md
-        yd = sums[8, i] * scale - my * md
-        a, b = plane_slopes(xx, xy, yy, xd, yd, xx * yy - xy * xy)
-        a = min(max(a, -_MAX_SLOPE), _MAX_SLOPE)
-        b = min(max(b, -_MAX_SLOPE), _MAX_SLOPE)
-        slope_x[i] = np.float32(0) if sparse else a
-        slope_y[i] = np.float32(0) if sparse else b
-        offset[i] = np.float32(0) if sparse else md - a * mx - b * my
+def _residual_variance(weights, apart, side, step, shift, slope_x, slope_y, offset):  # type: ignore[no-untyped-def]
+    # The weighted mean of the squared residuals.
+    one, total, squares = splat(np.float32(1)), splat(np.float32(0)), splat(np.float32(0))
+    for i in range(side):
+        for j in range(side):
+            at = (i * side + j) * SHORT_LANES + shift
+            residual = _residual(apart, at, i, j, side, step, slope_x, slope_y, offset)
+            weight = load(weights, at)
+            total, squares = total + weight, squares + weight * residual * residual
+    return squares / maximum(total, one)

@@ -21,6 +21,7 @@ from depthcli.methods.stereo.cost.gradient import Gradient, image_gradient
 from depthcli.methods.stereo.cost.rank import Rank
 from depthcli.methods.stereo.cost.zncc import Zncc
 from depthcli.methods.stereo.cross_support import cross_arms
+from depthcli.methods.stereo.optimization import scanline
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.discontinuity_adjustment import DiscontinuityAdjustment
@@ -372,6 +373,23 @@ def test_scanline_at_every_number_of_disparities(disparities, paths, dtype):
     assert result.scale == paths
     expected = naive.scanline(volume.costs, pair.left, 17, 70, paths, 20, 3)
     np.testing.assert_array_equal(result.costs, expected)
+
+
+@pytest.mark.parametrize("paths", [4, 8])
+@pytest.mark.parametrize("largest", [90, 183, 184, 255])
+@pytest.mark.parametrize("height", [1, 2, 3, 8])
+def test_scanline_in_bytes_has_the_same_sums(monkeypatch, height, largest, paths):
+    """Where the largest cost and P2 are less than 255 together, path costs fit into bytes."""
+    rng = np.random.default_rng(largest)
+    image = rng.integers(0, 255, (height, 21, 3)).astype(np.uint8)
+    costs = rng.integers(0, largest + 1, (height, 21, 45)).astype(np.uint8)
+    costs[0, 0, 0] = largest
+    method = Scanline(p1=17, p2=70, paths=paths, edge_threshold=20, edge_divisor=3)
+    found = [method(CostVolume(costs), StereoPair(image, image)).costs]
+    monkeypatch.setattr(scanline, "_BYTE_GUARD", 0)
+    found.append(method(CostVolume(costs), StereoPair(image, image)).costs)
+    np.testing.assert_array_equal(*found)
+    np.testing.assert_allclose(found[0], naive.scanline(costs, image, 17, 70, paths, 20, 3), atol=1e-3)
 
 
 @pytest.mark.parametrize("disparities", [9, 16, 40])

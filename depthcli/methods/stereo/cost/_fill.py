@@ -13,6 +13,7 @@ from llvmlite import ir
 from numpy.typing import NDArray
 
 from depthcli.kernels.jit import intrinsic, parallel_jit, prange, types
+from depthcli.kernels.lanes import SHORT_LANES, load_shorts, maximum, minimum, shifted_right, splat_shorts, store
 
 
 @intrinsic
@@ -122,28 +123,35 @@ def _tolerant_volume(
 ) -> None:  # fmt: skip
     channels, height, width = left.shape
     n_disparities = costs.shape[2]
-    zero = np.int16(0)
-    half = np.int16((1 << shift) >> 1)
+    padded = max(n_disparities, SHORT_LANES)
+    half, zero, largest = splat_shorts(np.int16((1 << shift) >> 1)), splat_shorts(np.int16(0)), splat_shorts(limit)
     for y in prange(height):
-        mirror = np.zeros((3 * channels, width + n_disparities), np.int16)
+        row_size = width + padded
+        mirror = np.zeros((3 * channels, row_size), np.int16)
         for c in range(channels):
             mirror[3 * c, :width] = right[c, y, ::-1]
             mirror[3 * c + 1, :width] = right_low[c, y, ::-1]
             mirror[3 * c + 2, :width] = right_high[c, y, ::-1]
-        total = np.empty(n_disparities, np.int16)
+        flat = mirror.reshape(3 * channels * row_size)
+        row = np.empty(padded, np.uint8)
+        out = costs[y].reshape(width * n_disparities)
         for x in range(width):
-            start = width - 1 - x
-            total[:] = half
-            for c in range(channels):
-                value = np.int16(left[c, y, x])
-                low, high = np.int16(left_low[c, y, x]), np.int16(left_high[c, y, x])
-                other = mirror[3 * c, start : start + n_disparities]
-                other_low = mirror[3 * c + 1, start : start + n_disparities]
-                other_high = mirror[3 * c + 2, start : start + n_disparities]
-                for i in range(total.size):
-                    forth = max(np.int16(value - other_high[i]), np.int16(other_low[i] - value))
-                    back = max(np.int16(other[i] - high), np.int16(low - other[i]))
-                    total[i] = np.int16(total[i] + max(min(forth, back), zero))
-            out = costs[y, x]
-            for i in range(out.size):
-                out[i] = np.uint8(min(np.int16(total[i] >> shift), limit))
+            at = x * n_disparities
+            for first in range(0, padded, SHORT_LANES):
+                first = min(first, padded - SHORT_LANES)  # the last vector ends at the last disparity
+                total = half
+                for c in range(channels):
+                    value = splat_shorts(np.int16(left[c, y, x]))
+                    low, high = splat_shorts(np.int16(left_low[c, y, x])), splat_shorts(np.int16(left_high[c, y, x]))
+                    place = 3 * c * row_size + width - 1 - x + first
+                    other = load_shorts(flat, place)
+                    other_low, other_high = load_shorts(flat, place + row_size), load_shorts(flat, place + 2 * row_size)
+                    forth = maximum(value - other_high, other_low - value)
+                    back = maximum(other - high, low - other)
+                    total = total + maximum(minimum(forth, back), zero)
+                total = minimum(shifted_right(total, shift), largest)
+                if n_disparities < SHORT_LANES:
+                    store(row, 0, total)
+                    out[at : at + n_disparities] = row[:n_disparities]
+                else:
+                    store(out, at + first, total)

@@ -12,6 +12,7 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.exponential import exp_minus_16
 from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.lanes import LANES, lane_exp_minus_16, load, minimum, splat, store, truncated
 from depthcli.methods.stereo.cost import CostMeasure, PartCost, light_weights
 from depthcli.methods.stereo.volume import CostVolume, fill_outside
 
@@ -97,11 +98,30 @@ def _add_exponential(costs: Any, rate: Any, unit: Any, total: Any) -> None:
 @parallel_jit
 def _add_weighted(costs: Any, rate: Any, units: Any, total: Any) -> None:
     # As above, with a unit for every pixel.
-    height, width, _ = costs.shape
+    height, width, n_disparities = costs.shape
     half, one = np.float32(0.5), np.float32(1.0)
     for y in prange(height):
+        if n_disparities < LANES:
+            for x in range(width):
+                source, out, unit = costs[y, x], total[y, x], units[y, x]
+                for i in range(out.size):
+                    part = one - exp_minus_16(np.float32(source[i]) * rate)
+                    out[i] = np.uint8(min(np.int32(out[i]) + np.int32(unit * part + half), np.int32(255)))
+            continue
+        sources, sums = costs[y].reshape(width * n_disparities), total[y].reshape(width * n_disparities)
         for x in range(width):
-            source, out, unit = costs[y, x], total[y, x], units[y, x]
-            for i in range(out.size):
-                part = one - exp_minus_16(np.float32(source[i]) * rate)
-                out[i] = np.uint8(min(np.int32(out[i]) + np.int32(unit * part + half), np.int32(255)))
+            at = x * n_disparities
+            end = at + n_disparities - LANES
+            # The last vector ends at the last disparity. It overlaps the one before and is added to what was there.
+            last = _with_share(sources, sums, end, rate, units[y, x])
+            for first in range(at, end, LANES):
+                store(sums, first, _with_share(sources, sums, first, rate, units[y, x]))
+            store(sums, end, last)
+
+
+@jit
+def _with_share(costs: Any, sums: Any, at: int, rate: Any, unit: Any) -> Any:
+    # Lanes of ``sums`` with the part's terms added, rounded half up; see ``exp_minus_16``.
+    share = splat(np.float32(1)) - lane_exp_minus_16(load(costs, at) * splat(rate))
+    part = truncated(splat(unit) * share + splat(np.float32(0.5)))
+    return minimum(load(sums, at) + part, splat(np.float32(255)))

@@ -12,9 +12,10 @@ from depthcli.core import memory
 from depthcli.core.frames import StereoPair
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.stereo.optimization import Optimizer
-from depthcli.methods.stereo.optimization._path_step import LANES, path_step
+from depthcli.methods.stereo.optimization._path_step import BYTE_LANES, LANES, path_step
 from depthcli.methods.stereo.volume import CostVolume, FixedPoint, as_fixed_point
 
+_GUARD, _BYTE_GUARD = 0x7FFF, 0xFF  # above all path costs, in 16 or 8 bits
 _PADDING_COST = 20000  # of disparities added to fill a vector: above every cost, so that no path selects them
 
 
@@ -42,12 +43,15 @@ class Scanline(Optimizer):
             padding = ((0, 0), (0, 0), (0, LANES - n_disparities))
             costs = np.pad(costs.astype(np.uint16), padding, constant_values=_PADDING_COST)
         table = self.penalties(volume.scale, volume.costs.dtype == np.uint8)
+        in_bytes = costs.dtype == np.uint8 and n_disparities >= BYTE_LANES
+        if in_bytes and int(table.max()) + int(costs.max()) < _BYTE_GUARD:
+            table = table.astype(np.uint8)
         edges = np.zeros((4, *pair.shape), np.uint8)
         _mark_edges(np.ascontiguousarray(pair.color8[0].transpose(2, 0, 1)), edges, self.edge_threshold)
-        sums = [memory.empty(costs.shape, np.uint16) for _ in range(2)]
-        _sweep_both(costs, sums[0], sums[1], edges, table, self.paths == 8)
-        _add(sums[0], sums[1])
-        total = sums[0] if n_disparities >= LANES else np.ascontiguousarray(sums[0][:, :, :n_disparities])
+        total = memory.empty(costs.shape, np.uint16)
+        _sweep_both(costs, total, edges, table, self.paths == 8)
+        if n_disparities < LANES:
+            total = np.ascontiguousarray(total[:, :, :n_disparities])
         return CostVolume(total, volume.scale * self.paths)
 
     def penalties(self, scale: float, raw: bool) -> NDArray[np.uint16]:
@@ -81,41 +85,62 @@ def _mark_edges(planes: Any, edges: Any, threshold: int) -> None:
 
 
 @parallel_jit
-def _add(total: Any, other: Any) -> None:
-    height, width, n_disparities = total.shape
-    for y in prange(height):
-        out = total[y].reshape(width * n_disparities)
-        source = other[y].reshape(width * n_disparities)
-        for i in range(out.size):
-            out[i] = np.uint16(out[i] + source[i])
-
-
-@parallel_jit
-def _sweep_both(costs: Any, down: Any, up: Any, edges: Any, table: Any, diagonal: bool) -> None:
+def _sweep_both(costs: Any, total: Any, edges: Any, table: Any, diagonal: bool) -> None:
+    # One sweep downwards, one upwards. They write their sums until they meet in the middle, and then add them to what
+    # the other one has written.
+    height, width, n_disparities = costs.shape
+    n_states = 2 + 6 * (width + 2)
+    state = np.empty((2, n_states * (n_disparities + 2)), table.dtype)
+    minima = np.zeros((2, n_states), table.dtype)
+    middle = (height + 1) // 2
     for direction in prange(2):
-        if direction == 0:
-            _sweep(costs, down, edges, table, diagonal, False)
-        else:
-            _sweep(costs, up, edges, table, diagonal, True)
+        _start(state[direction], n_states, n_disparities)
+        last = middle if direction == 0 else height - middle
+        _sweep(
+            costs, total, edges, table, diagonal, direction == 1, False, state[direction], minima[direction], 0, last
+        )
+    for direction in prange(2):
+        first = middle if direction == 0 else height - middle
+        _sweep(
+            costs,
+            total,
+            edges,
+            table,
+            diagonal,
+            direction == 1,
+            True,
+            state[direction],
+            minima[direction],
+            first,
+            height,
+        )
 
 
 @jit
-def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upwards: bool) -> None:
-    # Paths from the left, above, upper left and upper right; upwards: from the opposite directions. ``state`` holds the
-    # path costs, D + 2 cells per pixel: two pixels of the row path, then for each of the three directions from above
-    # two rows of W + 2 pixels that alternate. New paths begin at margin pixels.
+def _start(state: Any, n_states: int, n_disparities: int) -> None:
+    # Path costs 0 between guard cells.
+    state[:] = _BYTE_GUARD if state.itemsize == 1 else _GUARD
+    for k in range(n_states):
+        at = k * (n_disparities + 2) + 1
+        for i in range(at, at + n_disparities):
+            state[i] = 0
+
+
+@jit
+def _sweep(
+    costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upwards: bool, adds: bool, state: Any,
+    minima: Any, first: int, last: int,
+) -> None:  # fmt: skip
+    # Rows ``first`` to ``last`` of a sweep, written to ``sums`` or, with ``adds``, added to it. Paths from the left,
+    # above, upper left and upper right; upwards: from the opposite directions. ``state`` holds the path costs, D + 2
+    # cells per pixel: two pixels of the row path, then for each of the three directions from above two rows of W + 2
+    # pixels that alternate. New paths begin at margin pixels.
     height, width, n_disparities = costs.shape
     cells = n_disparities + 2
-    row_cells = (width + 2) * cells
-    state = np.full(2 * cells + 6 * row_cells, 0x7FFF, np.uint16)
-    for pixel in range(2 + 6 * (width + 2)):
-        for i in range(pixel * cells + 1, pixel * cells + 1 + n_disparities):
-            state[i] = 0
-    minima = np.zeros(2 + 6 * (width + 2), np.uint16)
     flat_costs = costs.reshape(height * width * n_disparities)
     flat_sums = sums.reshape(height * width * n_disparities)
     step = -1 if upwards else 1
-    for row in range(height):
+    for row in range(first, last):
         y = height - 1 - row if upwards else row
         edge_row = y + 1 if upwards else y  # the row of ``edges`` towards the row before
         old, new = 2 + (row & 1) * 3 * (width + 2), 2 + (1 - (row & 1)) * 3 * (width + 2)
@@ -136,7 +161,7 @@ def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upward
                 path_step(
                     flat_costs, at, state, (back * cells, above_old * cells), (front * cells, above_new * cells),
                     minima, (back, above_old), (front, above_new),
-                    (table[e, 0], table[f, 0]), (table[e, 1], table[f, 1]), flat_sums, at, n_disparities,
+                    (table[e, 0], table[f, 0]), (table[e, 1], table[f, 1]), flat_sums, at, adds, n_disparities,
                 )  # fmt: skip
                 continue
             u, v = x - step, x + step
@@ -153,5 +178,5 @@ def _sweep(costs: Any, sums: Any, edges: Any, table: Any, diagonal: bool, upward
                 (front * cells, above_new * cells, left_new * cells, right_new * cells),
                 minima, (back, above_old, left_old, right_old), (front, above_new, left_new, right_new),
                 (table[e, 0], table[f, 0], table[g, 0], table[h, 0]),
-                (table[e, 1], table[f, 1], table[g, 1], table[h, 1]), flat_sums, at, n_disparities,
+                (table[e, 1], table[f, 1], table[g, 1], table[h, 1]), flat_sums, at, adds, n_disparities,
             )  # fmt: skip

@@ -8,14 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.window_slopes import BLOCK, color_planes, framed, slopes
+from depthcli.algorithms.plane_fitting.window_slopes import color_planes, framed, slopes
 from depthcli.core.maps import DisparityMap
-from depthcli.kernels.exponential import exp_minus_16
 from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.lanes import (
+    LANES,
+    SHORT_LANES,
+    absolute_difference,
+    halves,
+    lane_exp_minus_16,
+    lane_max,
+    load,
+    load_shorts,
+    maximum,
+    minimum,
+    splat,
+    store,
+    where_at_most,
+)
 from depthcli.methods.stereo.refinement import Refinement, with_smoothed
 from depthcli.methods.stereo.volume import RefinementContext
 
 _STEPS_PER_PIXEL = 8  # resolution of results; finer differences would be noise
+BLOCK = SHORT_LANES
+"""Pixels of a row whose medians are found together; the device kernel (slanted.cl) has the same."""
+_DENSE_RADIUS = 3  # in larger windows every other pixel has the same median
+_FAR = np.float32(1e9)  # pixels: beyond all disparities
 
 
 class SlantedMedian(Refinement):
@@ -53,93 +71,92 @@ class SlantedMedian(Refinement):
         planes, trust = color_planes(image, radius), framed(valid.astype(np.float32), radius)
         gradient = framed(slopes(values, image, self.slope_radius), radius)
         distance, rate = self.weights()
+        grid = np.argwhere(np.isfinite(distance))
         known = np.nan_to_num(values)
         for _ in range(self.passes):
             out = framed(known, 0)
-            _filter(planes, framed(known, radius), gradient, trust, distance, rate, out)
+            _filter(planes, framed(known, radius), gradient, trust, grid, distance, rate, out)
             known = np.round(out[:, : values.shape[1]] * np.float32(_STEPS_PER_PIXEL)) / np.float32(_STEPS_PER_PIXEL)
             known = np.clip(known, np.float32(0), np.float32(max_disparity))
         return np.where(valid, known, np.float32(np.nan))
 
     def weights(self) -> tuple[NDArray[np.float32], np.float32]:
-        """Return sixteenths of the weights' exponents: by place in the window, and for a color difference of 1."""
+        """Return sixteenths of the weights' exponents: by place in the window, and for a color difference of 1.
+
+        Places that are left out are infinite: in windows of more than 7 x 7 pixels, every other one.
+        """
         offsets = np.arange(-self.radius, self.radius + 1)
         distance = (np.hypot(offsets[:, None], offsets[None, :]) / (16 * self.distance_scale)).astype(np.float32)
+        if self.radius > _DENSE_RADIUS:
+            distance[np.add.outer(offsets, offsets) % 2 != 0] = np.inf
         return distance, np.float32(1 / (16 * 3 * self.color_scale))
 
 
 @parallel_jit
-def _filter(planes: Any, values: Any, gradient: Any, trust: Any, distance: Any, color_rate: Any, out: Any) -> None:
-    # Inputs but ``distance`` have a margin without trust. The medians of a block of pixels are found together, by
-    # halving intervals.
+def _filter(
+    planes: Any, values: Any, gradient: Any, trust: Any, grid: Any, distance: Any, color_rate: Any, out: Any
+) -> None:
+    # Inputs but ``grid`` and ``distance`` have a margin without trust. The medians of a block of pixels are found
+    # together, by halving intervals.
     height, width = out.shape
-    size = distance.shape[0]
+    count, radius = grid.shape[0], distance.shape[0] // 2
+    row_size = values.shape[1]
+    plane_size = values.shape[0] * row_size
+    colors, known = planes.reshape(planes.size), trust.reshape(plane_size)
+    value_of, slope_of = values.reshape(plane_size), gradient.reshape(2 * plane_size)
+    medians = out.reshape(height * width)
+    zero, one, far = splat(np.float32(0)), splat(np.float32(1)), splat(_FAR)
+    part, rate = splat(np.float32(0.5)), splat(color_rate)
     for y in prange(height):
-        votes = np.empty((size * size, BLOCK), np.float32)
-        weights = np.empty((size * size, BLOCK), np.float32)
-        low, high, half = (np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32))
-        below, middle = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-        for x in range(0, width, BLOCK):
-            _vote(planes, values, gradient, trust, distance, color_rate, y, x, votes, weights)
-            low[:] = np.inf
-            high[:] = -np.inf
-            half[:] = 0
-            for k in range(size * size):
-                v, w = votes[k], weights[k]
-                for i in range(BLOCK):
-                    low[i] = min(low[i], v[i])
-                for i in range(BLOCK):
-                    high[i] = max(high[i], v[i])
-                for i in range(BLOCK):
-                    half[i] += np.float32(0.5) * w[i]
-            widest = np.float32(0)
-            for i in range(BLOCK):
-                widest = max(widest, high[i] - low[i])
+        votes = np.empty(count * SHORT_LANES, np.float32)
+        weights = np.empty(count * SHORT_LANES, np.float32)
+        for x in range(0, width, SHORT_LANES):
+            center = (y + radius) * row_size + x + radius
+            red, green = load_shorts(colors, center), load_shorts(colors, center + plane_size)
+            blue = load_shorts(colors, center + 2 * plane_size)
+            low0, low1, high0, high1 = far, far, zero - far, zero - far
+            half0, half1 = zero, zero
+            for k in range(count):
+                dy, dx = grid[k, 0], grid[k, 1]
+                there = (y + dy) * row_size + x + dx
+                color0, color1 = halves(
+                    absolute_difference(load_shorts(colors, there), red)
+                    + absolute_difference(load_shorts(colors, there + plane_size), green)
+                    + absolute_difference(load_shorts(colors, there + 2 * plane_size), blue)
+                )
+                near = splat(distance[dy, dx])
+                back_x, back_y = splat(np.float32(radius - dx)), splat(np.float32(radius - dy))
+                at = k * SHORT_LANES
+                trust0, trust1 = load(known, there), load(known, there + LANES)
+                weight = lane_exp_minus_16(near + color0 * rate) * trust0
+                store(weights, at, weight)
+                half0 = half0 + part * weight
+                weight = lane_exp_minus_16(near + color1 * rate) * trust1
+                store(weights, at + LANES, weight)
+                half1 = half1 + part * weight
+                # A vote without a value has no weight, and must not widen the interval either.
+                vote = _extrapolated(value_of, slope_of, there, plane_size, back_x, back_y)
+                store(votes, at, vote)
+                low0 = minimum(low0, vote + (one - trust0) * far)
+                high0 = maximum(high0, vote - (one - trust0) * far)
+                vote = _extrapolated(value_of, slope_of, there + LANES, plane_size, back_x, back_y)
+                store(votes, at + LANES, vote)
+                low1 = minimum(low1, vote + (one - trust1) * far)
+                high1 = maximum(high1, vote - (one - trust1) * far)
+            widest = max(lane_max(high0 - low0), lane_max(high1 - low1))
             while widest > np.float32(0.5 / _STEPS_PER_PIXEL):
-                for i in range(BLOCK):
-                    middle[i] = np.float32(0.5) * (low[i] + high[i])
-                below[:] = 0
-                for k in range(size * size):
-                    v, w = votes[k], weights[k]
-                    for i in range(BLOCK):
-                        below[i] += w[i] if v[i] <= middle[i] else np.float32(0)
-                for i in range(BLOCK):
-                    enough = below[i] >= half[i]
-                    high[i] = middle[i] if enough else high[i]
-                    low[i] = low[i] if enough else middle[i]
+                middle0, middle1 = part * (low0 + high0), part * (low1 + high1)
+                below0, below1 = zero, zero
+                for at in range(0, count * SHORT_LANES, SHORT_LANES):
+                    below0 = below0 + where_at_most(load(votes, at), middle0, load(weights, at), zero)
+                    below1 = below1 + where_at_most(load(votes, at + LANES), middle1, load(weights, at + LANES), zero)
+                low0, high0 = where_at_most(half0, below0, low0, middle0), where_at_most(half0, below0, middle0, high0)
+                low1, high1 = where_at_most(half1, below1, low1, middle1), where_at_most(half1, below1, middle1, high1)
                 widest *= np.float32(0.5)
-            for i in range(BLOCK):
-                out[y, x + i] = np.float32(0.5) * (low[i] + high[i])
+            store(medians, y * width + x, part * (low0 + high0))
+            store(medians, y * width + x + LANES, part * (low1 + high1))
 
 
 @jit
-def _vote(
-    planes: Any, values: Any, gradient: Any, trust: Any, distance: Any, color_rate: Any, y: int, x: int,
-    votes: Any, weights: Any,
-) -> None:  # fmt: skip
-    size = distance.shape[0]
-    radius = size // 2
-    v0, u0 = y + radius, x + radius
-    red0, green0, blue0 = planes[0, v0, u0 : u0 + BLOCK], planes[1, v0, u0 : u0 + BLOCK], planes[2, v0, u0 : u0 + BLOCK]
-    center = values[v0, u0 : u0 + BLOCK]
-    for dy in range(size):
-        for dx in range(size):
-            v, u = y + dy, x + dx
-            red, green, blue = planes[0, v, u : u + BLOCK], planes[1, v, u : u + BLOCK], planes[2, v, u : u + BLOCK]
-            near, known = distance[dy, dx], trust[v, u : u + BLOCK]
-            out = weights[dy * size + dx]
-            for i in range(BLOCK):
-                color = np.float32(
-                    np.int16(abs(np.int16(np.int16(red[i]) - np.int16(red0[i]))))
-                    + np.int16(abs(np.int16(np.int16(green[i]) - np.int16(green0[i]))))
-                    + np.int16(abs(np.int16(np.int16(blue[i]) - np.int16(blue0[i]))))
-                )
-                out[i] = exp_minus_16(near + color * color_rate) * known[i]
-            value = values[v, u : u + BLOCK]
-            across, down = gradient[0, v, u : u + BLOCK], gradient[1, v, u : u + BLOCK]
-            vote = votes[dy * size + dx]
-            back_x, back_y = np.float32(radius - dx), np.float32(radius - dy)
-            for i in range(BLOCK):
-                # A vote without a value has no weight, and must not widen the interval either.
-                extrapolated = value[i] + across[i] * back_x + down[i] * back_y
-                vote[i] = extrapolated if known[i] > np.float32(0) else center[i]
+def _extrapolated(values: Any, gradient: Any, at: int, plane_size: int, back_x: Any, back_y: Any) -> Any:
+    return load(values, at) + load(gradient, at) * back_x + load(gradient, at + plane_size) * back_y

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from depthcli.algorithms.plane_fitting.window_slopes import BLOCK, window_sampling
+from depthcli.algorithms.plane_fitting.window_slopes import window_sampling
 from depthcli.device import DeviceArray, Kernels
 from depthcli.methods.stereo.on_device import PIXELS, DeviceContext, DeviceMap
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.median import Median
-from depthcli.methods.stereo.refinement.slanted_median import SlantedMedian
+from depthcli.methods.stereo.refinement.slanted_median import BLOCK, SlantedMedian
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter, steps_of
 from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill

@@ -1,7 +1,7 @@
 // Slopes of a disparity map, and the weighted median of votes along them.
 #define SIDE 9
 #define SAMPLES (SIDE * SIDE)
-#define BLOCK 64
+#define BLOCK 32
 #define PER_PIXEL 8
 
 // Splits a map into its values, 0 where there is none, and a trust of 1 where there is one, else 0.
@@ -117,6 +117,9 @@ DEVICE float exp_minus_16(float z)
     return power * power;
 }
 
+// Places of a window that are left out have an infinite distance.
+#define LEFT_OUT (distance[(v - y + radius) * side + u - x + radius] > 1e30f)
+
 // Vote and weight of the pixel (v, u) for (y, x), whose value is ``center``; its weight is 0 where it has no value.
 #define VOTE \
     float vote = center, weight = 0; \
@@ -145,6 +148,8 @@ KERNEL void slanted_median(GLOBAL const uchar *RESTRICT image, GLOBAL const floa
     }
     for (int v = y - radius; v <= y + radius; v++)
         for (int u = x - radius; u <= x + radius; u++) {
+            if (LEFT_OUT)
+                continue;
             VOTE
             low = smaller_f(low, vote);
             high = larger_f(high, vote);
@@ -161,6 +166,8 @@ KERNEL void slanted_median(GLOBAL const uchar *RESTRICT image, GLOBAL const floa
         float middle = 0.5f * (low + high), below = 0;
         for (int v = y - radius; v <= y + radius; v++)
             for (int u = x - radius; u <= x + radius; u++) {
+                if (LEFT_OUT)
+                    continue;
                 VOTE
                 below += vote <= middle ? weight : 0;
             }
