@@ -72,12 +72,12 @@ def alpha_expansion(
                 continue
             moved = labels.copy()
             moved[chosen[binary_cut(*_binary_problem(labels, alpha, rise, starts, other, weight, chosen))]] = alpha
-            moved_energy = potts_energy(moved, costs, ends, strength)
+            moved_energy = energy + _energy_change(labels, moved, rise, ends, strength)
             # Rounding alone must not keep the loop alive.
             if moved_energy < energy - 1e-9 * max(1.0, abs(energy)):
                 labels, energy, since_change = moved, moved_energy, 0
                 keep = costs[np.arange(nodes), labels]
-    return labels, energy
+    return labels, potts_energy(labels, costs, ends, strength)
 
 
 def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArray[np.float64]) -> None:
@@ -91,6 +91,19 @@ def _check(costs: NDArray[np.float64], ends: NDArray[np.int32], strength: NDArra
         raise ValueError("want weights >= 0 and edges between existing nodes")
     if len(ends) and np.any(ends[:, 0] == ends[:, 1]):
         raise ValueError("an edge must join two different nodes")
+
+
+@jit
+def _energy_change(labels, moved, rise, ends, strength):  # type: ignore[no-untyped-def]
+    # Of the energy, where ``labels`` become ``moved``.
+    change = 0.0
+    for n in range(labels.size):
+        if moved[n] != labels[n]:
+            change += rise[n]
+    for e in range(strength.size):
+        a, b = ends[e, 0], ends[e, 1]
+        change += strength[e] * ((moved[a] != moved[b]) - (labels[a] != labels[b]))
+    return change
 
 
 @jit

@@ -7,6 +7,7 @@ import pytest
 
 from depthcli.algorithms.segmentation import Segmenter
 from depthcli.core.method import Family
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.testing import check_segmentation
 from tests.naive import segments as naive
 
@@ -60,3 +61,17 @@ def test_scale_makes_larger_regions():
     image = np.random.default_rng(0).integers(0, 60, (40, 50, 3)).astype(np.uint8)
     counts = [method("felzenszwalb", scale=scale, min_size=1)(image).max() for scale in (1, 30, 1000)]
     assert counts[0] > counts[1] > counts[2]
+
+
+@pytest.mark.parametrize(("scale", "min_size"), [(60, 1), (300, 30)])
+def test_regions_by_edges_are_those_of_scikit_image(scale, min_size):
+    """But for costs that are rounded, and for the order of equal ones."""
+    from skimage.metrics import variation_of_information
+    from skimage.segmentation import felzenszwalb
+
+    made = make_scene("planes", 1, 200, 150, 24)
+    expected = felzenszwalb(made.left, scale=scale, sigma=0.8, min_size=min_size, channel_axis=-1)
+    found = method("felzenszwalb", scale=scale, min_size=min_size)(made.left)
+    split, joined = variation_of_information(expected, found)
+    entropy = variation_of_information(np.zeros_like(expected), expected).sum()
+    assert max(split, joined) < 0.1 * entropy

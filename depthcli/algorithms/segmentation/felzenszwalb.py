@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.regions import connected_components_of_labels, merge_small_regions
+from depthcli.algorithms.regions import connected_components_of_labels, consecutive, merge_small_regions, root
 from depthcli.algorithms.segmentation import Segmenter
+from depthcli.kernels.jit import jit, parallel_jit, prange
+
+_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # down and right: half of the eight neighbors
+_PER_LEVEL = 128  # resolution of costs
+_NO_EDGE = 65535  # beyond the image; the largest cost is 255 * 3^.5 * _PER_LEVEL
 
 
 class Felzenszwalb(Segmenter):
-    """Join regions that differ little compared with the differences inside both; textured regions grow larger."""
+    """Join regions that differ little compared with the differences inside both; textured regions grow larger.
+
+    The edges are those to the eight neighbors, their costs Euclidean distances of colors, rounded to 1/128 grey level.
+    """
 
     aliases = ("FH",)
 
@@ -22,10 +33,58 @@ class Felzenszwalb(Segmenter):
     min_size: int = Field(20, ge=1, le=10**8, description="smaller regions join a neighbor, pixels")
 
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.int32]:
-        from skimage.segmentation import felzenszwalb
-
-        labels = felzenszwalb(
-            np.ascontiguousarray(image), scale=self.scale, sigma=self.sigma, min_size=self.min_size, channel_axis=-1
-        )
-        pieces = connected_components_of_labels(np.asarray(labels, dtype=np.int32))
+        smooth = image.astype(np.float32)
+        if self.sigma:
+            smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), self.sigma, borderType=cv2.BORDER_REFLECT), np.float32)
+        smooth = smooth.reshape(*image.shape[:2], -1)
+        costs = np.full((*image.shape[:2], len(_STEPS)), _NO_EDGE, np.uint16)
+        _edge_costs(smooth, costs)
+        costs = costs.ravel()
+        order = np.argsort(costs, kind="stable")  # of 16-bit numbers: in linear time
+        order = order[: np.searchsorted(costs, _NO_EDGE, sorter=order)]
+        labels = _joined(order, costs, image.shape[1], image.shape[0] * image.shape[1], self.scale, self.min_size)
+        pieces = connected_components_of_labels(labels.reshape(image.shape[:2]))
         return merge_small_regions(pieces, image, self.min_size)
+
+
+@parallel_jit
+def _edge_costs(image: Any, costs: Any) -> None:
+    # Steps of color from every pixel to those of _STEPS, in 1 / _PER_LEVEL grey levels, where these are in the image.
+    height, width, channels = image.shape
+    for y in prange(height):
+        for x in range(width):
+            for k in range(len(_STEPS)):
+                v, u = y + _STEPS[k][0], x + _STEPS[k][1]
+                if v < height and 0 <= u < width:
+                    squared = np.float32(0)
+                    for c in range(channels):
+                        difference = image[y, x, c] - image[v, u, c]
+                        squared += difference * difference
+                    costs[y, x, k] = np.uint16(np.sqrt(squared) * np.float32(_PER_LEVEL) + np.float32(0.5))
+
+
+@jit
+def _joined(order: Any, costs: Any, width: int, n_pixels: int, scale: float, min_size: int) -> Any:
+    # Regions (N,) int32 of the pixels, by edges in the ``order`` of their costs.
+    parent = np.arange(n_pixels).astype(np.int32)
+    size = np.ones(n_pixels, np.int32)
+    inside = np.zeros(n_pixels, np.float32)  # the most costly edge of each region's tree
+    unit = np.float32(1 / _PER_LEVEL)
+    for round_number in range(2):  # then, whatever the cost, regions that are too small
+        for edge in order:
+            pixel, k = divmod(edge, len(_STEPS))
+            a = root(parent, pixel)
+            b = root(parent, pixel + _STEPS[k][0] * width + _STEPS[k][1])
+            if a == b:
+                continue
+            cost = np.float32(costs[edge]) * unit
+            if round_number == 0:
+                joins = cost < min(inside[a] + scale / size[a], inside[b] + scale / size[b])
+            else:
+                joins = size[a] < min_size or size[b] < min_size
+            if joins:
+                first, last = min(a, b), max(a, b)  # roots come before their members
+                parent[last] = first
+                size[first] += size[last]
+                inside[first] = cost
+    return consecutive(parent)

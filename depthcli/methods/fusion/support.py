@@ -9,10 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.kernels.jit import parallel_jit, prange
+from depthcli.kernels.lanes import LANES, load, splat, store
 
-BLOCK_DEPTH = 16
-"""Disparities, or maps, that a support sums at a time; the loops of its kernels are written for this number."""
+BLOCK_DEPTH = LANES
+"""Disparities, or maps, that a support sums at a time: 16."""
+_STRIP = 8  # columns
 NO_VOTE = np.float32(1e-20)  # instead of 0: what is left of far votes must not become denormal, which is slow
 
 _SOFTNESS = 15.0  # of the supports by which maps are judged, grey levels
@@ -101,56 +103,45 @@ def _decay(step: NDArray[np.int16], reach: float, softness: float) -> NDArray[np
     return decay
 
 
-@jit
-def _recurse(cells: Any, decay: Any) -> None:
-    # (N * 16,) in place, forwards, then backwards. One flat array: the constant distance of 16 lets
-    # the compiler use SIMD without asking whether two arrays overlap.
-    count = decay.size
-    for i in range(1, count):
-        a = decay[i]
-        for k in range(i * 16, i * 16 + 16):
-            cells[k] += a * cells[k - 16]
-    for i in range(count - 2, -1, -1):
-        a = decay[i + 1]
-        for k in range(i * 16, i * 16 + 16):
-            cells[k] += a * cells[k + 16]
-
-
 @parallel_jit
 def _recurse_rows(block: Any, decay: Any) -> None:
+    # Forwards, then backwards; 16 values a pixel, which are one vector.
     height, width, _ = block.shape
+    cells = block.reshape(height * width * LANES)
     for y in prange(height):
-        # A private copy: the compiler then knows that nothing else points to it.
-        cells = np.empty(width * 16, np.float32)
-        column = np.empty(width, np.float32)
-        column[:] = decay[y]
-        row = block[y].reshape(width * 16)
-        cells[:] = row
-        _recurse(cells, column)
-        row[:] = cells
+        first, last = y * width, (y + 1) * width - 1
+        total = load(cells, first * LANES)
+        for i in range(first + 1, last + 1):
+            total = load(cells, i * LANES) + splat(decay[y, i - first]) * total
+            store(cells, i * LANES, total)
+        for i in range(last - 1, first - 1, -1):
+            total = load(cells, i * LANES) + splat(decay[y, i - first + 1]) * total
+            store(cells, i * LANES, total)
 
 
 @parallel_jit
 def _recurse_columns(block: Any, decay: Any) -> None:
-    # Eight columns a task: their rows are contiguous, and all of it stays in the second-level cache.
+    # Strips of columns, whose cells stay in the second-level cache between both directions.
     height, width, _ = block.shape
-    for strip in prange((width + 7) // 8):
-        left = strip * 8
-        columns = min(8, width - left)
-        cells = np.zeros(height * 128, np.float32)
-        for y in range(height):
-            source = block[y, left : left + columns].reshape(columns * 16)
-            cells[y * 128 : y * 128 + columns * 16] = source
+    source = block.reshape(height * width * LANES)
+    for strip in prange((width + _STRIP - 1) // _STRIP):
+        left = strip * _STRIP
+        columns = min(_STRIP, width - left)
+        cells = np.empty(height * _STRIP * LANES, np.float32)
+        for x in range(columns):
+            store(cells, x * LANES, load(source, (left + x) * LANES))
         for y in range(1, height):
             for x in range(columns):
-                a = decay[y, left + x]
-                for k in range(y * 128 + x * 16, y * 128 + x * 16 + 16):
-                    cells[k] += a * cells[k - 128]
+                at = (y * _STRIP + x) * LANES
+                above = load(cells, at - _STRIP * LANES)
+                here = load(source, (y * width + left + x) * LANES)
+                store(cells, at, here + splat(decay[y, left + x]) * above)
+        for x in range(columns):
+            at = ((height - 1) * _STRIP + x) * LANES
+            store(source, ((height - 1) * width + left + x) * LANES, load(cells, at))
         for y in range(height - 2, -1, -1):
             for x in range(columns):
-                a = decay[y + 1, left + x]
-                for k in range(y * 128 + x * 16, y * 128 + x * 16 + 16):
-                    cells[k] += a * cells[k + 128]
-        for y in range(height):
-            target = block[y, left : left + columns].reshape(columns * 16)
-            target[:] = cells[y * 128 : y * 128 + columns * 16]
+                at = (y * _STRIP + x) * LANES
+                below = (y + 1) * width + left + x
+                total = load(cells, at) + splat(decay[y + 1, left + x]) * load(source, below * LANES)
+                store(source, (below - width) * LANES, total)

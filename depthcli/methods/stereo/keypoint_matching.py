@@ -158,11 +158,45 @@ def consistent(matches: Matches, neighbors: int = 8, agreeing: int = 2, toleranc
     agreeing : number of them that must have a disparity within ``tolerance``
     tolerance : largest difference of disparities that agree, pixels
     """
-    kept = np.zeros(len(matches), bool)
-    for k in range(len(matches)):
-        apart = (matches.x - matches.x[k]) ** 2 + (matches.y - matches.y[k]) ** 2
-        apart[k] = np.inf
-        near = np.argsort(apart, kind="stable")[:neighbors]
-        near = near[near != k]
-        kept[k] = np.count_nonzero(np.abs(matches.disparity[near] - matches.disparity[k]) <= tolerance) >= agreeing
+    index, _ = nearest_points(matches.x, matches.y, matches.x, matches.y, min(neighbors + 1, len(matches)))
+    # The match itself is one of these, first but for others at the same place; without it they are the neighbors.
+    own = index == np.arange(len(matches))[:, None]
+    own[~own.any(axis=1), -1:] = True
+    agrees = np.abs(matches.disparity[index] - matches.disparity[:, None]) <= tolerance
+    kept = np.count_nonzero(agrees & ~own, axis=1) >= agreeing
     return Matches(*(getattr(matches, name)[kept] for name in Matches.__dataclass_fields__))
+
+
+def nearest_points(
+    center_x: NDArray[Any], center_y: NDArray[Any], x: NDArray[Any], y: NDArray[Any], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the ``count`` of the (M,) points nearest to every one of (N,) centers, the nearest first.
+
+    Returns
+    -------
+    index : (N, count) int64; of equally distant points the one that comes first is nearer
+    squared : (N, count) float64 squared distances
+    """
+    index = np.zeros((len(center_x), count), np.int64)
+    squared = np.full((len(center_x), count), np.inf)
+    if count:
+        _insert_nearest(*(np.asarray(one, np.float64) for one in (center_x, center_y, x, y)), index, squared)
+    return index, squared
+
+
+@parallel_jit
+def _insert_nearest(center_x: Any, center_y: Any, x: Any, y: Any, index: Any, squared: Any) -> None:
+    for n in prange(index.shape[0]):
+        nearest, distances = index[n], squared[n]
+        last = distances.size - 1
+        for m in range(x.size):
+            distance = (center_x[n] - x[m]) ** 2 + (center_y[n] - y[m]) ** 2
+            if distance >= distances[last]:
+                continue
+            place = last
+            while place > 0 and distances[place - 1] > distance:
+                distances[place] = distances[place - 1]
+                nearest[place] = nearest[place - 1]
+                place -= 1
+            distances[place] = distance
+            nearest[place] = m

@@ -15,7 +15,7 @@ from depthcli.core.frames import StereoPair
 from depthcli.core.maps import Status
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 from depthcli.methods.stereo.config import StereoConfig
-from depthcli.methods.stereo.keypoint_matching import Matches, consistent
+from depthcli.methods.stereo.keypoint_matching import Matches, consistent, nearest_points
 from depthcli.methods.stereo.pipeline.segments import Segments
 from depthcli.methods.stereo.segments import energy
 from depthcli.methods.stereo.segments.first_estimate import FirstEstimate, Selection, segment_window
@@ -122,6 +122,18 @@ def test_key_points_that_disagree_with_their_neighbors_are_dropped():
     kept = consistent(_matches(*points, (1.5, 1.5, 12.0)))
     assert len(kept) == 16 and kept.disparity.max() == 5
     assert len(consistent(_matches())) == 0
+
+
+@pytest.mark.parametrize(("centers", "points", "count"), [(0, 5, 2), (7, 1, 1), (40, 60, 9), (3, 4, 4)])
+def test_nearest_points_agree_with_a_sort(centers, points, count):
+    rng = np.random.default_rng(centers)
+    x, y = rng.integers(0, 12, (2, points)).astype(np.float32)  # some at the same place
+    center_x, center_y = rng.uniform(0, 12, (2, centers))
+    index, squared = nearest_points(center_x, center_y, x, y, count)
+    distances = (center_x[:, None] - x) ** 2 + (center_y[:, None] - y) ** 2
+    expected = np.argsort(distances, axis=1, kind="stable")[:, :count]
+    np.testing.assert_array_equal(index, expected)
+    np.testing.assert_allclose(squared, np.take_along_axis(distances, expected, axis=1))
 
 
 def test_selection_respects_ranges_and_checks_both_views():

@@ -175,14 +175,18 @@ def out_of_range(
 
 @parallel_jit
 def _out_of_range(order, starts, width, coefficients, max_disparity, unary):  # type: ignore[no-untyped-def]
+    lowest, highest = np.float32(-1), np.float32(max_disparity + 1)
     for t in prange(unary.shape[0]):
-        x0, x1 = width, 0
-        for i in range(starts[t], starts[t + 1]):
-            x0 = min(x0, order[i] % width)
-            x1 = max(x1, order[i] % width)
-        y0, y1 = 0, 0
-        if starts[t] < starts[t + 1]:
-            y0, y1 = order[starts[t]] // width, order[starts[t + 1] - 1] // width
+        count = starts[t + 1] - starts[t]
+        x, y = np.empty(count, np.float32), np.empty(count, np.float32)
+        for i in range(count):
+            pixel = order[starts[t] + i]
+            x[i] = np.float32(pixel % width)
+            y[i] = np.float32(pixel // width)
+        x0, x1 = np.float32(width), np.float32(0)
+        for i in range(count):
+            x0, x1 = min(x0, x[i]), max(x1, x[i])
+        y0, y1 = (y[0], y[count - 1]) if count else (np.float32(0), np.float32(0))
         for label in range(coefficients.shape[0]):
             a = np.float32(coefficients[label, 0])
             b = np.float32(coefficients[label, 1])
@@ -192,12 +196,10 @@ def _out_of_range(order, starts, width, coefficients, max_disparity, unary):  # 
             high = c + max(a * x0, a * x1) + max(b * y0, b * y1)
             if low >= -0.99 and high <= max_disparity + 0.99:
                 continue
-            outside = 0
-            for i in range(starts[t], starts[t + 1]):
-                x = np.float32(order[i] % width)
-                y = np.float32(order[i] // width)
-                d = a * x + b * y + c
-                outside += int(d < -1.0) + int(d > max_disparity + 1.0)
+            outside = np.int32(0)
+            for i in range(count):
+                d = a * x[i] + b * y[i] + c
+                outside += np.int32((d < lowest) | (d > highest))
             unary[t, label] = 1000.0 * outside
 
 

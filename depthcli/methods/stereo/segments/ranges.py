@@ -11,7 +11,7 @@ from pydantic import Field
 
 from depthcli.core import memory
 from depthcli.kernels.jit import parallel_jit, prange
-from depthcli.methods.stereo.keypoint_matching import Matches
+from depthcli.methods.stereo.keypoint_matching import Matches, nearest_points
 from depthcli.methods.stereo.segments import Step
 from depthcli.methods.stereo.segments.segmented_image import grid_cells
 from depthcli.methods.stereo.volume import CostVolume
@@ -155,6 +155,5 @@ def _nearest(
     sizes = np.maximum(np.bincount(flat), 1)
     y, x = np.divmod(np.arange(flat.size), labels.shape[1])
     center_x, center_y = np.bincount(flat, x) / sizes, np.bincount(flat, y) / sizes
-    squared = (center_x[:, None] - matches.x[None]) ** 2 + (center_y[:, None] - matches.y[None]) ** 2
-    order = np.argpartition(squared, neighbors - 1, axis=1)[:, :neighbors]
-    return order, np.sqrt(np.take_along_axis(squared, order, axis=1).max(axis=1))
+    index, squared = nearest_points(center_x, center_y, matches.x, matches.y, neighbors)
+    return index, np.sqrt(squared[:, -1])
