@@ -48,7 +48,7 @@ from depthcli.methods.fusion.config import FuseConfig
 from depthcli.methods.fusion.pipeline import Fusion
 
 GROUPS = Path(__file__).resolve().parent / "stereo_groups.yaml"
-VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5}
+VARIANTS = {"": 1.0, "mirrored": 0.7, "lit": 0.5, "dark": 0.3}
 """Versions of a real scene, and what each counts."""
 GENERATED = 0.3
 """What a generated scene counts."""
@@ -81,10 +81,11 @@ def scenes(data: Path) -> Iterator[TrainingScene]:
     for folder, names in yaml.safe_load(GROUPS.read_text())["tuning"].items():
         if folder == "generated":
             for name, how in names.items():
-                for seed in how["seeds"]:
-                    yield TrainingScene(
-                        f"{name}_{seed}", seed // 2 % 2, 0.3, 20, generated(how["kind"], seed, how["wall_contrast"])
-                    )
+                look = how.get("wall_contrast", 1), how.get("noise", 0), 0, how.get("brightness", 1)
+                for kind in how["kinds"]:
+                    for seed in how["seeds"]:
+                        load = generated(kind, seed, *look)
+                        yield TrainingScene(f"{name}_{kind}_{seed}", seed // 2 % 2, GENERATED, 20, load)
             continue
         for scene in discover_scenes(data / folder, patterns=names):
             half = 1 - half
@@ -100,6 +101,9 @@ def scenes(data: Path) -> Iterator[TrainingScene]:
             for more in (0, 100, 200, 300) if kind == "street" else (0,):
                 load = generated(kind, seed + more, contrast, noise, light)
                 yield TrainingScene(f"{kind}_{seed + more}", seed % 2, GENERATED, 20, load)
+        for seed in range(400 + 2 * k, 402 + 2 * k):
+            load = generated(kind, seed, (0.6, 0.2)[seed % 2], dark=True)
+            yield TrainingScene(f"{kind}_{seed}_dark", seed % 2, GENERATED, 20, load)
 
 
 def real(scene: Any, variant: str) -> Callable[[], Any]:
@@ -114,6 +118,8 @@ def real(scene: Any, variant: str) -> Callable[[], Any]:
             pair = StereoPair(right, left)
         if variant == "lit":
             pair = lit(pair, zlib.crc32(f"{scene.name} {variant}".encode()))
+        if variant == "dark":
+            pair = darkened(pair, zlib.crc32(f"{scene.name} {variant}".encode()))
         return pair, scene.max_disparity, disparity, masks
 
     return load
@@ -138,11 +144,28 @@ def lit(pair: StereoPair, seed: int) -> StereoPair:
     return StereoPair(first, second)
 
 
-def generated(kind: Any, seed: int, contrast: float, noise: float = 0, light: float = 0) -> Callable[[], Any]:
+def darkened(pair: StereoPair, seed: int) -> StereoPair:
+    """Return the pair as two cameras see it in the dark: few grey levels, noise that grows with them."""
+    rng = np.random.default_rng(seed)
+    top, constant, growth = rng.uniform(12, 60), rng.uniform(0.3, 2.5), rng.uniform(0, 0.4)
+
+    def taken(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        level = image * (top / 255)
+        level = level + rng.normal(size=image.shape) * np.sqrt(constant**2 + growth**2 * level)
+        return np.clip(np.rint(level), 0, 255).astype(np.uint8)
+
+    left, right = pair.color8
+    return StereoPair(taken(left), taken(right))
+
+
+def generated(
+    kind: Any, seed: int, contrast: float, noise: float = 0, light: float = 0, brightness: float = 1, dark: bool = False
+) -> Callable[[], Any]:
     def load() -> tuple[StereoPair, int, NDArray[np.float32], dict[str, NDArray[np.bool_]]]:
         radiometry = Radiometry.of_strength(light) if light else None
         size = (800, 250, 96) if kind == "street" else (400, 300, 48)
-        made = make_scene(kind, seed, *size, wall_contrast=contrast, noise=noise, radiometry=radiometry)
+        look = {"wall_contrast": contrast, "noise": noise, "brightness": brightness}
+        made = make_scene(kind, seed, *size, radiometry=radiometry, **look)  # type: ignore[arg-type]
         masks = {"nonocc": made.nonocc, "all": np.ones_like(made.nonocc), "disc": made.disc}
         left, right = made.left, made.right
         if kind == "street":  # what the sun falls on is saturated, and there is not much color
@@ -151,7 +174,8 @@ def generated(kind: Any, seed: int, contrast: float, noise: float = 0, light: fl
                 np.clip(burnt * (0.6 * one.mean(2, keepdims=True) + 0.4 * one), 0, 255).astype(np.uint8)
                 for one in (left, right)
             )
-        return StereoPair(left, right), made.max_disparity, made.disparity_left, masks
+        pair = StereoPair(left, right)
+        return darkened(pair, seed) if dark else pair, made.max_disparity, made.disparity_left, masks
 
     return load
 

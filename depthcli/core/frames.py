@@ -54,9 +54,12 @@ class StereoPair:
 
     @cached_property
     def grey(self) -> tuple[Image, Image]:
-        """Both images as (H, W) luma in their own dtype, scaled to its full range."""
+        """Both images as (H, W) luma over the full range of their dtype; that of 8-bit color images is uint16.
+
+        A sum of three channels is finer than one of them. Rounded to 8 bits, pixels of weak texture would become alike.
+        """
         left, right = self.full_range
-        return _grey(left), _grey(right)
+        return luma(_sixteen_bit(left)), luma(_sixteen_bit(right))
 
     @cached_property
     def color8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -67,8 +70,8 @@ class StereoPair:
     @cached_property
     def grey8(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Both images as (H, W) uint8 luma; 16-bit images are scaled."""
-        left, right = self.grey
-        return _eight_bit(left), _eight_bit(right)
+        left, right = self.full_range
+        return _eight_bit(luma(left)), _eight_bit(luma(right))
 
     @property
     def top(self) -> int:
@@ -87,7 +90,8 @@ class StereoPair:
         return _spread(left, self.top), _spread(right, self.top)
 
 
-def _grey(image: Image) -> Image:
+def luma(image: Image) -> Image:
+    """Return the (H, W) luma of a grey or an RGB image, in its dtype."""
     return image if image.ndim == 2 else cast(Image, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
 
 
@@ -101,6 +105,11 @@ def _spread(image: Image, top: int) -> Image:
     if top == full:
         return image
     return cast(Image, ((image.astype(np.uint32) * full + top // 2) // top).astype(image.dtype))
+
+
+def _sixteen_bit(image: Image) -> Image:
+    # An 8-bit color image in 16 bits, any other one as it is.
+    return np.multiply(image, 257, dtype=np.uint16) if image.ndim == 3 and image.dtype == np.uint8 else image
 
 
 def _eight_bit(image: Image) -> NDArray[np.uint8]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.core.frames import Image, StereoPair
+from depthcli.core.frames import Image, StereoPair, luma
 from depthcli.data.formats.files import naming, read_bytes, shown
 from depthcli.data.formats.headers import image_kind, png_chunks, pnm_header
 from depthcli.data.formats.images import decode_image
@@ -48,8 +48,8 @@ def pair_of(left: Image, right: Image, paths: tuple[Path, Path], declared: int |
         )
     bits = sample_bits(left, right, declared=declared)
     if left.ndim != right.ndim:
-        # Grey levels of one scale: luma of the color image, as it is stored.
-        left, right = (StereoPair(image, image).grey[0] for image in (left, right))
+        # Grey levels of one scale: luma of the color image, in as many bits as it is stored.
+        left, right = (luma(image) for image in (left, right))
     return StereoPair(left, right, bits)
 
 

@@ -64,7 +64,7 @@ class Evidence:
     @classmethod
     def of(cls, pair: StereoPair, max_disparity: int, clock: Clock) -> Evidence:
         """Compute the costs of disparities 0 .. ``max_disparity``; ``clock`` books the stages."""
-        pair = adjusted(pair, max_disparity, ("rows", "light"), clock)
+        pair = adjusted(pair, max_disparity, ("noise", "rows", "light"), clock)
         clock.start("cost")
         volume = _COST(pair, max_disparity + 1)
         clock.start("optimization")

@@ -52,7 +52,7 @@ class DevicePair:
 
     @cached_property
     def grey(self) -> tuple[DeviceArray, DeviceArray]:
-        """Return both images, (H, W) luma in their own dtype."""
+        """Return both images, (H, W) luma as of :attr:`StereoPair.grey`."""
         if self.host.left.ndim == 3 and self.host.left.dtype == np.uint8 and self.host.bits in (None, 8):
             left, right = self.color
             return self._luma(left), self._luma(right)
@@ -70,7 +70,7 @@ class DevicePair:
 
     def _luma(self, image: DeviceArray) -> DeviceArray:
         height, width = self.shape
-        grey = self.device.empty((height, width), np.uint8)
+        grey = self.device.empty((height, width), np.uint16)
         self.device.launch(_CONVERSIONS, "luma", (width, height), PIXELS, image, grey, height, width)
         return grey
 

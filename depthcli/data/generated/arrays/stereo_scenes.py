@@ -88,6 +88,7 @@ def make_scene(
     noise: float = 0.0,
     radiometry: Radiometry | None = None,
     wall_contrast: float = 1.0,
+    brightness: float = 1.0,
     supersampling: int = 3,
 ) -> SyntheticScene:
     """Render one scene; the same arguments give the same scene.
@@ -105,6 +106,7 @@ def make_scene(
     radiometry : of the right camera; None = both cameras are alike
     wall_contrast : contrast of the walls' pictures: 1 = full, 0 = walls without texture (the repeated pattern
         of ``repetitive`` stays as it is)
+    brightness : factor on the levels of both views, before noise is added; 0.08: levels up to about 20
     supersampling : rays per pixel, along each axis
 
     Raises
@@ -118,15 +120,15 @@ def make_scene(
         raise ValueError(f"a scene is at least 16 x 16 pixels, got {width} x {height}")
     if not 4 <= max_disparity <= width / 2:
         raise ValueError(f"max_disparity must lie in 4 .. width / 2 = {width // 2}, got {max_disparity}")
-    if noise < 0 or not 0 <= wall_contrast <= 1 or supersampling < 1:
-        raise ValueError("want noise >= 0, 0 <= wall_contrast <= 1 and supersampling >= 1")
+    if noise < 0 or not 0 <= wall_contrast <= 1 or not 0 <= brightness <= 1 or supersampling < 1:
+        raise ValueError("want noise >= 0, wall_contrast and brightness in 0 .. 1 and supersampling >= 1")
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     room = Room(rng, width, height, max_disparity, wall_contrast)
     FURNISH[kind](room)
-    return _photograph(room, radiometry or Radiometry(), noise, supersampling)
+    return _photograph(room, radiometry or Radiometry(), brightness, noise, supersampling)
 
 
-def _photograph(room: Room, radiometry: Radiometry, noise: float, rays: int) -> SyntheticScene:
+def _photograph(room: Room, radiometry: Radiometry, brightness: float, noise: float, rays: int) -> SyntheticScene:
     lightmaps = light_maps(room)
     left = render(room, lightmaps, False, rays)
     right = radiometry.apply(render(room, lightmaps, True, rays))
@@ -141,8 +143,8 @@ def _photograph(room: Room, radiometry: Radiometry, noise: float, rays: int) -> 
     periods = np.array([s.period for s in room.surfaces])[owner]
     repetition = np.where(periods > 0, periods * disparity, np.nan)
     return SyntheticScene(
-        left=_developed(room, left, noise),
-        right=_developed(room, right, noise),
+        left=_developed(room, left, brightness, noise),
+        right=_developed(room, right, brightness, noise),
         disparity_left=disparity.astype(np.float32),
         disparity_right=(room.focal / depth_right).astype(np.float32),
         nonocc=nonocc,
@@ -152,8 +154,8 @@ def _photograph(room: Room, radiometry: Radiometry, noise: float, rays: int) -> 
     )
 
 
-def _developed(room: Room, image: NDArray[np.float32], noise: float) -> NDArray[np.uint8]:
-    grey_levels = image * 255
+def _developed(room: Room, image: NDArray[np.float32], brightness: float, noise: float) -> NDArray[np.uint8]:
+    grey_levels = image * np.float32(255 * brightness)
     if noise > 0:
         grey_levels = grey_levels + noise * room.rng.standard_normal(image.shape, np.float32)
     return np.clip(np.rint(grey_levels), 0, 255).astype(np.uint8)

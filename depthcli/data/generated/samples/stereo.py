@@ -44,6 +44,8 @@ class StereoSample(Sample):
             "radiometric", float, "Change of light in the right image.", "SHARE", default=0.0,
             min_value=0, max_value=1,
         ),
+        Option("brightness", float, "Factor on all levels; 0.08: a night scene.", "SHARE", default=1.0, min_value=0,
+               max_value=1),
         Option("wall_contrast", float, "Texture of the walls, 0 (bare) to 1.", "SHARE", default=1.0,
                min_value=0, max_value=1),
     )  # fmt: skip
@@ -77,6 +79,7 @@ class StereoSample(Sample):
         scene = make_scene(
             kind, seed, values["width"], values["height"], values["max_disparity"], noise=values["noise"],
             radiometry=Radiometry.of_strength(values["radiometric"]), wall_contrast=values["wall_contrast"],
+            brightness=values["brightness"],
         )  # fmt: skip
         left, right = self.views(values, scene.left, scene.right, seed)
         notes = "Disparity at pixel centers and masks are exact; no pixel is unknown."

@@ -1,8 +1,8 @@
-"""Adjustment of the right image to the left one: rows that do not quite match, light that differs.
+"""Adjustment of a pair before matching: noise, rows that do not quite match, light that differs.
 
-Real pairs are rectified to a fraction of a pixel, and taken by two cameras or one after the other. Both errors vary
-smoothly over the image, so a match of the pair at a reduced size is enough to measure them; corrected once, no matching
-cost has to tolerate them.
+Real pairs are rectified to a fraction of a pixel, and taken by two cameras or one after the other. The errors of rows
+and light vary smoothly over the image, so a match of the pair at a reduced size is enough to measure them; corrected
+once, no matching cost has to tolerate them.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pydantic import BaseModel, Field
 from depthcli.core.frames import Image, StereoPair
 from depthcli.core.result import Clock
 from depthcli.methods.stereo.adjustment.light import estimate_gains, light_trust
+from depthcli.methods.stereo.adjustment.noise import denoised
 from depthcli.methods.stereo.adjustment.resampling import IDENTITY
 from depthcli.methods.stereo.adjustment.rows import BLOCK, estimate_row_shift
 from depthcli.methods.stereo.cost.census import Census
@@ -28,11 +29,11 @@ from depthcli.methods.stereo.refinement.subpixel import Subpixel
 from depthcli.methods.stereo.stages import Matcher, finish
 
 Adjust = Annotated[
-    tuple[Literal["rows", "light"], ...],
+    tuple[Literal["noise", "rows", "light"], ...],
     Field(
-        max_length=2,
-        description="what of the right image is adjusted to the left one before matching: rows (imperfect "
-        "rectification), light (exposure, lamps)",
+        max_length=3,
+        description="what is adjusted before matching: noise (averaged away in both images where it is strong, as in "
+        "the dark), rows of the right image (imperfect rectification), its light (exposure, lamps)",
     ),
 ]
 
@@ -50,24 +51,34 @@ _REMATCH_THRESHOLD = 0.3  # rows of the reduced size, sum over the coefficients:
 
 
 def adjusted(pair: StereoPair, max_disparity: int, what: Adjust, clock: Clock | None = None) -> StereoPair:
-    """Return the pair with the rows and the light of its right image adjusted to the left one.
+    """Return the pair without noise, with the rows and the light of its right image adjusted to the left one.
 
-    The pair is matched at a reduced size (census, scanlines). ``rows``: the vertical shift, a polynomial of the second
-    degree over the image, at which the grey levels of the matches differ least (robustly weighted Gauss-Newton steps),
-    is removed by cubic interpolation along the columns; where it was large, the corrected pair is matched again.
-    ``light``: every channel is multiplied by the local ratio of the left to the right grey levels of the matches; the
-    differences that remain give the pair's ``light_trust``. The left image stays as it is, and so do disparities.
+    ``noise``: see :func:`.noise.denoised`. For the others the pair is matched at a reduced size (census, scanlines).
+    ``rows``: the vertical shift, a polynomial of the second degree over the image, at which the grey levels of the
+    matches differ least (robustly weighted Gauss-Newton steps), is removed by cubic interpolation along the columns;
+    where it was large, the corrected pair is matched again. ``light``: every channel is multiplied by the local ratio
+    of the left to the right grey levels of the matches; the differences that remain give the pair's ``light_trust``.
+    Only noise changes the left image. Disparities stay as they are.
 
     Parameters
     ----------
     max_disparity : largest disparity that is searched, pixels
-    what : ``rows``, ``light`` or both; with neither, ``pair`` itself is returned
+    what : ``noise``, ``rows``, ``light`` or several of them; with none, ``pair`` itself is returned
     clock : receives the seconds as the stage "adjustment"
     """
     if not what:
         return pair
     if clock is not None:
         clock.start("adjustment")
+    if "noise" in what:
+        pair = denoised(pair)
+    if "rows" in what or "light" in what:
+        pair = _aligned(pair, max_disparity, what)
+    return pair
+
+
+def _aligned(pair: StereoPair, max_disparity: int, what: Adjust) -> StereoPair:
+    # The right image with its rows and its light adjusted.
     factor = reduction_factor(pair.shape, max_disparity)
     reduced = _reduced(pair, factor)
     correction = previous = IDENTITY

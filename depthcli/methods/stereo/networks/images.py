@@ -102,8 +102,8 @@ class ImageInput:
 def samples(pair: StereoPair, channels: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return both images as (H, W, 1) luma or (H, W, 3) RGB float32 from 0 to 255; grey ones are repeated for 3."""
     if channels == 1:
-        top = float(np.iinfo(pair.left.dtype).max)
         images, axes = pair.grey, 1
+        top = float(np.iinfo(images[0].dtype).max)
     else:
         top, images, axes = float(pair.top), pair.clamped, 3
     left, right = (np.repeat(image[..., None], axes, axis=2) if image.ndim == 2 else image for image in images)

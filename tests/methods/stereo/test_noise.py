@@ -1,0 +1,147 @@
+"""Noise before matching: how it is measured, when it is averaged away, and what that is worth."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.batch.presets import find_config
+from depthcli.core.config_file import load_config
+from depthcli.core.frames import StereoPair
+from depthcli.data.generated.arrays.stereo_scenes import make_scene
+from depthcli.methods.stereo.adjustment import adjusted, noise
+from depthcli.methods.stereo.config import StereoConfig
+from tests.methods.stereo._pairs import threads
+from tests.scenes import real_scenes
+
+
+def smooth(channels, seed=0):
+    """Soft blobs from 60 to 190, (200, 300) or with channels."""
+    blobs = np.random.default_rng(seed).normal(size=(200, 300, channels))
+    blobs = np.stack([cv2.GaussianBlur(plane, (0, 0), 12) for plane in blobs.transpose(2, 0, 1)], axis=2)
+    levels = 125 + 65 * blobs / np.abs(blobs).max()
+    return levels if channels == 3 else levels[..., 0]
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("sigma", [1.0, 3.0, 8.0])
+def test_the_noise_of_the_mean_channel_is_measured(channels, sigma):
+    clean = smooth(channels)
+    noisy = clean + np.random.default_rng(1).normal(0, sigma, clean.shape)
+    found = noise.noise_level(np.rint(noisy).astype(np.uint8))
+    np.testing.assert_allclose(found.deviation, sigma / np.sqrt(channels), rtol=0.25)
+    deep = noise.noise_level(np.rint(noisy * 257).astype(np.uint16))
+    np.testing.assert_allclose(deep.deviation, 257 * sigma / np.sqrt(channels), rtol=0.25)
+    np.testing.assert_allclose(deep.contrast, found.contrast, rtol=0.15)
+
+
+def test_texture_everywhere_is_not_noise():
+    """Grain of two pixels is as even as noise of the same strength, but it is not white."""
+    grain = np.random.default_rng(0).normal(size=(200, 300))
+    texture = cv2.GaussianBlur(grain, (0, 0), 1.2)
+    levels = [np.clip(np.rint(125 + 25 * one / one.std()), 0, 255).astype(np.uint8) for one in (grain, texture)]
+    white, textured = (noise.noise_level(one) for one in levels)
+    assert white.contrast < 2
+    assert textured.contrast > 14
+    pair = StereoPair(levels[1], levels[1])
+    assert noise.denoised(pair) is pair
+
+
+def dark(seed, kind="planes", sigma=1.5):
+    return make_scene(kind, seed, 300, 220, 40, wall_contrast=0.6, brightness=0.08, noise=sigma)
+
+
+@pytest.mark.parametrize("kind", ["planes", "foreground"])
+def test_a_clean_pair_stays_as_it_is(kind):
+    scene = make_scene(kind, 3, 240, 180, 30)
+    pair = StereoPair(scene.left, scene.right)
+    assert noise.denoised(pair) is pair
+    assert adjusted(pair, 30, ("noise",)) is pair
+
+
+def test_a_dark_pair_is_averaged_and_brightened():
+    scene = dark(0)
+    pair = StereoPair(scene.left, scene.right)
+    found = noise.denoised(pair)
+    assert found.left.dtype == np.uint16 and found.bits is None and found.light_trust is None
+    clean = make_scene("planes", 0, 300, 220, 40, wall_contrast=0.6)
+    assert np.percentile(found.left.mean(2), 90) / 65535 == pytest.approx(0.55, abs=0.03)
+
+    def unlikeness(image):  # to the scene in daylight, up to a curve of the levels
+        given, true = (np.argsort(np.argsort(one.mean(2).ravel(), kind="stable")) for one in (image, clean.left))
+        return 1 - np.corrcoef(given, true)[0, 1]
+
+    assert unlikeness(found.left) < unlikeness(pair.left) / 2
+
+
+def test_the_effect_fades_in(monkeypatch):
+    """At the contrast where it begins, a pair hardly changes."""
+    scene = dark(1)
+    pair = StereoPair(scene.left, scene.right)
+    contrast = min(noise.noise_level(image).contrast for image in (pair.left, pair.right))
+    changes = []
+    for beginning in (0.999, 1.05, 1.5):
+        monkeypatch.setattr(noise, "_CLEAN", contrast * beginning)
+        monkeypatch.setattr(noise, "_NOISY", contrast * beginning * 0.5)
+        changed = noise.denoised(pair).left / (65535 if beginning > 1 else 255)
+        changes.append(np.abs(changed - pair.left / 255).mean())
+    assert changes[0] == 0
+    assert changes[1] < changes[2] / 3
+
+
+def test_strips_and_threads_do_not_show(monkeypatch):
+    scene = dark(2)
+    pair = StereoPair(scene.left, scene.right)
+    whole = noise.denoised(pair)
+    for count in (1, 2):
+        with threads(count):
+            cv2.setNumThreads(count)
+            again = noise.denoised(pair)
+            np.testing.assert_array_equal(whole.left, again.left)
+            np.testing.assert_array_equal(whole.right, again.right)
+    monkeypatch.setattr(noise, "_STRIP", 50)
+    difference = np.abs(noise.denoised(pair).left.astype(int) - whole.left.astype(int))
+    assert difference.max() <= 1  # sums that run down a column begin elsewhere
+
+
+@pytest.mark.parametrize("deep", [False, True])
+@pytest.mark.parametrize("grey", [False, True])
+def test_all_kinds_of_images_are_taken(grey, deep):
+    scene = dark(3)
+    left, right = (image[..., 1] if grey else image for image in (scene.left, scene.right))
+    bits = None
+    if deep:
+        left, right, bits = left.astype(np.uint16) * 16, right.astype(np.uint16) * 16, 12
+    found = noise.denoised(StereoPair(left, right, bits))
+    assert found.left.shape == left.shape and found.left.dtype == np.uint16 and found.bits is None
+    assert found.left.mean() / 65535 > 3 * left.mean() / (4095 if deep else 255)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 3), (2, 40), (9, 3), (40, 5, 3)])
+def test_tiny_and_flat_images(shape):
+    for value in (0, 7, 255):
+        image = np.full(shape, value, np.uint8)
+        found = noise.denoised(StereoPair(image, image))
+        assert np.ptp(found.left) == 0
+        assert found.left.shape == shape
+
+
+@pytest.mark.parametrize(("preset", "ratio"), [("fast", 0.85), ("accurate", 0.7)])
+def test_scenes_in_the_dark_have_fewer_errors(preset, ratio):
+    """Of the errors without the step."""
+    pipeline = load_config(StereoConfig, find_config("stereo", preset)).pipeline
+    errors = np.zeros(2)
+    for seed, kind in enumerate(("planes", "foreground", "curved")):
+        scene = dark(10 + seed, kind)
+        without = pipeline.model_copy(update={"adjust": tuple(a for a in pipeline.adjust if a != "noise")})
+        for k, one in enumerate((pipeline, without)):
+            values = one(StereoPair(scene.left, scene.right), scene.max_disparity).disparity.values
+            errors[k] += np.mean(~(np.abs(values - scene.disparity_left) <= 1)[scene.nonocc])
+    assert errors[0] < ratio * errors[1]
+
+
+@pytest.mark.parametrize("folder", ["middlebury_v2", "middlebury_2001", "middlebury_2005"])
+def test_pairs_in_daylight_are_not_touched(folder):
+    for pair, _, _ in real_scenes(folder).values():
+        assert noise.denoised(pair) is pair
