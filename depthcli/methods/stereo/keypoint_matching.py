@@ -180,7 +180,8 @@ def nearest_points(
     index = np.zeros((len(center_x), count), np.int64)
     squared = np.full((len(center_x), count), np.inf)
     if count:
-        _insert_nearest(*(np.asarray(one, np.float64) for one in (center_x, center_y, x, y)), index, squared)
+        center_x, center_y, x, y = (np.asarray(one, np.float64) for one in (center_x, center_y, x, y))
+        _insert_nearest(center_x, center_y, x, y, index, squared)
     return index, squared
 
 

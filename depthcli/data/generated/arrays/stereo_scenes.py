@@ -158,4 +158,4 @@ def _developed(room: Room, image: NDArray[np.float32], brightness: float, noise:
     grey_levels = image * np.float32(255 * brightness)
     if noise > 0:
         grey_levels = grey_levels + noise * room.rng.standard_normal(image.shape, np.float32)
-    return np.clip(np.rint(grey_levels), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(grey_levels), 0, 255), np.uint8)
