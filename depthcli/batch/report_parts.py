@@ -121,12 +121,13 @@ class ReportWriter:
         last = lock.last()
         with contextlib.nullcontext() if last else lock.reporting():
             try:
-                write_report(self.output, self.part.command, joined_rows(self.output, self.part.run))
+                rows = joined_rows(self.output, self.part.run)
+                write_report(self.output, self.part.command, rows)
             except (OutputError, ConfigError) as error:
                 self.problem = str(error)
                 return
             if last:
-                drop_joined_parts(self.output)
+                drop_joined_parts(self.output, self.part.run, rows)
 
 
 def _parts(output: Path) -> dict[Path, tuple[str, str]]:
@@ -151,12 +152,15 @@ def drop_parts(output: Path, keep: Part | None = None) -> None:
         (output / PARTS_FOLDER).rmdir()
 
 
-def drop_joined_parts(output: Path) -> None:
-    """Delete the reports of the shards when all have ended; until then they say which inputs belong together.
+def drop_joined_parts(output: Path, run: str, rows: Iterable[Row]) -> None:
+    """Delete the reports of the shards when all have ended, or all of the run's scenes have a row of the joined report.
 
-    A shard that was killed or stopped has not ended.
+    Until then they say which inputs belong together. A shard that was killed or stopped has not ended.
     """
-    if any(not left for left in _unfinished_shards(output, _parts(output)).values()):
+    parts = _parts(output)
+    listed = _listed(output, next((inputs for its_run, inputs in parts.values() if its_run == run), ""))
+    everything_there = listed and {row["scene"] for row in rows}.issuperset(listed)
+    if everything_there or any(not left for left in _unfinished_shards(output, parts).values()):
         drop_parts(output)
 
 

@@ -47,7 +47,7 @@ class MergeCommand(Command):
                 write_report(place, command, rows)
                 shards, names = missing_parts(place, identity, rows)
                 if alone and not names:
-                    drop_joined_parts(place)
+                    drop_joined_parts(place, identity, rows)
         failed = sum(row["status"] == "failed" for row in rows)
         if values["json"]:
             reporter.data(to_json(report_document(command, rows) | {"missing": names, "unfinished_shards": shards}))

@@ -138,6 +138,14 @@ def test_what_a_process_left_that_was_killed_in_its_report_goes(made_scenes: Pat
     assert not (out / ".parts").exists()
 
 
+def test_a_part_of_a_finished_run_done_again_leaves_nothing(made_scenes: Path, whole: Path, tmp_path: Path):
+    out = tmp_path / "run"
+    for part in ("1/2", "2/2", "1/2"):
+        assert run("stereo", FAST, "-i", made_scenes, "-o", out, "--shard", part, "-q") == 0
+    assert contents(out) == contents(whole)
+    assert report(out) == report(whole)
+
+
 @pytest.mark.slow
 def test_the_same_part_twice_is_done_once(made_scenes: Path, whole: Path, tmp_path: Path):
     common = ("stereo", FAST, "-i", made_scenes, "-o", tmp_path / "run", "-v", "--shard", "1/1")
