@@ -179,7 +179,10 @@ def _same_preset(device, preset, width, height):
     assert runs[0].figures["stages_on_cpu"] == 0
     assert runs[0].disparity.values.tobytes() == runs[1].disparity.values.tobytes()
     apart = np.abs(runs[0].disparity.values - expected.disparity.values)
-    assert np.mean(apart > 0.1) <= 0.0005
+    assert np.mean(apart > 0.125) <= 0.0005
+    assert (
+        np.mean(apart > 0.1) <= 0.002
+    )  # medians between two steps of 1/8 pixel, whose halves are equal but for rounding
     assert np.mean(runs[0].disparity.status != expected.disparity.status) <= 0.0005
 
 
