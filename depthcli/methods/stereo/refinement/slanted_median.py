@@ -42,7 +42,7 @@ class SlantedMedian(Refinement):
     A plain median flattens slopes where colors restrict it to one side of its window. The value of q for p is
     ``d_q + g_q . (p - q)`` with the slope g_q of a plane fitted around q, its weight
     ``exp(-color / color_scale - distance / distance_scale)``. The result is a multiple of 1/8 pixel. Pixels without a
-    value stay so.
+    value stay so. Windows of more than 7 x 7 pixels are sampled like the squares of one color on a checkerboard.
     """
 
     needs_costs = False
