@@ -28,11 +28,9 @@ SHORT_LANES = 32
 _WORD = ir.IntType(32)
 _FLOATS = ir.VectorType(ir.FloatType(), LANES)
 _INTEGERS = ir.VectorType(_WORD, LANES)
+_SHORTS = ir.VectorType(ir.IntType(16), SHORT_LANES)
+_BYTE = ir.IntType(8)
 _FLAGS = ("reassoc", "contract", "arcp", "nsz")  # as in all kernels
-
-
-_SHORT, _BYTE = ir.IntType(16), ir.IntType(8)
-_SHORTS = ir.VectorType(_SHORT, SHORT_LANES)
 
 
 class _Lanes(types.Type):

@@ -112,11 +112,7 @@ def _fit(values, valid, planes, step, limits, spread, result):  # type: ignore[n
             for i in range(side):
                 for j in range(side):
                     there = (y + i * step) * row_size + x + j * step
-                    color = halves(
-                        absolute_difference(load_shorts(colors, there), red)
-                        + absolute_difference(load_shorts(colors, there + plane_size), green)
-                        + absolute_difference(load_shorts(colors, there + 2 * plane_size), blue)
-                    )
+                    color = color_differences(colors, there, plane_size, red, green, blue)
                     limit, at = splat(limits[i, j]), (i * side + j) * SHORT_LANES
                     for half in range(2):
                         shift = half * LANES
@@ -137,6 +133,23 @@ def _fit(values, valid, planes, step, limits, spread, result):  # type: ignore[n
                 at = y * width + x + shift
                 store(slope_of, at, slope_x * share)
                 store(slope_of, at + height * width, slope_y * share)
+
+
+@jit
+def color_differences(colors: Any, at: int, plane_size: int, red: Any, green: Any, blue: Any) -> Any:
+    """Return the sums over the channels of the differences of two runs of pixels, as two vectors of float32.
+
+    Parameters
+    ----------
+    colors : flat uint8, three planes of ``plane_size`` pixels, as of :func:`color_planes`
+    at : where one run of SHORT_LANES pixels begins in a plane
+    red, green, blue : vectors of int16, the colors of the other run
+    """
+    return halves(
+        absolute_difference(load_shorts(colors, at), red)
+        + absolute_difference(load_shorts(colors, at + plane_size), green)
+        + absolute_difference(load_shorts(colors, at + 2 * plane_size), blue)
+    )
 
 
 @jit
@@ -161,8 +174,8 @@ def _fitted(weights, apart, side, step, shift):  # type: ignore[no-untyped-def]
         s, sx, sy = s + row, sx + row_x, sy + down
         sxx, sxy, syy = sxx + row_xx, sxy + dy * row_x, syy + dy * down
         sd, sxd, syd = sd + row_d, sxd + row_xd, syd + dy * row_d
-    few, one = splat(_MIN_SAMPLES), splat(np.float32(1))
-    scale = where_at_most(few, s, one / maximum(s, few), one)
+    fewest, one = splat(_MIN_SAMPLES), splat(np.float32(1))
+    scale = where_at_most(fewest, s, one / maximum(s, fewest), one)
     mx, my, md = sx * scale, sy * scale, sd * scale
     ridge = splat(_RIDGE)
     xx, xy, yy = sxx * scale - mx * mx + ridge, sxy * scale - mx * my, syy * scale - my * my + ridge
@@ -171,7 +184,7 @@ def _fitted(weights, apart, side, step, shift):  # type: ignore[no-untyped-def]
     a = minimum(maximum(a, zero - steepest), steepest)
     b = minimum(maximum(b, zero - steepest), steepest)
     offset = md - a * mx - b * my
-    return where_at_most(few, s, a, zero), where_at_most(few, s, b, zero), where_at_most(few, s, offset, zero)
+    return where_at_most(fewest, s, a, zero), where_at_most(fewest, s, b, zero), where_at_most(fewest, s, offset, zero)
 
 
 @jit

@@ -50,17 +50,18 @@ def denoised(pair: StereoPair) -> StereoPair:
     constants. The result has 16 bits: rounding would bring noise back. Between a contrast over noise of 14 and 8 the
     effect grows from none to the whole.
     """
-    found = [noise_level(image) for image in pair.clamped]
+    images = pair.clamped
+    found = [noise_level(image) for image in images]
     deviation = max(level.deviation for level in found)
     contrast = min(level.contrast for level in found)
     share = float(np.clip((_CLEAN - contrast) / (_CLEAN - _NOISY), 0, 1))
     if share == 0:
         return pair
-    bright = max(float(np.percentile(_level(image), _BRIGHT_PERCENTILE)) for image in pair.clamped) / pair.top
+    bright = max(float(np.percentile(_level(image), _BRIGHT_PERCENTILE)) for image in images) / pair.top
     gain = _BRIGHT * (1 - bright) / max(bright * (1 - _BRIGHT), 1e-6)
     gain = 1 + share * (float(np.clip(gain, 1, _MAX_GAIN)) - 1)
     epsilon = (_NOISE_LIMIT * share * deviation) ** 2
-    left, right = (_filtered(image, epsilon, share, gain, pair.top) for image in pair.clamped)
+    left, right = (_filtered(image, epsilon, share, gain, pair.top) for image in images)
     return replace(pair, left=left, right=right, bits=None)
 
 

@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from depthcli.algorithms.plane_fitting.window_slopes import color_planes, framed, slopes
+from depthcli.algorithms.plane_fitting.window_slopes import color_differences, color_planes, framed, slopes
 from depthcli.core.maps import DisparityMap
 from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.kernels.lanes import (
     LANES,
     SHORT_LANES,
-    absolute_difference,
-    halves,
     lane_exp_minus_16,
     lane_max,
     load,
@@ -119,11 +117,7 @@ def _filter(
             for k in range(count):
                 dy, dx = grid[k, 0], grid[k, 1]
                 there = (y + dy) * row_size + x + dx
-                color0, color1 = halves(
-                    absolute_difference(load_shorts(colors, there), red)
-                    + absolute_difference(load_shorts(colors, there + plane_size), green)
-                    + absolute_difference(load_shorts(colors, there + 2 * plane_size), blue)
-                )
+                color0, color1 = color_differences(colors, there, plane_size, red, green, blue)
                 near = splat(distance[dy, dx])
                 back_x, back_y = splat(np.float32(radius - dx)), splat(np.float32(radius - dy))
                 at = k * SHORT_LANES
