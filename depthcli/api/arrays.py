@@ -62,8 +62,8 @@ def as_map(array: ArrayLike, name: str, shape: tuple[int, int] | None = None) ->
     return values
 
 
-def as_depth(array: ArrayLike, name: str, scale: float, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return depths as (H, W) float32, meters, NaN = unknown.
+def as_depth(array: ArrayLike, name: str, scale: float, shape: tuple[int, int] | None = None) -> NDArray[np.float32]:
+    """Return depths as (H, W) float32, meters, NaN = unknown; of ``shape`` where one is given.
 
     Parameters
     ----------

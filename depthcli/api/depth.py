@@ -8,23 +8,23 @@ from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from depthcli.api.arrays import as_color8, as_depth, as_image, as_map
+from depthcli.api._frames import color_infrared_pair, depth_camera, rgbd_frame
+from depthcli.api.arrays import as_color8, as_depth, as_map
 from depthcli.api.config import Overrides, load_config
 from depthcli.api.masks import masked
 from depthcli.api.results import RefinedDepth
 from depthcli.api.running import computing
 from depthcli.api.wording import worded
 from depthcli.batch.resources import available_memory, check_memory
-from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.kinect import sensor_fb
-from depthcli.core.errors import ConfigError, InputError
-from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame, infrared_image
+from depthcli.core.errors import InputError
+from depthcli.core.frames import RgbdFrame, RgbIrFrame, SparseFrame
+from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, Result
 from depthcli.core.result import RefinedDepth as RefinedDepthDetails
 from depthcli.data.formats.depth import MILLIMETERS
-from depthcli.data.formats.rigs import read_color_infrared_rig
 from depthcli.methods.kinect.config import RefineKinectConfig
 from depthcli.methods.kinect.pipeline import frame_by_frame
 from depthcli.methods.transparent.config import TransparentConfig
@@ -41,6 +41,8 @@ def refine_depth(
     overrides: Overrides | None = None,
     *,
     fb: float | None = None,
+    depth_intrinsics: Sequence[float] | None = None,
+    depth_to_color: tuple[ArrayLike, ArrayLike] | None = None,
     **fields: object,
 ) -> RefinedDepth: ...
 @overload
@@ -51,6 +53,8 @@ def refine_depth(
     overrides: Overrides | None = None,
     *,
     fb: float | None = None,
+    depth_intrinsics: Sequence[float] | None = None,
+    depth_to_color: tuple[ArrayLike, ArrayLike] | None = None,
     **fields: object,
 ) -> list[RefinedDepth]: ...
 @worded
@@ -61,6 +65,8 @@ def refine_depth(
     overrides: Overrides | None = None,
     *,
     fb: float | None = None,
+    depth_intrinsics: Sequence[float] | None = None,
+    depth_to_color: tuple[ArrayLike, ArrayLike] | None = None,
     **fields: object,
 ) -> RefinedDepth | list[RefinedDepth]:
     """Clean and complete the depth map of a Kinect or a sensor like it.
@@ -69,11 +75,15 @@ def refine_depth(
     ----------
     color : (H, W, 3) RGB or (H, W) grey, as for :func:`depthcli.stereo`; or a list of the frames of a sequence
     depth : (H, W), registered to the color image: floats are meters, integers ``depth_scale`` codes a meter; what is
-        not a positive number is unknown. Or a list of as many
+        not a positive number is unknown. A smaller one of the same aspect ratio is scaled. Or a list of as many
     preset : name of a preset of ``depthcli refine-kinect``, path of a YAML file, or a config. ``"sequence"`` carries
         a state along a list; others refine each frame alone
     overrides : config keys -> values, as ``--set`` has them
     fb : focal length x baseline of the sensor, pixel meters; None: by the ``intrinsics``, else that of a Kinect
+    depth_intrinsics : fx, fy, cx, cy of the depth camera, pixels of ``depth``, of any size; with ``intrinsics``, those
+        of the color camera, the depth is registered to the color image. None: it is registered
+    depth_to_color : rotation (3, 3) and translation (3,), meters, from the depth camera's frame to the color camera's;
+        None: both are at one place
     **fields : config keys that are Python names, such as ``intrinsics=(fx, fy, cx, cy)`` and ``depth_scale=5000``
 
     Returns
@@ -85,7 +95,8 @@ def refine_depth(
     ConfigError
         No such preset, or keys and values that do not fit.
     InputError
-        Arrays that are no images or maps, differ in size, or have no depth; or too little memory.
+        Arrays that are no images or maps, or have no depth; sizes that differ while the cameras are not known; or too
+        little memory.
 
     Examples
     --------
@@ -98,9 +109,10 @@ def refine_depth(
     (False, 40)
     """
     config = load_config(RefineKinectConfig, preset, overrides, **fields)
+    cameras = depth_camera(depth_intrinsics, depth_to_color)
     many = isinstance(color, list | tuple), isinstance(depth, list | tuple)
     if many == (False, False):
-        frame = _frame(config, color, depth, fb, "")
+        frame = rgbd_frame(config, color, depth, fb, cameras, "")
         with computing():
             return refined_frame(config, frame, config.pipeline, Clock(), config.depth_scale or MILLIMETERS)
     if many != (True, True) or len(color) != len(depth):
@@ -109,7 +121,7 @@ def refine_depth(
     refine = frame_by_frame(config.pipeline)
     refined: list[RefinedDepth] = []
     for number, (image, measured) in enumerate(zip(color, depth, strict=True)):
-        frame = _frame(config, image, measured, fb, f"frame {number}: ")
+        frame = rgbd_frame(config, image, measured, fb, cameras, f"frame {number}: ")
         if refined and frame.shape != refined[0].values.shape:
             (height, width), (first_height, first_width) = frame.shape, refined[0].values.shape
             raise InputError(f"frame {number}: {width} x {height}, but frame 0 is {first_width} x {first_height}")
@@ -188,7 +200,7 @@ def complete_transparent(
             surer = None if sparse_confidence is None else as_map(sparse_confidence, "sparse_confidence", second.shape)
             frame = SparseFrame(image, measured, fb or sensor_fb(None), sparse=second, sparse_confidence=surer)
             return completed_frame(config, frame, Result(), clock, scale)
-        pair = _pair(image, measured, infrared, calibration, fb)
+        pair = color_infrared_pair(image, measured, infrared, calibration, fb)
         return completed_frame(config, *sparse_by_stereo(config.stereo, pair, scale, clock), clock, scale)
 
 
@@ -212,6 +224,8 @@ def refined_frame(
     result = refine(frame)
     clock.include(result.seconds)
     found, cloud = result.depth, None
+    if frame.interpolated:
+        found.status[found.kept] |= np.uint8(DepthStatus.SMOOTHED)
     if config.ply:
         maps = result.confidence or {"sigma": -result.sigma}  # a small expected error is a high confidence
         sure = {name: partial(np.asarray, values) for name, values in maps.items()}
@@ -256,38 +270,8 @@ def completed_frame(
     result.pictures |= stereo.pictures
     result.confidence |= stereo.confidence
     found = result.depth
+    if frame.interpolated:
+        found.status[found.kept] |= np.uint8(DepthStatus.SMOOTHED)
     return RefinedDepth(
         found.values, found.status, frame.color, frame.intrinsics, result, dict(clock.seconds), scale, rotate
     )
-
-
-def _frame(config: RefineKinectConfig, color: Any, depth: Any, fb: float | None, where: str) -> RgbdFrame:
-    image = as_color8(color, f"{where}color")
-    shape = image.shape[0], image.shape[1]
-    measured = as_depth(depth, f"{where}depth", config.depth_scale or MILLIMETERS, shape)
-    check_memory(config.pipeline.peak_bytes(shape), available_memory(), f"{shape[1]} x {shape[0]} pixels")
-    camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
-    return RgbdFrame(image, measured, fb or sensor_fb(camera), camera)
-
-
-def _pair(
-    color: NDArray[np.uint8],
-    depth: NDArray[np.float32],
-    infrared: Image | None,
-    calibration: str | Path | None,
-    fb: float | None,
-) -> RgbIrFrame:
-    if infrared is None:
-        raise InputError("this config wants an infrared image: give infrared, or sparse with another preset")
-    if (calibration is None) == (fb is None):
-        raise ConfigError("an infrared image wants either the calibration of both cameras, or fb of a rectified pair")
-    grey = infrared_image(as_image(infrared, "infrared"))
-    rig: Any = fb
-    if calibration is not None:
-        sizes = ((each.shape[1], each.shape[0]) for each in (color, grey))
-        rig = read_color_infrared_rig(Path(calibration), *sizes)
-    if not isinstance(rig, int | float):
-        return RgbIrFrame(color, grey, depth, rig)
-    if grey.shape != depth.shape:
-        raise InputError("infrared: a rectified pair has one size")
-    return RgbIrFrame(color, grey, depth, None, float(rig))

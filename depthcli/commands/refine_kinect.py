@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +13,11 @@ from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import DEPTH_RESULTS, ConfigCommand
 from depthcli.commands._clouds import check_limits, empty_cloud
-from depthcli.core.errors import DepthcliError, InputError
+from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
+from depthcli.core.yaml_source import short
 from depthcli.data.layouts import Folder
-from depthcli.data.layouts.rgbd import intrinsics
+from depthcli.data.layouts.rgbd import cameras
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.scenes.rgbd_sequence import SequenceScene, sequences
@@ -50,10 +52,12 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
             *super().options,
             ply,
             Option("intrinsics", str, "Of the color camera, pixels: fx,fy,cx,cy.", "NUMBERS", group="Input"),
+            Option("depth_intrinsics", str, "Of the depth camera, if its map is not registered.", "NUMBERS",
+                   group="Input"),
             Option("mask", str, "Pixels of clouds: all, measured, or confident:0.8.", "WHICH", group="Output"),
             Option("near", float, "Nearest depth of point clouds.", "METERS", group="Output"),
             Option("far", float, "Farthest depth of point clouds.", "METERS", group="Output"),
-        )
+        )  # fmt: skip
 
     def config_model(self) -> type[RefineKinectConfig]:
         from depthcli.methods.kinect.config import RefineKinectConfig
@@ -64,6 +68,7 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         """Refine every scene; ``--ply`` and what it needs override the config. Return the exit code."""
         given = {name: values[name] for name in ("mask", "near", "far") if values[name] is not None}
         if values["intrinsics"] is not None:
+            _camera(values, "intrinsics")
             given["intrinsics"] = f"[{values['intrinsics']}]"
         settings = [*(values["set"] or ()), *(["ply=true"] if values["ply"] else ())]
         settings += [f"{name}={value}" for name, value in given.items()]
@@ -78,6 +83,9 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         parse_mask(config.mask)  # a wrong share is an error before any frame is opened
         if values.get("color") is not None:
             scenes = [_with_meta(scene) for scene in scenes]
+        if values.get("depth_intrinsics") is not None:
+            camera = _camera(values, "depth_intrinsics")
+            scenes = [replace(s, depth_intrinsics=camera) if isinstance(s, RgbdScene) else s for s in scenes]
         frames = [scene for scene in scenes if isinstance(scene, RgbdScene) and not (scene.problem or scene.raw)]
         n_without = sum(frame.intrinsics is None for frame in frames)
         if config.ply and config.intrinsics is None and n_without:
@@ -94,7 +102,10 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         if first is None:
             return {}
         scale = config.depth_scale or first.depth_scale
-        return {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
+        said = {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
+        if first.depth_intrinsics is not None:
+            said["depth_camera"] = f"{first.depth_intrinsics} {first.depth_to_color}"
+        return said
 
     def memory_of(self, config: RefineKinectConfig, scene: Scene) -> int | None:
         from depthcli.data.formats.headers import image_size
@@ -126,9 +137,21 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
 
 
 def _with_meta(scene: Scene) -> Scene:
-    """Return the frame of ``--color`` with the intrinsics of a meta.json beside it."""
+    """Return the frame of ``--color`` with the cameras of a meta.json beside it."""
     assert isinstance(scene, RgbdScene)
-    return replace(scene, intrinsics=intrinsics(Folder(scene.folder, scene.name, "", "").meta))
+    return replace(scene, **cameras(Folder(scene.folder, scene.name, "", "").meta))
+
+
+def _camera(values: Values, name: str) -> tuple[float, float, float, float]:
+    """Return fx, fy, cx, cy of an option; ConfigError where they cannot be those of a camera."""
+    try:
+        fx, fy, cx, cy = (float(number) for number in values[name].split(","))
+    except ValueError:
+        fx = fy = cx = cy = math.nan
+    if not (all(map(math.isfinite, (fx, fy, cx, cy))) and min(fx, fy) > 0):
+        flag = f"--{name.replace('_', '-')}"
+        raise ConfigError(f"{flag}: want fx,fy,cx,cy in pixels, focal lengths above 0 (got {short(values[name])})")
+    return fx, fy, cx, cy
 
 
 def _first_frame(scene: Scene) -> RgbdScene | None:
@@ -204,6 +227,8 @@ def _refine_frame(
         "density": round(found.density, 6),
         **{name: float(value) for name, value in found.details.figures.items()},
     }
+    if frame.interpolated or scene.depth_intrinsics is not None:
+        facts["registered"] = "by both cameras" if scene.depth_intrinsics else "assumed"
     warnings = [] if scene.raw else _scale_warnings(scene, frame)
     if found.cloud is not None:
         facts["intrinsics"] = "of the camera" if frame.intrinsics else "typical"

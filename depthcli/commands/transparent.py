@@ -98,7 +98,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
             "height": frame.shape[0],
             "known": share(np.isfinite(frame.depth)),
             "sparse": share(np.isfinite(frame.sparse)),
-            "kept": share(found.status == DepthStatus.KEPT),
+            "kept": share(found.kept),
             "filled": share((found.status & DepthStatus.GAP_FILLED) != 0),
             "replaced": share(found.corrected),
             "from_stereo": share((found.status & DepthStatus.SAMPLED) != 0),

@@ -145,12 +145,14 @@ class RgbdFrame:
     fb : focal length x baseline of the sensor, pixel meters: its disparity is ``fb / depth`` pixels. The
         default is that of Kinect v1 (580 pixels x 75 mm)
     intrinsics : the color camera's, or None where they are not known
+    interpolated : the sensor's map is smaller than ``color``, and ``depth`` interpolated between its samples
     """
 
     color: NDArray[np.uint8]
     depth: NDArray[np.float32]
     fb: float = 43.5
     intrinsics: Intrinsics | None = None
+    interpolated: bool = False
 
     def __post_init__(self) -> None:
         if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:

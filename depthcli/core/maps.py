@@ -67,7 +67,8 @@ DEPTH_STATUS_HELP = {
     DepthStatus.FALLBACK: "filled from around: the model has no value either",
     DepthStatus.CARRIED: "carried over from earlier frames",
     DepthStatus.EMPTY: "no value",
-    DepthStatus.SMOOTHED: "smoothed: a filter changed the value",
+    DepthStatus.SMOOTHED: "smoothed: a filter changed the value, or it lies between the samples of a depth map "
+    "smaller than the color image",
     DepthStatus.SAMPLED: "from stereo (transparent): filled or corrected, and stereo of the pixel itself gives the "
     "same value; without it the value is inferred from the pixels around",
 }

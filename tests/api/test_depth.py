@@ -105,7 +105,10 @@ COLOR, DEPTH = np.full((8, 9, 3), 100, np.uint8), np.ones((8, 9), np.float32)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((COLOR, DEPTH[:4]), "depth: 9 x 4, but the image is 9 x 8"),
+        (
+            (COLOR, DEPTH[:4]),
+            "depth: 9 x 4, but the color image is 9 x 8; .* else give depth_intrinsics, and intrinsics",
+        ),
         ((COLOR, np.zeros((8, 9), np.uint16)), "depth: no pixel has a depth"),
         ((COLOR, DEPTH.astype(complex)), "depth: want numbers"),
         (([COLOR], DEPTH), "lists of as many frames .got 1 of color and no of depth"),
@@ -127,3 +130,32 @@ def test_what_a_preset_needs_is_said():
         depthcli.complete_transparent(COLOR, DEPTH, infrared=COLOR[..., 0])
     with pytest.raises(depthcli.ConfigError, match="override depth_scale"):
         depthcli.refine_depth(COLOR, DEPTH, depth_scale=-1)
+
+
+def test_depth_of_its_own_camera_is_registered():
+    color, depth = np.zeros((60, 80, 3), np.uint8), np.full((15, 24), 2.0, np.float32)
+    cameras = {"intrinsics": (80, 80, 39.5, 29.5), "depth_intrinsics": [20, 20, 11.5, 7]}
+    found = depthcli.refine_depth(color, depth, "nearest", **cameras)
+    assert found.values.shape == (60, 80)
+    assert (found.values == 2).all()
+    assert found.kept.all()
+    assert (found.status == depthcli.DepthStatus.SMOOTHED).all()
+    moved = depthcli.refine_depth(color, depth, "nearest", **cameras, depth_to_color=(np.eye(3), [0.5, 0, 0]))
+    # Half of the 24 - 20 columns that the depth camera sees more on either side, and 80 x 0.5 / 2 pixels.
+    assert moved.filled.sum() == (20 - 8) * 60
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"depth_intrinsics": (1, 2, 3)}, "depth_intrinsics: want 4 finite numbers"),
+        ({"depth_intrinsics": (0, 1, 2, 3), "intrinsics": (5, 5, 4, 4)}, "depth: .* positive focal lengths"),
+        ({"depth_intrinsics": (5, 5, 4, 4)}, "depth: .* want those of the color camera beside them; give intrinsics"),
+        ({"depth_to_color": np.eye(4)}, "depth_to_color: want rotation and translation .got 4 parts"),
+        ({"depth_to_color": (np.eye(2), np.zeros(3))}, "depth_to_color: rotation: want 9 finite numbers"),
+        ({"depth_to_color": (np.eye(3), np.zeros(3))}, "depth_to_color wants depth_intrinsics"),
+    ],
+)
+def test_wrong_depth_cameras_are_refused(keywords: dict[str, Any], message: str):
+    with pytest.raises(depthcli.InputError, match=message):
+        depthcli.refine_depth(COLOR, DEPTH, "nearest", **keywords)

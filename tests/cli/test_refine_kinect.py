@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,20 @@ import pytest
 from depthcli.cli import main
 from depthcli.core.maps import DepthStatus
 from depthcli.data.formats.depth import read_codes, read_depth
-from depthcli.data.formats.disparity import read_pfm
+from depthcli.data.formats.disparity import read_pfm, write_pfm
 from depthcli.data.formats.images import write_png
 from depthcli.data.formats.pictures import read_status
+from tests.rendered import (
+    COLOR,
+    COLOR_SHAPE,
+    DEPTH,
+    DEPTH_SHAPE,
+    ROTATION,
+    TRANSLATION,
+    near_edges,
+    noisy,
+    rendered,
+)
 
 
 @pytest.fixture(scope="module")
@@ -181,3 +193,78 @@ def test_single_frames_and_point_clouds(tmp_path: Path, capsys: pytest.CaptureFi
     header = (tmp_path / "p" / "x" / "points.ply").read_bytes()[:80]
     assert header.startswith(b"ply\nformat binary_little_endian 1.0\nelement vertex 600\n")
     assert run("refine-kinect", "nearest", "--color", tmp_path / "x/color.png", "-o", tmp_path / "q") == 2
+
+
+@pytest.fixture(scope="module")
+def phone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A frame whose depth has 1 / 7.5 of the color image's size and its own camera, in millimeters, with a gap."""
+    folder = tmp_path_factory.mktemp("phone") / "room"
+    truth, plane = rendered(COLOR, COLOR_SHAPE)
+    sensed = noisy(rendered(DEPTH, DEPTH_SHAPE, ROTATION, TRANSLATION)[0], 0.003)
+    sensed[20:24, 5:9] = np.nan
+    write_png(folder / "color.png", np.array([[70, 80, 90], [160, 120, 80], [60, 160, 60]], np.uint8)[plane])
+    write_png(folder / "depth.png", np.nan_to_num(1000 * sensed).round().astype(np.uint16))
+    write_pfm(folder / "depth_true.pfm", truth.astype(np.float32))
+    place = {"rotation": ROTATION.tolist(), "translation": TRANSLATION.tolist()}
+    meta = {"intrinsics": asdict(COLOR), "depth_intrinsics": asdict(DEPTH), "depth_to_color": place}
+    (folder / "meta.json").write_text(json.dumps(meta))
+    return folder.parent
+
+
+@pytest.mark.parametrize("preset", ["nearest", "fast", pytest.param("accurate", marks=pytest.mark.slow)])
+def test_depth_smaller_than_color_is_refined_at_the_size_of_color(phone: Path, tmp_path: Path, preset: str):
+    assert run("refine-kinect", preset, "-i", phone, "-o", tmp_path / "r", "--evaluate", "-q") == 0
+    made, truth = tmp_path / "r" / "room", read_pfm(phone / "room" / "depth_true.pfm")
+    depth, status = read_depth(made / "depth.png"), read_status(made / "status.png")
+    assert depth.shape == COLOR_SHAPE
+    inside = np.zeros(COLOR_SHAPE, bool)
+    inside[40:-40, 50:-50] = True
+    inside &= ~near_edges(rendered(COLOR, COLOR_SHAPE)[1], 16)
+    assert np.median(np.abs(depth / truth - 1)[inside]) < 0.003
+    row = rows(tmp_path / "r")["room"]
+    assert row["registered"] == "by both cameras"
+    assert (row["width"], row["height"]) == (480, 360)
+    # Values between samples are not passed off as measured, those in the gap are filled.
+    kept = (status & ~np.uint8(DepthStatus.SMOOTHED)) == DepthStatus.KEPT
+    assert kept.mean() == pytest.approx(row["kept"], abs=1e-5)
+    assert (status[kept] == DepthStatus.SMOOTHED).all()
+    assert row["known"] < 0.99
+
+
+def test_cameras_come_from_options_beside_meta_json(phone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    shutil.copytree(phone / "room", tmp_path / "in" / "room")
+    (tmp_path / "in" / "room" / "meta.json").unlink()
+    one = ("refine-kinect", "nearest", "-i", tmp_path / "in")
+    assert run(*one, "-o", tmp_path / "plain") == 0
+    err = capsys.readouterr().err
+    assert "64 x 48, taken as registered to the color image of 480 x 360 and scaled" in err
+    assert rows(tmp_path / "plain")["room"]["registered"] == "assumed"
+    given = ("--depth-intrinsics", "49,48.5,31,24")
+    assert run(*one, *given, "-o", tmp_path / "r") == 3
+    assert "want those of the color camera beside them; give --intrinsics, too" in capsys.readouterr().err
+    assert run(*one, *given, "--intrinsics", "362,360,238.5,180", "-o", tmp_path / "r") == 0
+    assert "taken as registered" not in capsys.readouterr().err
+    first = (tmp_path / "r" / "room" / "depth.pfm").read_bytes()
+    # Another camera makes the frame anew.
+    other = ("--depth-intrinsics", "60,60,31,24", "--intrinsics", "362,360,238.5,180")
+    assert run(*one, *other, "-o", tmp_path / "r") == 0
+    assert (tmp_path / "r" / "room" / "depth.pfm").read_bytes() != first
+
+
+@pytest.mark.parametrize("numbers", ["0,1,2,3", "nan,1,2,3", "1,2,3", "a,b,c,d", "1,-1,2,3", ""])
+@pytest.mark.parametrize("option", ["--intrinsics", "--depth-intrinsics"])
+def test_wrong_cameras_are_refused(
+    phone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, numbers: str
+):
+    assert run("refine-kinect", "nearest", "-i", phone, option, numbers, "-o", tmp_path / "r") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{option}: want fx,fy,cx,cy in pixels, focal lengths above 0" in line
+
+
+def test_depth_of_another_aspect_is_refused(phone: Path, tmp_path: Path):
+    write_png(tmp_path / "in" / "a" / "depth.png", np.full((48, 70), 1500, np.uint16))
+    shutil.copy(phone / "room" / "color.png", tmp_path / "in" / "a" / "color.png")
+    assert run("refine-kinect", "nearest", "-i", tmp_path / "in", "-o", tmp_path / "r", "-q") == 3
+    error = str(rows(tmp_path / "r")["a"]["error"])
+    assert "70 x 48, but the color image is 480 x 360" in error
+    assert error.endswith("else give --depth-intrinsics, and --intrinsics of the color camera")

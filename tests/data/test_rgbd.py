@@ -144,13 +144,78 @@ def test_half_a_frame_is_a_row_with_its_reason(tmp_path: Path, file: str, said: 
 def test_frames_that_cannot_be_used(tmp_path: Path):
     write_png(tmp_path / "a" / "color.png", COLOR)
     for depth, said in (
-        (DEPTH[:5], "8 x 5, but color.png is 8 x 6; the depth must be registered"),
+        (DEPTH[:5], "8 x 5, but the color image is 8 x 6; the depth must be registered"),
         (np.zeros((6, 8), np.uint16), "no pixel has a depth"),
         (np.full((6, 8), 7, np.uint8), "8-bit"),
     ):
         write_png(tmp_path / "a" / "depth.png", depth)
         with pytest.raises(InputError, match=said):
             find(tmp_path)[0].load()
+
+
+def smaller_depth(folder: Path, **meta: object) -> RgbdScene:
+    """A frame whose color is 120 x 90 and whose depth 30 x 20."""
+    write_png(folder / "color.png", np.zeros((90, 120, 3), np.uint8))
+    write_png(folder / "depth.png", np.full((20, 30), 2000, np.uint16))
+    (folder / "meta.json").write_text(json.dumps(meta))
+    (scene,) = find(folder)
+    return scene
+
+
+CAMERA = {"fx": 100, "fy": 100, "cx": 60, "cy": 45}
+DEPTH_CAMERA = {"fx": 20, "fy": 20, "cx": 15, "cy": 10}
+
+
+def test_depth_of_its_own_camera_is_registered(tmp_path: Path):
+    place = {"rotation": np.eye(3).tolist(), "translation": [0.1, 0, 0]}
+    scene = smaller_depth(tmp_path, intrinsics=CAMERA, depth_intrinsics=DEPTH_CAMERA, depth_to_color=place)
+    frame = scene.load()
+    assert frame.interpolated
+    known = np.isfinite(frame.depth)
+    assert (frame.depth[known] == 2).all()
+    # The 30 x 20 samples cover 150 x 100 pixels around the center, 5 pixels (100 x 0.1 / 2) farther right than alone.
+    assert known[:, 5:].all()
+    np.testing.assert_array_equal(known[:, :5].any(), True)
+    alone = replace(scene, depth_to_color=None, depth_intrinsics=(25, 25, 15, 10)).load().depth
+    moved = replace(scene, depth_intrinsics=(25, 25, 15, 10)).load().depth
+    np.testing.assert_array_equal(np.isfinite(moved[:, 5:]), np.isfinite(alone[:, :-5]))
+    assert 0 < np.isnan(alone[:, :2]).sum() < 3 * 90
+
+
+@pytest.mark.parametrize(
+    ("meta", "said"),
+    [
+        ({}, "30 x 20, but the color image is 120 x 90; the depth must be registered"),
+        ({"depth_intrinsics": DEPTH_CAMERA}, "want those of the color camera"),
+        ({"depth_intrinsics": {**DEPTH_CAMERA, "fx": 0}}, "meta.json: fx: want a positive number"),
+        ({"depth_intrinsics": {**DEPTH_CAMERA, "fy": float("nan")}}, "meta.json: fy: want a positive number"),
+        ({"depth_intrinsics": {"fx": 3}}, "meta.json: depth_intrinsics: want all of fx, fy, cx, cy"),
+        ({"depth_intrinsics": [1, 2, 3, 4]}, "meta.json: depth_intrinsics: want fx, fy, cx, cy"),
+        ({"depth_to_color": 3}, "meta.json: depth_to_color: want rotation and translation"),
+        ({"depth_to_color": {"rotation": [1, 2], "translation": [0, 0, 0]}}, "want 3 x 3 finite numbers"),
+        ({"depth_to_color": {"rotation": np.eye(3).tolist()}}, "meta.json: depth_to_color: translation: want 3"),
+        ({"depth_to_color": {"rotation": [0] * 9, "translation": [0, 0, 0]}}, "meta.json: .* not a rotation matrix"),
+        ({"depth_to_color": {"rotation": np.eye(3).tolist(), "translation": [25, 0, 0]}}, "want meters"),
+    ],
+)
+def test_cameras_of_meta_json_that_cannot_be(tmp_path: Path, meta: dict[str, object], said: str):
+    write_png(tmp_path / "color.png", np.zeros((90, 120, 3), np.uint8))
+    write_png(tmp_path / "depth.png", np.full((20, 30), 2000, np.uint16))
+    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    with pytest.raises(InputError, match=said) as error:
+        find(tmp_path)[0].load()
+    assert "\n" not in str(error.value)
+
+
+def test_smaller_depth_of_the_same_aspect_is_scaled_and_said(tmp_path: Path):
+    write_png(tmp_path / "color.png", np.zeros((90, 120, 3), np.uint8))
+    write_png(tmp_path / "depth.png", np.full((15, 20), 2000, np.uint16))
+    (scene,) = find(tmp_path)
+    with collected_warnings() as lines:
+        frame = scene.load()
+    assert (frame.depth == 2).all()
+    (line,) = lines
+    assert line.startswith(f"{tmp_path}/depth.png: 20 x 15, taken as registered to the color image of 120 x 90")
 
 
 def test_triangulation_is_its_own_inverse():

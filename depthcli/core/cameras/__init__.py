@@ -5,5 +5,6 @@
 | ``camera`` | ``Camera``: where one camera with a lens projects points to; ``Intrinsics``: without its distortion |
 | ``rig`` | ``Rig``: two cameras at fixed places; ``RectifiedRig``: both turned so that rows correspond |
 | ``triangulation`` | ``PairGeometry``, the numbers by which a rectified pair's disparity becomes depth, and back |
-| ``kinect`` | ``KinectCalibration``: raw codes to depth, and its depth map in the color camera's pixels |
+| ``color_and_depth`` | ``ColorAndDepth``: a depth camera's map in the pixels of the color camera beside it |
+| ``kinect`` | ``KinectCalibration``: the same for raw codes of the first Kinect |
 """

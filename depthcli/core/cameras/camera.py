@@ -29,6 +29,11 @@ class Intrinsics:
         """Return the intrinsics in a camera matrix (3, 3) or projection (3, 4)."""
         return cls(float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2]))
 
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The camera matrix, (3, 3)."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
+
     def points(self, depth: NDArray[np.float32], chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
         """Return the points (N, 3) float32 of the ``chosen`` pixels of a depth map, row by row.
 
@@ -44,6 +49,11 @@ def typical_intrinsics(width: int, height: int) -> Intrinsics:
     """Return those that drivers of the first Kinect and its kin assume: 525 pixels at 640, the center of the image."""
     focal = 525.0 * width / 640
     return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+def is_rotation(matrix: NDArray[np.float64]) -> bool:
+    """Return whether a (3, 3) matrix turns, within 1e-3, and does nothing else."""
+    return bool(np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) and np.linalg.det(matrix) > 0)
 
 
 @dataclass(frozen=True)
@@ -91,8 +101,8 @@ class Camera:
         """The camera without its distortion."""
         return Intrinsics.of_matrix(self.matrix)
 
-    def scaled(self, factor: float) -> Camera:
-        """Return the same camera with an image of ``factor`` times the size."""
+    def scaled(self, factor: float | tuple[float, float]) -> Camera:
+        """Return the same camera with an image of ``factor`` times the size, or times (width, height)."""
         matrix = self.matrix.copy()
         matrix[:2, 2] = (matrix[:2, 2] + 0.5) * factor - 0.5
         matrix[[0, 1], [0, 1]] *= factor
@@ -127,6 +137,11 @@ class Camera:
         x, y = build(self.matrix, self.coefficients, rotation, projection[:, :3], size, cv2.CV_32FC1)
         return np.asarray(x, np.float32), np.asarray(y, np.float32)
 
+    def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the pixels (N, 2) of points (N, 3) in the camera's frame, N > 0, by the pinhole model."""
+        projected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), self.matrix, self.coefficients)
+        return np.asarray(projected[:, 0], np.float64)
+
     def depth_image(
         self, points: NDArray[np.float64], shape: tuple[int, int], *values: NDArray[np.float32]
     ) -> list[NDArray[np.float32]]:
@@ -147,8 +162,7 @@ class Camera:
         points = points[ahead]
         if len(points) == 0:
             return images
-        projected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), self.matrix, self.coefficients)
-        x, y = np.rint(projected[:, 0]).astype(np.int64).T
+        x, y = np.rint(self.project(points)).astype(np.int64).T
         inside = (x >= 0) & (y >= 0) & (x < shape[1]) & (y < shape[0])
         x, y, depth = x[inside], y[inside], points[inside, 2]
         order = np.lexsort((-depth, y * shape[1] + x))  # of equal pixels the nearest comes last, and stays

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Camera, Intrinsics
+from depthcli.core.cameras.color_and_depth import ColorAndDepth
 
 KINECT_BASELINE = 0.075
 """Distance of projector and depth camera in the first Kinect and in sensors of the same design, meters."""
@@ -18,8 +19,6 @@ KINECT_FOCAL_LENGTH = 580.0
 UNKNOWN_CODE = 2047
 """Raw code of a pixel without depth, the largest of 11 bits."""
 
-_MAX_STEP = 0.03  # relative difference of two depths between which a pixel is filled; set by hand
-
 
 def sensor_fb(camera: Intrinsics | None) -> float:
     """Return focal length x baseline of a Kinect whose depth is registered to ``camera``, or stays in its own one."""
@@ -27,7 +26,7 @@ def sensor_fb(camera: Intrinsics | None) -> float:
 
 
 @dataclass(frozen=True)
-class KinectCalibration:
+class KinectCalibration(ColorAndDepth):
     """Both cameras of a first-generation Kinect and how its raw codes become depth.
 
     The plain model is triangulation, ``Z = Zr / (1 + Zr / (f b) d)`` (thesis, equation 1.1), with the shift ``d``
@@ -36,17 +35,11 @@ class KinectCalibration:
 
     Attributes
     ----------
-    depth, color : cameras
-    rotation, translation : from the depth camera's frame to the color camera's; (3, 3), (3,) meters
     offset, factor : raw code of infinite depth; codes x meters
     beta : (H, W) spatial distortion of the codes, or None for the plain model
     alpha : alpha_0 and alpha_1, by which the distortion decays with the code
     """
 
-    depth: Camera
-    color: Camera
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
     offset: float = 1092.5
     factor: float = 351.3
     beta: NDArray[np.float64] | None = None
@@ -61,39 +54,6 @@ class KinectCalibration:
             depth = self.factor / (self.offset - codes)
         depth[(raw >= UNKNOWN_CODE) | ~(depth > 0) | ~np.isfinite(depth)] = np.nan
         return depth.astype(np.float32)
-
-    def register(self, depth: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the depth camera's map in the color camera's pixels.
-
-        Points are projected; of several in one pixel, the nearest one counts. A single empty pixel between two
-        neighbors of similar depth gets their mean.
-
-        Parameters
-        ----------
-        depth : (H, W) float32, meters, NaN = unknown
-        shape : (H', W') of the color image that ``color`` describes
-
-        Returns
-        -------
-        (H', W') float32, meters, NaN = unknown
-        """
-        rows, cols = np.nonzero(np.isfinite(depth))
-        rays = self.depth.rays(np.stack([cols, rows], axis=1))
-        z = depth[rows, cols].astype(np.float64)
-        points = np.stack([rays[:, 0] * z, rays[:, 1] * z, z], axis=1) @ self.rotation.T + self.translation
-        return _close_gaps(self.color.depth_image(points, shape)[0])
-
-
-def _close_gaps(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    out = depth.copy()
-    for axis in (1, 0):
-        before, center, after = (
-            out[:, k : out.shape[1] - 2 + k] if axis else out[k : out.shape[0] - 2 + k] for k in (0, 1, 2)
-        )
-        with np.errstate(invalid="ignore"):
-            bridge = np.isnan(center) & (np.abs(before - after) <= _MAX_STEP * np.minimum(before, after))
-        center[bridge] = (before[bridge] + after[bridge]) / 2
-    return out
 
 
 def kinect_v1() -> KinectCalibration:

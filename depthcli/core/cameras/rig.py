@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Camera, Intrinsics
+from depthcli.core.cameras.camera import Camera, Intrinsics, is_rotation
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
 
@@ -38,7 +38,7 @@ class Rig:
     def __post_init__(self) -> None:
         if self.rotation.shape != (3, 3) or self.translation.shape != (3,):
             raise InputError("calibration: want R (3, 3) and T (3,)")
-        if not np.allclose(self.rotation @ self.rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(self.rotation) < 0:
+        if not is_rotation(self.rotation):
             raise InputError("calibration: R is not a rotation")
         if not np.isfinite(self.translation).all() or not np.linalg.norm(self.translation) > 0:
             raise InputError("calibration: the cameras stand at one place")

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from depthcli.data.formats.files import naming
 from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.formats.plain_text import numbers
 from depthcli.data.layouts import Folder, Layout, Meta
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.rgbd import RgbdScene
+
+if TYPE_CHECKING:
+    from depthcli.core.cameras.color_and_depth import Place
 
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".pfm", ".npy", ".exr")
 
@@ -21,7 +26,8 @@ class Rgbd(Layout):
         "`color.*`, `depth.*`; where known `depth_true.*`, `mask_<name>.*` (255 = evaluate), `sparse.*` (a second "
         "depth map, known at some pixels) with `sparse_confidence.*`, `meta.json` "
         "(`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, cy; "
-        "`fb`: focal length x baseline, pixels x meters)"
+        "`fb`: focal length x baseline, pixels x meters; of depth that is not registered to the color image, "
+        "`depth_intrinsics`: fx, fy, cx, cy, and `depth_to_color`: `rotation` 3 x 3, `translation` in meters)"
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -53,22 +59,49 @@ def frame(layout: Layout, folder: Folder, color: Path, depth: Path, **more: Any)
     values: dict[str, Any] = {
         "depth_true": folder.one(f"depth_true{end}", DEPTH_SUFFIXES),
         "masks": {n.removesuffix(end): file for n, file in masks.items() if n.endswith(end)},
-        "intrinsics": intrinsics(meta),
+        **cameras(meta),
         "fb": meta.positive("fb"),
         "protocol": meta.text("protocol", "depth"),
     }
     return layout.scene(folder, color=color, depth=depth, **values | ({"depth_scale": scale} if scale else {}) | more)
 
 
-def intrinsics(meta: Meta) -> tuple[float, float, float, float] | None:
-    """Return fx, fy, cx, cy of meta.json, at its root or below ``intrinsics``."""
-    inner = meta.fields.get("intrinsics", meta.fields)
+def cameras(meta: Meta) -> dict[str, Any]:
+    """Return what meta.json says of both cameras, as fields of the scene.
+
+    ``intrinsics`` are those of the color camera, at the root of the file or below that key.
+    """
+    return {
+        "intrinsics": _intrinsics(meta, "intrinsics", meta.fields),
+        "depth_intrinsics": _intrinsics(meta, "depth_intrinsics", {}),
+        "depth_to_color": _depth_to_color(meta),
+    }
+
+
+def _intrinsics(meta: Meta, name: str, default: dict[str, Any]) -> tuple[float, float, float, float] | None:
+    """fx, fy, cx, cy below the key ``name``, or in ``default``."""
+    inner = meta.fields.get(name, default)
     if not isinstance(inner, dict):
-        raise meta.error("intrinsics", "fx, fy, cx, cy")
+        raise meta.error(name, "fx, fy, cx, cy")
     values = [Meta(meta.path, inner).positive(key) for key in ("fx", "fy", "cx", "cy")]
     fx, fy, cx, cy = values
     if fx is None or fy is None or cx is None or cy is None:
-        if any(values):
-            raise meta.error("intrinsics", "all of fx, fy, cx, cy")
+        if any(values) or name in meta.fields:
+            raise meta.error(name, "all of fx, fy, cx, cy")
         return None
     return fx, fy, cx, cy
+
+
+def _depth_to_color(meta: Meta) -> Place | None:
+    value = meta.fields.get("depth_to_color")
+    if value is None:
+        return None
+    from depthcli.core.cameras.color_and_depth import check_place
+
+    if not isinstance(value, dict):
+        raise meta.error("depth_to_color", "rotation and translation")
+    with naming(meta.path):
+        rotation = numbers(value.get("rotation"), "depth_to_color: rotation", (3, 3))
+        translation = numbers(value.get("translation"), "depth_to_color: translation", (3,))
+        check_place(rotation, translation)
+    return tuple(rotation.ravel().tolist()), tuple(translation.tolist())

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from depthcli.core.cameras.camera import Intrinsics
+    from depthcli.core.cameras.color_and_depth import Place
     from depthcli.core.frames import RgbdFrame, SparseFrame
 
 _METERS = (".pfm", ".npy")
@@ -52,6 +53,9 @@ class RgbdScene(Scene):
     depth_true : true depth, in the same codes, or None
     masks : name -> file; a pixel counts where the value is 255
     intrinsics : fx, fy, cx, cy of the color camera, or None
+    depth_intrinsics : those of the depth camera, whose map is then registered to the color image; None: it is already
+    depth_to_color : rotation (row by row) and translation (meters) from the depth camera's frame to the color
+        camera's; None: both are at one place
     fb : focal length x baseline, pixel meters; None where it is not known
     hidden : mask of pixels that the sensor is made not to see (255), where its depth is the true one; or None
     sparse, sparse_confidence : a second depth map in the same codes, known at some pixels, and how sure it is; or None
@@ -73,6 +77,8 @@ class RgbdScene(Scene):
     depth_true: Path | None = None
     masks: dict[str, Path] = field(default_factory=dict)
     intrinsics: tuple[float, float, float, float] | None = None
+    depth_intrinsics: tuple[float, float, float, float] | None = None
+    depth_to_color: Place | None = None
     fb: float | None = None
     hidden: Path | None = None
     sparse: Path | None = None
@@ -112,7 +118,7 @@ class RgbdScene(Scene):
         Raises
         ------
         InputError
-            Files that cannot be used, of different sizes, or without a known depth.
+            Files that cannot be used, or without a known depth; sizes that differ while the cameras are not known.
         """
         import numpy as np
 
@@ -125,18 +131,16 @@ class RgbdScene(Scene):
         self.check()
         color = color8(read_image(self.color))
         intrinsics = None if self.intrinsics is None else Intrinsics(*self.intrinsics)
+        interpolated = False
         if self.raw:
-            color, depth, intrinsics = self._registered(color)
+            color, depth, intrinsics = self._registered_raw(color)
         else:
-            depth = self._without_hidden(self._depth(self.depth))
-        check_same_size(
-            self.depth, depth.shape, self.color, color.shape, "; the depth must be registered to the color image"
-        )
+            depth, interpolated = self._registered(color, intrinsics)
         if not np.isfinite(depth).any():
             raise InputError(f"{self.depth}: no pixel has a depth")
         if self.fb:
             check_fb(self.folder / "meta.json", self.fb, depth)
-        return RgbdFrame(color, depth, self.fb or sensor_fb(intrinsics), intrinsics)
+        return RgbdFrame(color, depth, self.fb or sensor_fb(intrinsics), intrinsics, interpolated)
 
     def load_sparse(self) -> SparseFrame:
         """Return the frame with its second, sparse depth.
@@ -165,7 +169,13 @@ class RgbdScene(Scene):
         if not np.isfinite(sparse).any():
             raise InputError(f"{self.sparse}: no pixel has a depth")
         return SparseFrame(
-            frame.color, frame.depth, frame.fb, frame.intrinsics, sparse=sparse, sparse_confidence=confidence
+            frame.color,
+            frame.depth,
+            frame.fb,
+            frame.intrinsics,
+            frame.interpolated,
+            sparse=sparse,
+            sparse_confidence=confidence,
         )
 
     def truth(self) -> RgbdTruth:
@@ -204,7 +214,22 @@ class RgbdScene(Scene):
         check_same_size(self.hidden, mask.shape, self.depth, depth.shape)
         return np.where(mask == 255, np.float32(np.nan), depth)
 
-    def _registered(self, color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float32], Intrinsics]:
+    def _registered(self, color: NDArray[np.uint8], intrinsics: Intrinsics | None) -> tuple[NDArray[np.float32], bool]:
+        """The depth registered to the color image, and whether it is interpolated between samples of a smaller map."""
+        from depthcli.core.cameras.camera import Intrinsics
+        from depthcli.core.cameras.color_and_depth import registered
+        from depthcli.data.formats.files import naming, warn
+
+        depth = self._without_hidden(self._depth(self.depth))
+        camera = None if self.depth_intrinsics is None else Intrinsics(*self.depth_intrinsics)
+        shape = (color.shape[0], color.shape[1])
+        with naming(self.depth):
+            found = registered(depth, shape, intrinsics, camera, self.depth_to_color)
+        if found.note:
+            warn(f"{self.depth}: {found.note}")
+        return found.depth, found.interpolated
+
+    def _registered_raw(self, color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float32], Intrinsics]:
         """Color at the depth camera's resolution, and the depth registered to it."""
         import cv2
 

@@ -1,0 +1,254 @@
+"""A depth camera beside a color camera: its depth map in the color camera's pixels, of whatever size either has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.cameras._quads import draw_quads
+from depthcli.core.cameras.camera import Camera, Intrinsics, is_rotation, typical_intrinsics
+from depthcli.core.errors import InputError
+
+# Largest relative difference of two depths that may lie on one surface, if nothing else says so; set by hand.
+_MAX_STEP = 0.03
+# Neighboring samples whose relative steps differ by more lie on two surfaces: standard deviations of the map's noise,
+# and the least and the largest of it; set by hand.
+_MAX_BEND, _MIN_LIMIT, _MAX_LIMIT = 6.0, 0.005, 0.1
+_MAD_TO_SIGMA = 1.4826
+_MAX_TRANSLATION = 10.0  # meters; a longer one is in another unit
+_MAX_APPROACH = 0.1  # of a depth: surfaces that would be nearer to the color camera are left out
+
+Place = tuple[tuple[float, ...], tuple[float, ...]]
+"""Rotation (3 x 3, row by row) and translation (meters) from the depth camera's frame to the color camera's."""
+
+
+@dataclass(frozen=True)
+class ColorAndDepth:
+    """Both cameras of a sensor.
+
+    Attributes
+    ----------
+    depth, color : cameras
+    rotation, translation : from the depth camera's frame to the color camera's; (3, 3), (3,) meters
+    """
+
+    depth: Camera
+    color: Camera
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+
+    @property
+    def interpolates(self) -> bool:
+        """True where the depth camera's pixels are larger than those of the color camera."""
+        return bool(np.any(np.diag(self.color.matrix) > np.diag(self.depth.matrix) * (1 + 1e-9)))
+
+    def register(self, depth: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Return the depth camera's map in the color camera's pixels.
+
+        Of several surfaces in one pixel, the nearest one counts. Where the depth camera's pixels are larger than those
+        of the color camera, depth is interpolated between neighboring samples of one surface; between samples of two
+        surfaces each pixel belongs to the nearer sample, and lies on the plane of that one's own neighbors. Else,
+        points are projected. A single empty pixel between two neighbors of similar depth gets their mean; what the
+        depth camera did not see or could not measure stays unknown.
+
+        Parameters
+        ----------
+        depth : (H, W) float32, meters, NaN = unknown
+        shape : (H', W') of the color image that ``color`` describes
+
+        Returns
+        -------
+        (H', W') float32, meters, NaN = unknown
+        """
+        if not self.interpolates:
+            rows, columns = np.nonzero(np.isfinite(depth))
+            points = self._points(np.stack([columns, rows], axis=1), depth[rows, columns].astype(np.float64))
+            return _close_gaps(self.color.depth_image(points, shape)[0])
+        pixels, inverse = _surface_patches(1 / depth.astype(np.float64))
+        corners = self._points(pixels.reshape(-1, 2), 1 / inverse.ravel()).reshape(-1, 4, 3)
+        ahead = np.all(corners[..., 2] > _MAX_APPROACH / inverse, axis=1)
+        corners = corners[ahead]
+        image = np.zeros(shape)
+        if len(corners):
+            x, y = np.ascontiguousarray(self.color.project(corners.reshape(-1, 3)).T).reshape(2, -1, 4)
+            draw_quads(x, y, 1 / corners[..., 2], image)
+        with np.errstate(divide="ignore"):
+            return _close_gaps(np.where(image > 0, 1 / image, np.nan).astype(np.float32))
+
+    def _points(self, pixels: NDArray[np.floating], z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the points (N, 3) in the color camera's frame of (N, 2) pixels of the depth camera."""
+        rays = self.depth.rays(pixels)
+        points = np.stack([rays[:, 0] * z, rays[:, 1] * z, z], axis=1)
+        return np.asarray(points @ self.rotation.T + self.translation)
+
+
+class Registered(NamedTuple):
+    """A depth map in a color image's pixels.
+
+    Attributes
+    ----------
+    depth : (H, W) float32, meters, NaN = unknown
+    interpolated : the map was smaller than the image
+    note : what was assumed, as nothing is known of the depth camera; or empty
+    """
+
+    depth: NDArray[np.float32]
+    interpolated: bool = False
+    note: str = ""
+
+
+def registered(
+    depth: NDArray[np.float32],
+    shape: tuple[int, int],
+    color: Intrinsics | None,
+    camera: Intrinsics | None,
+    place: Place | None,
+) -> Registered:
+    """Return a depth map in the pixels of a color image.
+
+    Without ``camera``, a map of the image's size is returned as it is, and a smaller one of the same aspect ratio is
+    scaled.
+
+    Parameters
+    ----------
+    depth : (h, w) float32, meters, NaN = unknown
+    shape : (H, W) of the color image
+    color, camera : of the color and the depth camera, or None where they are not known
+    place : of the depth camera; None: where the color camera is
+
+    Raises
+    ------
+    InputError
+        The sizes differ and the cameras are not known, a camera or its place cannot be, or the color camera sees
+        nothing of the map.
+    """
+    if camera is None and place is not None:
+        raise InputError("depth_to_color wants depth_intrinsics beside it")
+    if camera is not None and color is None:
+        raise InputError("depth_intrinsics want those of the color camera beside them; give --intrinsics, too")
+    (height, width), (small_height, small_width) = shape, depth.shape
+    if camera is not None and color is not None:
+        rotation, translation = (np.eye(3), np.zeros(3)) if place is None else map(np.array, place)
+        cameras = ColorAndDepth(Camera(camera.matrix), Camera(color.matrix), rotation.reshape(3, 3), translation)
+        check_place(cameras.rotation, cameras.translation)
+    elif depth.shape == shape:
+        return Registered(depth)
+    elif small_width < width and small_height < height and _same_aspect(depth.shape, shape):
+        image = Camera((color or typical_intrinsics(width, height)).matrix)
+        scaled = image.scaled((small_width / width, small_height / height))
+        cameras = ColorAndDepth(scaled, image, np.eye(3), np.zeros(3))
+    else:
+        raise InputError(
+            f"{small_width} x {small_height}, but the color image is {width} x {height}; the depth must be registered "
+            "to the color image; else give --depth-intrinsics, and --intrinsics of the color camera"
+        )
+    result = cameras.register(depth, shape)
+    if np.isfinite(depth).any() and not np.isfinite(result).any():
+        raise InputError("no point of the depth map lies in the color image; check depth_intrinsics, depth_to_color "
+                         "(meters) and the intrinsics of the color camera")  # fmt: skip
+    note = (
+        f"{small_width} x {small_height}, taken as registered to the color image of {width} x {height} and scaled; "
+        "if it is not, give --depth-intrinsics"
+    )
+    return Registered(result, cameras.interpolates, "" if camera else note)
+
+
+def check_place(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> None:
+    """Raise InputError where (3, 3) is no rotation, or (3,) no distance of two cameras of one sensor, meters."""
+    if not is_rotation(rotation):
+        raise InputError("depth_to_color: the rotation is not a rotation matrix")
+    if not np.linalg.norm(translation) <= _MAX_TRANSLATION:
+        raise InputError(f"depth_to_color: the translation is longer than {_MAX_TRANSLATION:g} m; want meters")
+
+
+def _same_aspect(shape: tuple[int, ...], other: tuple[int, int]) -> bool:
+    # Within one pixel of the smaller image.
+    return abs(shape[1] * other[0] / other[1] - shape[0]) <= 1
+
+
+def _close_gaps(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    out = depth.copy()
+    for axis in (1, 0):
+        before, center, after = (
+            out[:, k : out.shape[1] - 2 + k] if axis else out[k : out.shape[0] - 2 + k] for k in (0, 1, 2)
+        )
+        with np.errstate(invalid="ignore"):
+            bridge = np.isnan(center) & (np.abs(before - after) <= _MAX_STEP * np.minimum(before, after))
+        center[bridge] = (before[bridge] + after[bridge]) / 2
+    return out
+
+
+def _surface_patches(inverse: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return quadrilaterals that cover all known pixels of a map, so that values change within surfaces only.
+
+    Four neighboring centers of pixels whose samples lie on one surface are the corners of one quadrilateral. Where
+    they do not, each sample gets a quarter of the square between them, with the slope to its neighbors on its surface.
+
+    Parameters
+    ----------
+    inverse : (H, W) inverse depth, NaN = unknown
+
+    Returns
+    -------
+    pixels : (N, 4, 2) x, y of the corners, clockwise as the image is seen
+    values : (N, 4) inverse depth of the corners
+    """
+    inverse = np.pad(inverse, 1, constant_values=np.nan)
+    limit = _step_limit(inverse)
+    right, below = _same_surface(inverse, limit), _same_surface(inverse.T, limit).T
+    whole = right[:-1] & right[1:] & below[:, :-1] & below[:, 1:]
+    corner = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])  # x, y
+    rows, columns = np.nonzero(whole)
+    at = np.stack([columns, rows], axis=1)[:, None] + corner
+    pixels, values = [at.astype(np.float64)], [inverse[at[..., 1], at[..., 0]]]
+    for x, y in corner:
+        rows, columns = np.nonzero(~whole & np.isfinite(inverse[y : y + whole.shape[0], x : x + whole.shape[1]]))
+        rows, columns = rows + y, columns + x
+        slope_x = _slopes(inverse, right, 1 - 2 * x)[rows, columns, None]
+        slope_y = _slopes(inverse.T, below.T, 1 - 2 * y).T[rows, columns, None]
+        # The quarter reaches from the sample's center half a pixel towards the middle of the four.
+        offset = 0.5 * corner * (1 - 2 * x, 1 - 2 * y)
+        offset = offset if x == y else offset[::-1]  # mirrored once: clockwise again
+        own = inverse[rows, columns, None]
+        values.append(np.maximum(own + slope_x * offset[:, 0] + slope_y * offset[:, 1], 0.5 * own))
+        pixels.append(np.stack([columns, rows], axis=1)[:, None] + offset)
+    return np.concatenate(pixels) - 1, np.concatenate(values)
+
+
+def _relative_steps(inverse: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(H, W - 1): from each pixel to the next one in its row."""
+    return 2 * np.diff(inverse, axis=1) / (inverse[:, 1:] + inverse[:, :-1])
+
+
+def _step_limit(inverse: NDArray[np.float64]) -> float:
+    """Return the largest difference of the relative steps within a surface, by the noise of the map."""
+    bends = np.concatenate([np.abs(np.diff(_relative_steps(each), axis=1)).ravel() for each in (inverse, inverse.T)])
+    bends = bends[np.isfinite(bends)]
+    noise = _MAD_TO_SIGMA * float(np.median(bends)) / 6**0.5 if bends.size else 0.0
+    return min(max(_MAX_BEND * noise, _MIN_LIMIT), _MAX_LIMIT)
+
+
+def _same_surface(inverse: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
+    """(H, W - 1): a pixel and the next one in its row lie on one surface.
+
+    Either they are alike, or on one slope with the pixels on both sides; with that on one side if the step is small,
+    which is so at the rim of a slanted surface.
+    """
+    steps = _relative_steps(inverse)
+    bends = np.abs(np.diff(np.pad(steps, ((0, 0), (1, 1)), constant_values=np.nan), axis=1))
+    one, both = np.fmin(bends[:, 1:], bends[:, :-1]), np.maximum(bends[:, 1:], bends[:, :-1])
+    with np.errstate(invalid="ignore"):
+        steps = np.abs(steps)
+        return (steps <= limit) | (both <= limit) | ((one <= limit) & (steps <= _MAX_STEP))
+
+
+def _slopes(inverse: NDArray[np.float64], right: NDArray[np.bool_], sign: int) -> NDArray[np.float64]:
+    """(H, W): change along x per pixel, by the neighbor on the side ``sign``, else the other; 0 where neither fits."""
+    steps = np.pad(np.where(right, np.diff(inverse, axis=1), 0.0), ((0, 0), (1, 1)))
+    known = np.pad(right, ((0, 0), (1, 1)))
+    after, before = slice(1, None), slice(None, -1)
+    first, second = (after, before) if sign > 0 else (before, after)
+    return np.where(known[:, first], steps[:, first], steps[:, second])
