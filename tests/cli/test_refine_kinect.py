@@ -241,7 +241,7 @@ def test_cameras_come_from_options_beside_meta_json(phone: Path, tmp_path: Path,
     assert rows(tmp_path / "plain")["room"]["registered"] == "assumed"
     given = ("--depth-intrinsics", "49,48.5,31,24")
     assert run(*one, *given, "-o", tmp_path / "r") == 3
-    assert "want those of the color camera beside them; give --intrinsics, too" in capsys.readouterr().err
+    assert "want those of the color camera beside them; give intrinsics, too" in capsys.readouterr().err
     assert run(*one, *given, "--intrinsics", "362,360,238.5,180", "-o", tmp_path / "r") == 0
     assert "taken as registered" not in capsys.readouterr().err
     first = (tmp_path / "r" / "room" / "depth.pfm").read_bytes()
@@ -267,4 +267,4 @@ def test_depth_of_another_aspect_is_refused(phone: Path, tmp_path: Path):
     assert run("refine-kinect", "nearest", "-i", tmp_path / "in", "-o", tmp_path / "r", "-q") == 3
     error = str(rows(tmp_path / "r")["a"]["error"])
     assert "70 x 48, but the color image is 480 x 360" in error
-    assert error.endswith("else give --depth-intrinsics, and --intrinsics of the color camera")
+    assert error.endswith("else give depth_intrinsics, and intrinsics of the color camera")

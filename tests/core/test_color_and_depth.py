@@ -132,7 +132,7 @@ def test_depth_that_is_not_smaller_is_projected_point_by_point():
     [
         ((48, 64), None, DEPTH, None, "want those of the color camera"),
         ((48, 64), COLOR, None, PLACE, "depth_to_color wants depth_intrinsics"),
-        ((48, 60), COLOR, None, None, "60 x 48, but the color image is 480 x 360; .* --depth-intrinsics"),
+        ((48, 60), COLOR, None, None, "60 x 48, but the color image is 480 x 360; .* depth_intrinsics"),
         ((720, 960), COLOR, None, None, "960 x 720, but the color image is 480 x 360"),
         ((48, 64), COLOR, Intrinsics(0, 1, 2, 3), None, "positive focal lengths"),
         ((48, 64), COLOR, Intrinsics(np.nan, 1, 2, 3), None, "finite 3 x 3"),

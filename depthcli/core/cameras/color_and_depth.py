@@ -128,7 +128,7 @@ def registered(
     if camera is None and place is not None:
         raise InputError("depth_to_color wants depth_intrinsics beside it")
     if camera is not None and color is None:
-        raise InputError("depth_intrinsics want those of the color camera beside them; give --intrinsics, too")
+        raise InputError("depth_intrinsics want those of the color camera beside them; give intrinsics, too")
     (height, width), (small_height, small_width) = shape, depth.shape
     if camera is not None and color is not None:
         rotation, translation = (np.eye(3), np.zeros(3)) if place is None else map(np.array, place)
@@ -143,7 +143,7 @@ def registered(
     else:
         raise InputError(
             f"{small_width} x {small_height}, but the color image is {width} x {height}; the depth must be registered "
-            "to the color image; else give --depth-intrinsics, and --intrinsics of the color camera"
+            "to the color image; else give depth_intrinsics, and intrinsics of the color camera"
         )
     result = cameras.register(depth, shape)
     if np.isfinite(depth).any() and not np.isfinite(result).any():
@@ -151,7 +151,7 @@ def registered(
                          "(meters) and the intrinsics of the color camera")  # fmt: skip
     note = (
         f"{small_width} x {small_height}, taken as registered to the color image of {width} x {height} and scaled; "
-        "if it is not, give --depth-intrinsics"
+        "if it is not, give depth_intrinsics"
     )
     return Registered(result, cameras.interpolates, "" if camera else note)
 
