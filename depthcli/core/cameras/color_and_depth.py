@@ -19,6 +19,7 @@ _MAX_STEP = 0.03
 _MAX_BEND, _MIN_LIMIT, _MAX_LIMIT = 6.0, 0.005, 0.1
 _MAD_TO_SIGMA = 1.4826
 _MAX_TRANSLATION = 10.0  # meters; a longer one is in another unit
+_PATCHES_AT_ONCE = 1 << 15  # limits the memory of their points
 _MAX_APPROACH = 0.1  # of a depth: surfaces that would be nearer to the color camera are left out
 
 Place = tuple[tuple[float, ...], tuple[float, ...]]
@@ -68,13 +69,14 @@ class ColorAndDepth:
             points = self._points(np.stack([columns, rows], axis=1), depth[rows, columns].astype(np.float64))
             return _close_gaps(self.color.depth_image(points, shape)[0])
         pixels, inverse = _surface_patches(1 / depth.astype(np.float64))
-        corners = self._points(pixels.reshape(-1, 2), 1 / inverse.ravel()).reshape(-1, 4, 3)
-        ahead = np.all(corners[..., 2] > _MAX_APPROACH / inverse, axis=1)
-        corners = corners[ahead]
         image = np.zeros(shape)
-        if len(corners):
-            x, y = np.ascontiguousarray(self.color.project(corners.reshape(-1, 3)).T).reshape(2, -1, 4)
-            draw_quads(x, y, 1 / corners[..., 2], image)
+        for start in range(0, len(pixels), _PATCHES_AT_ONCE):
+            part = slice(start, start + _PATCHES_AT_ONCE)
+            corners = self._points(pixels[part].reshape(-1, 2), 1 / inverse[part].ravel()).reshape(-1, 4, 3)
+            corners = corners[np.all(corners[..., 2] > _MAX_APPROACH / inverse[part], axis=1)]
+            if len(corners):
+                x, y = np.ascontiguousarray(self.color.project(corners.reshape(-1, 3)).T).reshape(2, -1, 4)
+                draw_quads(x, y, 1 / corners[..., 2], image)
         with np.errstate(divide="ignore"):
             return _close_gaps(np.where(image > 0, 1 / image, np.nan).astype(np.float32))
 
