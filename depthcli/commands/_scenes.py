@@ -128,11 +128,11 @@ def _names_of_maps(run: Path, reported: Sequence[str], patterns: Sequence[str]) 
 def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, values: Values) -> DisparityScene:
     """Return the map in ``folder``; ``pair`` is the scene it was made from, and ``source`` its left image, if known."""
     left = source if source is not None and os.path.isfile(source) else None
-    calibration, cameras = None, (2, 3)
+    calibration, cameras, geometry = None, (2, 3), None
     if isinstance(pair, StereoScene):
-        left, calibration, cameras = pair.left, pair.calibration, pair.cameras
+        left, calibration, cameras, geometry = pair.left, pair.calibration, pair.cameras, pair.geometry
     if all(os.path.isfile(folder / name) for name in ("calib.txt", "left.png")):  # the pair was rectified for the map
-        left, calibration, cameras = folder / "left.png", folder / "calib.txt", (2, 3)
+        left, calibration, cameras, geometry = folder / "left.png", folder / "calib.txt", (2, 3), None
     elif pair is None and left is not None and os.path.isfile(beside := left.parent / "calib.txt"):
         calibration = beside
     status = folder / "status.png"
@@ -145,4 +145,5 @@ def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, va
         left=left,
         calibration=values["calibration"] or (calibration if values["focal"] is None else None),
         cameras=cameras,
+        geometry=geometry if values["calibration"] is None else None,
     )

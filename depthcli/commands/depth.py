@@ -201,6 +201,8 @@ def _geometry(config: DepthOptions, scene: DisparityScene) -> PairGeometry:
         height, width = scene.load().shape
         camera = Intrinsics(config["focal"], config["focal"], (width - 1) / 2, (height - 1) / 2)
         return PairGeometry(camera, config["baseline"], config["doffs"] or 0.0)
+    if scene.geometry is not None:
+        return scene.geometry
     if scene.calibration is None:
         raise InputError(
             f"{scene.folder}: no calibration beside the images; give --calibration, or --focal, --baseline"

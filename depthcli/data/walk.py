@@ -16,6 +16,7 @@ from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import with_sequences
 
 _RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.batch.run_folder
+_MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
 _MAX_RUN_BYTES = 1 << 20  # of it; those of all presets have below 10 kB
 
 
@@ -174,7 +175,7 @@ def chosen_scenes(scenes: Sequence[Scene], patterns: Sequence[str], place: Path 
 
 
 def scene_with_file(file: Path) -> Scene | None:
-    """Return the scene that ``file`` belongs to by the layout of its folder or of the one above it (KITTI), or None."""
+    """Return the scene that ``file`` belongs to by the layout of its folder or of one above it (KITTI), or None."""
     return next(iter(scenes_with_files([file]).values()), None)
 
 
@@ -184,7 +185,7 @@ def scenes_with_files(files: Iterable[Path]) -> dict[Path, Scene]:
     scene_of: dict[Path, Scene] = {}
     for file in files:
         path = file.absolute()
-        for place in path.parents[:2]:
+        for place in path.parents[:_MAX_ABOVE]:
             if place not in known:
                 known[place] = _files_in(place)
             if path in known[place]:

@@ -570,3 +570,19 @@ def test_figures_of_the_kitti_pairs(pair, d1, three, end_point):
     assert pick(scores, "D1", 3.0, ESTIMATED_ONLY).value == pytest.approx(d1, abs=0.005)
     assert pick(scores, "out", 3.0, ESTIMATED_ONLY).value == pytest.approx(three, abs=0.005)
     assert pick(scores, "avgerr", None, ESTIMATED_ONLY).value == pytest.approx(end_point, abs=0.0005)
+
+
+# The Scene Flow datasets
+
+
+def test_scene_flow_evaluates_disparities_below_192():
+    disparity = np.array([[0, 0.5, 100, 191.5, 192, 300, 50, np.nan]], np.float32)
+    judge = make("scene-flow")
+    truth = DisparityTruth(disparity, judge.masks(StereoTruth(disparity)))
+    estimate = disparity + np.array([[9, 0.75, 4, 10, 90, 90, np.nan, 1]], np.float32)
+    scores = judge.scores(estimate, truth)
+    assert pick(scores, "avgerr").value == pytest.approx((0.75 + 4 + 10) / 3)
+    assert pick(scores, "avgerr").metric == judge.headline
+    assert [pick(scores, "bad", t).value for t in (1.0, 3.0)] == [75, 75]  # the missing one is bad
+    assert pick(scores, "D1").value == 50  # 4 px are not 5 % of 100 px
+    np.testing.assert_array_equal(judge.wrong(estimate, truth)[0, 1:4], [False, True, True])

@@ -21,8 +21,9 @@ def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry
     Parameters
     ----------
     path : ``calib.txt`` of Middlebury v3 or ETH3D (``cam0``, ``cam1``, ``doffs``, ``baseline`` in mm); or
-        KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:``
-    cameras : numbers of the left and the right one among those of KITTI; 0, 1 grey, 2, 3 color
+        KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:`` (DrivingStereo: ``P_rect_101:``)
+    cameras : numbers of the left and the right one among those of KITTI: 0, 1 grey, 2, 3 color (DrivingStereo: 101,
+        103)
 
     Raises
     ------
@@ -33,7 +34,7 @@ def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry
         fields = key_values(read_bytes(path, _MAX_BYTES).decode("utf-8", "replace"))
         if "cam0" in fields:
             return _middlebury(fields)
-        if any(re.fullmatch(r"P(_rect_0)?\d", key) for key in fields):
+        if any(re.fullmatch(r"P(\d|_rect_\d{2,3})", key) for key in fields):
             return _kitti(fields, cameras)
         raise InputError("no calibration of a rectified pair that is known (Middlebury's cam0=, KITTI's P2:)")
 
@@ -75,11 +76,11 @@ def _middlebury(fields: dict[str, str]) -> PairGeometry:
 
 
 def _kitti(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeometry:
-    start = "P_rect_0" if any(key.startswith("P_rect_0") for key in fields) else "P"
-    left, right = (numbers(fields.get(f"{start}{n}", ""), f"{start}{n}", (3, 4)) for n in cameras)
+    names = [f"P_rect_{n:02}" if any(key.startswith("P_rect_") for key in fields) else f"P{n}" for n in cameras]
+    left, right = (numbers(fields.get(name, ""), name, (3, 4)) for name in names)
     if abs(left[0, 0]) < 1e-9 or abs(right[0, 0]) < 1e-9:
         raise InputError("a camera without focal length")
     baseline = float(left[0, 3] / left[0, 0] - right[0, 3] / right[0, 0])
-    rectified = f"S_rect_0{cameras[0]}"
+    rectified = f"S_rect_{cameras[0]:02}"
     size = image_sides(fields[rectified], rectified) if fields.get(rectified) else None
     return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]), size)

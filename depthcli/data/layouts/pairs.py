@@ -29,6 +29,8 @@ class Pairs(Layout):
         if folder.one("left", IMAGE_SUFFIXES) or folder.one("right", IMAGE_SUFFIXES):  # of scenes
             return []
         images = folder.starting("", IMAGE_SUFFIXES)
+        if any(stem.endswith("_left.disp") for stem in images):  # of crestereo
+            return []
         for ends, words in ((True, _ENDS), (False, _STARTS)):
             for pair in words:
                 left, right = (_named(images, word, ends) for word in pair)

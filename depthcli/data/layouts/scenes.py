@@ -22,7 +22,7 @@ class Scenes(Layout):
     def scenes(self, folder: Folder) -> list[Scene]:
         left, right = (folder.one(stem, IMAGE_SUFFIXES) for stem in ("left", "right"))
         truth = folder.one("disp_left", map_suffixes())
-        if left is None and right is None:
+        if (left is None and right is None) or folder.one("left_disp", (".png",)):  # the latter: of instereo2k
             return []
         problem = ""
         if left is None or (right is None and truth is None):

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from depthcli.core.cameras.triangulation import PairGeometry
+
 
 @dataclass(frozen=True, kw_only=True)
 class DisparityScene(Scene):
@@ -25,6 +27,7 @@ class DisparityScene(Scene):
     left : the image that the map describes, or None where it is missing
     calibration : calibration of the pair, or None
     cameras : numbers of the left and right camera in a calibration of several
+    geometry : what the data set of the pair says instead of a calibration, or None
     """
 
     disparity: Path
@@ -33,6 +36,7 @@ class DisparityScene(Scene):
     left: Path | None = None
     calibration: Path | None = None
     cameras: tuple[int, int] = (2, 3)
+    geometry: PairGeometry | None = None
 
     @property
     def input_files(self) -> dict[str, Path]:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from depthcli.core.cameras.triangulation import PairGeometry
     from depthcli.core.frames import StereoPair
     from depthcli.data.formats.images import Image
     from depthcli.data.pairs import NamedPair
@@ -39,6 +40,7 @@ class StereoTruth:
     objects : (H, W) bool, foreground objects (KITTI 2015), or None
     masks : name -> (H, W) bool, True = evaluate
     scale : codes per pixel that the files were read with; None = what their kind says
+    finer : (2 H, 2 W) float32, pixels of the image, where the truth is known at twice its resolution (Spring); or None
     """
 
     disparity: NDArray[np.float32]
@@ -47,6 +49,7 @@ class StereoTruth:
     objects: NDArray[np.bool_] | None = None
     masks: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     scale: float | None = None
+    finer: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +64,15 @@ class StereoScene(Scene):
     disparity_scale : codes per pixel of the ground truth; None = what the file's kind says
     scale_by_width : the scale follows from the map's width, as in the Middlebury 2005 and 2006 sets
     masks : name -> file; a pixel counts where the value is 255
+    occluded, ignored : masks of pixels that the right view does not show, and of those that do not count (both: > 0);
+        without a file of their own, ``nonocc`` and ``all`` are the others; or None
     objects : KITTI 2015 object map (> 0: foreground) or None
     max_disparity : largest disparity to search, inclusive, or None
     min_disparity : smallest disparity to search
     round_disparity : the truth is whole pixels, so that results are rounded first (v3: ``isint``)
     calibration : file that says how disparities become depth, or None
     cameras : numbers of the pair's cameras in a calibration of several (KITTI)
+    geometry : how disparities become depth, where the data set says so in another way; or None
     sequence : the first, the middle and the last frame of the sequence that this one belongs to, in order; empty for a
         single pair; see :func:`with_sequences`
     """
@@ -90,12 +96,15 @@ class StereoScene(Scene):
     disparity_scale: float | None = None
     scale_by_width: bool = False
     masks: dict[str, Path] = field(default_factory=dict, hash=False)
+    occluded: Path | None = None
+    ignored: Path | None = None
     objects: Path | None = None
     max_disparity: int | None = None
     min_disparity: int = 0
     round_disparity: bool = False
     calibration: Path | None = None
     cameras: tuple[int, int] = (2, 3)
+    geometry: PairGeometry | None = None
     sequence: tuple[StereoScene, ...] = ()
 
     @classmethod
@@ -199,6 +208,18 @@ class StereoScene(Scene):
             else pair_of(*self.load_views(), (self.left, right))
         )
 
+    def decode(self, file: Path, scale: float | None) -> NDArray[np.float32]:
+        """Return a truth map, (H, W) float32, pixels, NaN = unknown; overridden by sets with a code of their own.
+
+        Raises
+        ------
+        InputError
+            It cannot be read; one line that names the file.
+        """
+        from depthcli.data.formats.disparity import read_disparity
+
+        return read_disparity(file, scale)
+
     def truth(self) -> StereoTruth:
         """Return ground truth and masks of the left view, as stored.
 
@@ -207,7 +228,8 @@ class StereoScene(Scene):
         InputError
             No ground truth, an unreadable file, or files of different sizes.
         """
-        from depthcli.data.formats.disparity import read_disparity
+        import numpy as np
+
         from depthcli.data.formats.images import read_grey
 
         self.check()
@@ -217,16 +239,28 @@ class StereoScene(Scene):
         if self.scale_by_width and scale is None:
             width = read_grey(self.disparity_left).shape[1]
             scale = next(scale for above, scale in _SCALE_BY_WIDTH if width > above)
-        disparity = read_disparity(self.disparity_left, scale)
-        right = None if self.disparity_right is None else read_disparity(self.disparity_right, scale)
-        noc = None if self.disparity_noc is None else read_disparity(self.disparity_noc, scale)
+        disparity = self.decode(self.disparity_left, scale)
+        right = None if self.disparity_right is None else self.decode(self.disparity_right, scale)
+        noc = None if self.disparity_noc is None else self.decode(self.disparity_noc, scale)
         objects = None if self.objects is None else read_grey(self.objects) > 0
-        masks = {name: read_grey(path) == 255 for name, path in self.masks.items()}
-        others = [(self.disparity_noc, noc), (self.objects, objects), *((self.masks[n], masks[n]) for n in masks)]
+        masks = self._masks()
+        others = [(self.disparity_noc, noc), (self.objects, objects), *masks.values()]
         for file, array in others:
             if file is not None and array is not None:
                 check_same_size(file, array.shape, self.disparity_left, disparity.shape)
-        return StereoTruth(disparity, right, noc, objects, masks, scale)
+        counted = masks["all"][1] if self.ignored is not None else np.True_
+        chosen = {name: mask & counted for name, (_, mask) in masks.items()}
+        return StereoTruth(disparity, right, noc, objects, chosen, scale)
+
+    def _masks(self) -> dict[str, tuple[Path, NDArray[np.bool_]]]:
+        """Name -> file and (H, W) mask."""
+        from depthcli.data.formats.images import read_grey
+
+        masks = {name: (path, read_grey(path) == 255) for name, path in self.masks.items()}
+        for name, file in (("all", self.ignored), ("nonocc", self.occluded)):
+            if file is not None:
+                masks[name] = file, read_grey(file) == 0
+        return masks
 
 
 def with_sequences(scenes: Sequence[Scene]) -> list[Scene]:

@@ -1,0 +1,60 @@
+"""The evaluation of the Scene Flow datasets that the literature of networks has settled on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.data.scenes.stereo import StereoTruth
+from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, Masks
+from depthcli.evaluation.protocols.kitti_2015 import is_d1
+from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_IS_BAD, Metric, Score
+
+_RANGE = 192.0  # pixels: true disparities from here on are not evaluated
+_WRONG = 3.0  # pixels, from which on a pixel is shown as wrong
+
+
+class SceneFlowProtocol(DisparityProtocol):
+    """End-point error over the pixels whose true disparity is between 0 and 192 px (as GwcNet and RAFT-Stereo).
+
+    ``avgerr`` is the end-point error, over the estimated pixels; ``bad`` counts errors above 1, 2 and 3 px and ``D1``
+    those above 3 px and 5 % of the truth, both with missing values as bad. Every frame counts once in a mean.
+    """
+
+    presentation = replace(
+        PRESENTATION,
+        title="Scene Flow: end-point error, px, of true disparities below 192 px",
+        note="avgerr, rms: px, estimated pixels; bad, D1 (> 3 px and > 5 %): % of the pixels, missing counts as bad",
+    )
+    thresholds = (1.0, 2.0, 3.0)
+    default_threshold = _WRONG
+
+    @property
+    def headline(self) -> Metric:
+        """The average error, or the share of errors above the user's threshold."""
+        if self.settings.threshold is None:
+            return Metric("avgerr", "px", convention=ESTIMATED_ONLY)
+        return super().headline
+
+    def masks(self, stored: StereoTruth) -> Masks:
+        """Return the masks of the files within the range that is evaluated."""
+        with np.errstate(invalid="ignore"):
+            inside = (stored.disparity > 0) & (stored.disparity < _RANGE)
+        return {name: mask & inside for name, mask in super().masks(stored).items()}
+
+    def wrong(self, estimate: Disparity, truth: DisparityTruth) -> NDArray[np.bool_]:
+        """Return True where the error is above 3 px, or the user's threshold."""
+        return self.error(estimate, truth) > np.float32(self.settings.threshold or _WRONG)
+
+    def scores(self, estimate: Disparity, truth: DisparityTruth) -> list[Score]:
+        """Compute ``avgerr``, ``rms``, ``bad`` at three thresholds and ``D1``."""
+        scores = []
+        for tally, region in zip(self.tallies(estimate, truth), self.regions(truth).values(), strict=True):
+            missing = np.isnan(tally.error)
+            scores += tally.means()
+            scores += [tally.rate(self.at(t), ~(tally.error <= np.float32(t))) for t in self.all_thresholds]
+            d1 = Metric("D1", "%", 3.0, MISSING_IS_BAD, 100.0, label="D1")
+            scores.append(tally.rate(d1, is_d1(tally.error, truth.disparity[region]) | missing))
+        return scores

@@ -1,0 +1,261 @@
+"""Data sets of stereo pairs with conventions of their own, on miniatures that follow the sets' documents."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthcli.core.cameras.triangulation import PairGeometry
+from depthcli.core.errors import InputError
+from depthcli.data.formats.disparity import write_pfm
+from depthcli.data.formats.images import write_png
+from depthcli.data.formats.pair_geometry import read_geometry
+from depthcli.data.layouts import own_layouts
+from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.walk import discover_scenes, scene_with_file
+from depthcli.evaluation import protocols
+from depthcli.testing.layouts import check_layout
+
+HEIGHT, WIDTH = 6, 8
+COLOR = np.dstack([np.arange(48, dtype=np.uint8).reshape(HEIGHT, WIDTH) + k for k in range(3)]).astype(np.uint8)
+DISPARITY = np.full((HEIGHT, WIDTH), 2.5, np.float32)
+DISPARITY[2:4, 3:] = 4.25
+
+
+def find(folder: Path, layout: str | None = None, warn=lambda line: None) -> list[StereoScene]:
+    scenes = discover_scenes(folder, (StereoScene,), layout, ["*"], warn)
+    assert all(isinstance(scene, StereoScene) for scene in scenes)
+    return scenes  # type: ignore[return-value]
+
+
+def images(*paths: Path) -> None:
+    for path in paths:
+        write_png(path, COLOR)
+
+
+def check(name: str, folder: Path) -> None:
+    (layout,) = (each for each in own_layouts() if each.name == name)
+    check_layout(layout, folder)
+
+
+def codes(path: Path, disparity: np.ndarray, scale: float) -> None:
+    write_png(path, np.where(np.isnan(disparity), 0, np.rint(disparity * scale)).astype(np.uint16))
+
+
+# Scene Flow datasets
+
+
+def sceneflow(root: Path, where: str, frame: str = "0006") -> Path:
+    images(*(root / "frames_cleanpass" / where / side / f"{frame}.png" for side in ("left", "right")))
+    for side in ("left", "right"):
+        write_pfm(root / "disparity" / where / side / f"{frame}.pfm", DISPARITY)
+    return root
+
+
+@pytest.mark.parametrize("where", ["TRAIN/A/0000", "15mm_focallength/scene_forwards/fast", "a_rain_of_stones_x2"])
+def test_the_three_scene_flow_sets(tmp_path: Path, where: str):
+    root = sceneflow(tmp_path / "Set", where)
+    images(*(root / "frames_finalpass" / where / side / "0006.png" for side in ("left", "right")))
+    clean, final = find(root)
+    name = "_".join([*where.split("/"), "0006"])  # one table for each pass, not for each sequence
+    assert (clean.name, final.name) == (f"frames_cleanpass/{name}", f"frames_finalpass/{name}")
+    assert (clean.layout, clean.protocol, clean.max_disparity) == ("sceneflow", "scene_flow", 192)
+    assert clean.disparity_left == final.disparity_left
+    found = scene_with_file(final.left)
+    assert found is not None
+    assert found.folder == root
+    truth = clean.truth()
+    np.testing.assert_array_equal(truth.disparity, DISPARITY)
+    np.testing.assert_array_equal(truth.right, DISPARITY)
+    assert [scene.name for scene in find(tmp_path)] == [f"Set/{clean.name}", f"Set/{final.name}"]
+    check("sceneflow", root)
+
+
+def test_negative_disparities_and_occlusions_of_the_subset(tmp_path: Path):
+    images(*(tmp_path / "train" / "image_clean" / side / "0000000.png" for side in ("left", "right")))
+    write_pfm(tmp_path / "train" / "disparity" / "left" / "0000000.pfm", -DISPARITY)
+    occluded = np.zeros((HEIGHT, WIDTH), np.uint8)
+    occluded[:, 0] = 255
+    write_png(tmp_path / "train" / "disparity_occlusions" / "left" / "0000000.png", occluded)
+    (scene,) = find(tmp_path)
+    assert scene.name == "train/image_clean/0000000"
+    truth = scene.truth()
+    np.testing.assert_array_equal(truth.disparity, DISPARITY)
+    assert truth.right is None
+    np.testing.assert_array_equal(truth.masks["nonocc"], occluded == 0)
+
+
+def test_a_scene_flow_frame_without_its_right_image_or_truth(tmp_path: Path):
+    root = sceneflow(tmp_path / "set", "TEST/B/0001")
+    (root / "frames_cleanpass/TEST/B/0001/right/0006.png").unlink()
+    (root / "disparity/TEST/B/0001/left/0006.pfm").unlink()
+    (scene,) = find(root)
+    with pytest.raises(InputError, match=r"left/0006\.png: only one image of the pair, no right/0006\.png"):
+        scene.load()
+    assert not scene.has_truth
+
+
+# MPI Sintel
+
+
+def packed(disparity: np.ndarray) -> np.ndarray:
+    red = np.floor(disparity / 4)
+    green = np.floor((disparity - 4 * red) * 64)
+    blue = np.floor((disparity - 4 * red - green / 64) * 16384)
+    return np.dstack([red, green, blue]).astype(np.uint8)
+
+
+def sintel(folder: Path) -> Path:
+    for name in ("clean", "final"):
+        images(*(folder / f"{name}_{side}" / "alley_1" / "frame_0001.png" for side in ("left", "right")))
+    values = DISPARITY.copy()
+    values[0, :4] = 0, 1023.9999, 100 + 1 / 64, 7 + 3 / 16384
+    write_png(folder / "disparities" / "alley_1" / "frame_0001.png", packed(values))
+    hidden, outside = np.zeros((2, HEIGHT, WIDTH), np.uint8)
+    hidden[4], outside[:, 0] = 255, 255
+    write_png(folder / "occlusions" / "alley_1" / "frame_0001.png", hidden)
+    write_png(folder / "outofframe" / "alley_1" / "frame_0001.png", outside)
+    return folder
+
+
+def test_sintel(tmp_path: Path):
+    clean, final = find(sintel(tmp_path / "training"))
+    assert (clean.name, final.name) == ("clean/alley_1_frame_0001", "final/alley_1_frame_0001")
+    truth = final.truth()
+    assert np.isnan(truth.disparity[0, 0])
+    np.testing.assert_allclose(truth.disparity[0, 1:4], [1023.9999, 100 + 1 / 64, 7 + 3 / 16384], rtol=0, atol=1e-4)
+    np.testing.assert_array_equal(truth.disparity[1:], DISPARITY[1:])
+    inside = np.arange(WIDTH)[None, :] > 0
+    visible = np.arange(HEIGHT)[:, None] != 4
+    np.testing.assert_array_equal(truth.masks["all"], np.broadcast_to(inside, (HEIGHT, WIDTH)))
+    np.testing.assert_array_equal(truth.masks["nonocc"], inside & visible)
+    regions = protocols.load(final.protocol)().truth(final).masks
+    assert {"all", "nonocc"} <= set(regions)
+    assert next(scene.name for scene in find(tmp_path)) == "training/clean/alley_1_frame_0001"
+    check("sintel", tmp_path)
+
+
+def test_what_is_said_of_other_disparities_in_sintel(tmp_path: Path):
+    sintel(tmp_path)
+    codes(tmp_path / "disparities" / "alley_1" / "frame_0001.png", DISPARITY, 256)
+    with pytest.raises(InputError, match=r"frame_0001\.png: want disparities packed into three channels"):
+        find(tmp_path)[0].truth()
+    sintel(tmp_path)
+    write_png(tmp_path / "outofframe" / "alley_1" / "frame_0001.png", np.zeros((3, 3), np.uint8))
+    with pytest.raises(InputError, match=r"outofframe.*frame_0001\.png: 3 x 3"):
+        find(tmp_path)[0].truth()
+
+
+# Virtual KITTI 2
+
+
+def virtual_kitti(folder: Path, text: str | None = "frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]\n0 0 700 701 600 180\n"):
+    depth = np.full((HEIGHT, WIDTH), 1000, np.uint16)
+    depth[0, 0], depth[0, 1], depth[0, 2] = 65535, 0, 65534
+    for camera in ("Camera_0", "Camera_1"):
+        images(folder / "frames" / "rgb" / camera / "rgb_00007.jpg")
+        write_png(folder / "frames" / "depth" / camera / "depth_00007.png", depth)
+    if text is not None:
+        (folder / "intrinsic.txt").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(("text", "focal"), [("", 725.0087), ("given", 700.0)])
+def test_virtual_kitti_2(tmp_path: Path, text: str, focal: float):
+    folder = tmp_path / "Scene01" / "clone"
+    virtual_kitti(folder, None) if text == "" else virtual_kitti(folder)
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout, scene.protocol) == ("Scene01/clone/00007", "virtual-kitti-2", "kitti_2015")
+    truth = scene.truth()
+    assert np.isnan(truth.disparity[0, :2]).all()  # the sky, and no value
+    assert truth.disparity[0, 2] == pytest.approx(focal * 0.532725 / 655.34)
+    assert truth.disparity[1, 1] == pytest.approx(focal * 0.532725 / 10)
+    assert truth.right is not None
+    assert isinstance(scene.geometry, PairGeometry)
+    assert scene.geometry.depth(truth.disparity)[1, 1] == pytest.approx(10)
+    check("virtual-kitti-2", tmp_path / "Scene01")
+
+
+@pytest.mark.parametrize("text", ["frame\n", "frame cameraID\n0 0 725\n", "frame cameraID\n0 0 -725 -725 1 1\n"])
+def test_a_broken_camera_of_virtual_kitti_2(tmp_path: Path, text: str):
+    with pytest.raises(InputError, match=r"intrinsic\.txt: [^\n]*$"):
+        find(virtual_kitti(tmp_path, text))
+
+
+# DrivingStereo
+
+
+_CALIB = "".join(
+    f"P_rect_{n}: 1003.5 0.0 479.5 {tx} 0.0 1003.5 200.1 0.0 0.0 0.0 1.0 0.0\n" for n, tx in ((101, 0.0), (103, -546.9))
+)
+
+
+def test_driving_stereo(tmp_path: Path):
+    frame = "2018-07-09-16-11-56_2018-07-09-16-12-26-502"
+    name = f"2018-07-09-16-11-56/{frame}"
+    images(*(tmp_path / f"train-{side}-image" / f"{name}.jpg" for side in ("left", "right")))
+    unknown = DISPARITY.copy()
+    unknown[0] = np.nan
+    codes(tmp_path / "train-disparity-map" / f"{name}.png", unknown, 256)
+    calib = tmp_path / "calib_train" / "half-image-calib" / "2018-07-09-16-11-56.txt"
+    calib.parent.mkdir(parents=True)
+    calib.write_text(_CALIB)
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout, scene.max_disparity) == (f"train-left-image/{frame}", "driving-stereo", 255)
+    np.testing.assert_array_equal(scene.truth().disparity, unknown)
+    assert scene.calibration == calib
+    geometry = read_geometry(calib, scene.cameras)
+    assert (geometry.left.fx, geometry.baseline) == (1003.5, pytest.approx(546.9 / 1003.5))
+    check("driving-stereo", tmp_path)
+
+
+def test_full_size_frames_of_driving_stereo_have_another_scale(tmp_path: Path):
+    name = "2018-10-31-06-55-01_2018-10-31-07-35-30-878"
+    for size, scale in (("half", 256), ("full", 128)):
+        images(*(tmp_path / "cloudy" / f"{side}-image-{size}-size" / f"{name}.png" for side in ("left", "right")))
+        codes(tmp_path / "cloudy" / f"disparity-map-{size}-size" / f"{name}.png", DISPARITY, scale)
+    calib = tmp_path / "calib_train" / "full-image-calib" / "2018-10-31-06-55-01.txt"
+    calib.parent.mkdir(parents=True)
+    calib.write_text(_CALIB)
+    full, half = find(tmp_path / "cloudy")
+    assert (full.disparity_scale, half.disparity_scale) == (128, 256)
+    assert (full.calibration, half.calibration) == (calib, None)
+    for scene in (full, half):
+        np.testing.assert_array_equal(scene.truth().disparity, DISPARITY)
+
+
+# Sets with integer codes: CREStereo's and InStereo2K
+
+
+def test_crestereo(tmp_path: Path):
+    images(tmp_path / "hole" / "0003c2ad-2128_left.jpg", tmp_path / "hole" / "0003c2ad-2128_right.jpg")
+    for side in ("left", "right"):
+        codes(tmp_path / "hole" / f"0003c2ad-2128_{side}.disp.png", DISPARITY, 32)
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout) == ("hole/0003c2ad-2128", "crestereo")
+    truth = scene.truth()
+    np.testing.assert_array_equal(truth.disparity, DISPARITY)
+    np.testing.assert_array_equal(truth.right, DISPARITY)
+    check("crestereo", tmp_path)
+    (tmp_path / "hole" / "0003c2ad-2128_right.jpg").unlink()
+    with pytest.raises(InputError, match=r"only half of a pair, no 0003c2ad-2128_right\.jpg"):
+        find(tmp_path)[0].load()
+
+
+def test_instereo2k(tmp_path: Path):
+    folder = tmp_path / "part1" / "000003"
+    images(folder / "left.png", folder / "right.png")
+    unknown = DISPARITY.copy()
+    unknown[1] = np.nan
+    for side in ("left", "right"):
+        codes(folder / f"{side}_disp.png", unknown, 100)
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout) == ("part1/000003", "instereo2k")
+    np.testing.assert_array_equal(scene.truth().disparity, unknown)
+    assert set(protocols.load(scene.protocol)().truth(scene).masks) == {"nonocc", "all", "disc"}
+    check("instereo2k", tmp_path / "part1")
+    (folder / "right.png").unlink()
+    with pytest.raises(InputError, match=r"only one image of the pair, no right\.png"):
+        find(tmp_path)[0].load()
