@@ -62,8 +62,9 @@ def test_the_three_scene_flow_sets(tmp_path: Path, where: str):
     name = "_".join([*where.split("/"), "0006"])  # one table for each pass, not for each sequence
     assert (clean.name, final.name) == (f"frames_cleanpass/{name}", f"frames_finalpass/{name}")
     assert (clean.layout, clean.protocol, clean.max_disparity) == ("sceneflow", "scene_flow", 192)
+    assert clean.disparity_left is not None
     assert clean.disparity_left == final.disparity_left
-    found = scene_with_file(final.left)
+    found = scene_with_file(clean.disparity_left)
     assert found is not None
     assert found.folder == root
     truth = clean.truth()
