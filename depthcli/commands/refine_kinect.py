@@ -85,7 +85,9 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
             scenes = [_with_meta(scene) for scene in scenes]
         if values.get("depth_intrinsics") is not None:
             camera = _camera(values, "depth_intrinsics")
-            scenes = [replace(s, depth_intrinsics=camera) if isinstance(s, RgbdScene) else s for s in scenes]
+            scenes = [
+                replace(s, depth_intrinsics=camera) if isinstance(s, RgbdScene) and not s.raw else s for s in scenes
+            ]
         frames = [scene for scene in scenes if isinstance(scene, RgbdScene) and not (scene.problem or scene.raw)]
         n_without = sum(frame.intrinsics is None for frame in frames)
         if config.ply and config.intrinsics is None and n_without:

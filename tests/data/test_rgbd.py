@@ -187,8 +187,11 @@ def test_depth_of_its_own_camera_is_registered(tmp_path: Path):
     [
         ({}, "30 x 20, but the color image is 120 x 90; the depth must be registered"),
         ({"depth_intrinsics": DEPTH_CAMERA}, "want those of the color camera"),
-        ({"depth_intrinsics": {**DEPTH_CAMERA, "fx": 0}}, "meta.json: fx: want a positive number"),
-        ({"depth_intrinsics": {**DEPTH_CAMERA, "fy": float("nan")}}, "meta.json: fy: want a positive number"),
+        ({"depth_intrinsics": {**DEPTH_CAMERA, "fx": 0}}, "meta.json: depth_intrinsics: fx: want a positive number"),
+        (
+            {"depth_intrinsics": {**DEPTH_CAMERA, "fy": float("nan")}},
+            "meta.json: depth_intrinsics: fy: want a positive number",
+        ),
         ({"depth_intrinsics": {"fx": 3}}, "meta.json: depth_intrinsics: want all of fx, fy, cx, cy"),
         ({"depth_intrinsics": [1, 2, 3, 4]}, "meta.json: depth_intrinsics: want fx, fy, cx, cy"),
         ({"depth_to_color": 3}, "meta.json: depth_to_color: want rotation and translation"),

@@ -83,7 +83,9 @@ def _intrinsics(meta: Meta, name: str, default: dict[str, Any]) -> tuple[float, 
     inner = meta.fields.get(name, default)
     if not isinstance(inner, dict):
         raise meta.error(name, "fx, fy, cx, cy")
-    values = [Meta(meta.path, inner).positive(key) for key in ("fx", "fy", "cx", "cy")]
+    place = f"{name}: " if name in meta.fields else ""  # messages tell both cameras apart
+    named = Meta(meta.path, {f"{place}{key}": value for key, value in inner.items()})
+    values = [named.positive(f"{place}{key}") for key in ("fx", "fy", "cx", "cy")]
     fx, fy, cx, cy = values
     if fx is None or fy is None or cx is None or cy is None:
         if any(values) or name in meta.fields:
