@@ -28,6 +28,8 @@ from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.on_device import DeviceContext, DeviceMap, DevicePair, DeviceVolume, run_stage
 from depthcli.methods.stereo.optimization.scanline import Scanline
 from depthcli.methods.stereo.pipeline.local import Local
+from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
+from depthcli.methods.stereo.refinement.directional_fill import DirectionalFill
 from depthcli.methods.stereo.refinement.median import Median
 from depthcli.methods.stereo.refinement.speckle_filter import SpeckleFilter
 from depthcli.methods.stereo.refinement.surface_fill import SurfaceFill
@@ -151,6 +153,19 @@ def test_refinements_are_the_same_map(device, step, size):
         assert np.mean(apart > 1e-4) <= 0.003  # medians whose halves are equal but for the order of a sum
         same = apart <= 1e-4
         np.testing.assert_array_equal(found.status[same], expected.status[same])
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_directional_fills_are_the_same_map(device, size):
+    empty, context = noisy_case(*size, 0)
+    disparity = BackgroundFill()(empty, context)
+    there = DeviceContext(
+        DevicePair(device, context.pair), DeviceVolume.upload(device, context.volume), device.upload(context.right)
+    )
+    for step in (DirectionalFill(), DirectionalFill(color_scale=40, distance_scale=3)):
+        found = run_stage(step, DeviceMap.upload(device, disparity), there).download()
+        np.testing.assert_array_equal(found.values, step(disparity, context).values)
+        np.testing.assert_array_equal(found.status, disparity.status)
 
 
 @pytest.mark.parametrize("preset", ["fast", "thesis/cross", "ad-census", "accurate"])

@@ -5,6 +5,8 @@ Disparities run along the last axis; left (y, x) matches right (y, x - d).
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 
@@ -355,6 +357,42 @@ def interpolation(values, occluded, image):
             closest = min(difference for difference, _ in seen)
             out[y, x] = np.nan if len({d for c, d in seen if c == closest}) > 1 else dict(seen)[closest]
     return out
+
+
+def directional_fill(values, measured, image, right, color_scale, distance_scale):
+    """Filled values, right of the first measured one, replaced by the cheapest of 8 directions if it costs 1 less.
+
+    Returns the map and which pixels are decided by more than rounding.
+    """
+    height, width = values.shape
+    image = image.astype(float)
+    out, decided = values.copy(), np.ones(values.shape, bool)
+    for y, x in np.argwhere(~measured & ~np.isnan(values)):
+        if not measured[y, :x].any():
+            continue
+        agreeing, others = [4.0], [(4.0, values[y, x])]
+        for dy, dx in itertools.product((-1, 0, 1), repeat=2):
+            steps = [(y + k * dy, x + k * dx) for k in range(max(height, width) * (dy != 0 or dx != 0))]
+            steps = [(v, u) for v, u in steps if 0 <= v < height and 0 <= u < width]
+            end = next((k for k, place in enumerate(steps) if measured[place]), None)
+            if end is None:
+                continue
+            colors = np.array([image[place] for place in steps[: end + 1]])
+            cost = np.abs(np.diff(colors, axis=0)).sum(axis=1).max() / (3 * color_scale) + end / distance_scale
+            value = values[steps[end]]
+            u = x - int(value + 0.5)
+            if u >= 0 and right[y, u] < value - 1.5:
+                cost += 1.5
+            if abs(value - values[y, x]) <= 2 + 0.3 * end:
+                agreeing.append(cost)
+            else:
+                others.append((cost, value))
+        others.sort()
+        if others[0][0] + 1 < min(agreeing):
+            out[y, x] = others[0][1]
+        close = [value for cost, value in others if cost < others[0][0] + 1e-4]
+        decided[y, x] = abs(others[0][0] + 1 - min(agreeing)) > 1e-4 and len(set(close)) == 1
+    return out, decided
 
 
 def discontinuity_adjustment(values, costs):

@@ -11,6 +11,7 @@ from depthcli.algorithms.plane_fitting.window_slopes import window_sampling
 from depthcli.device import DeviceArray, Kernels
 from depthcli.methods.stereo.on_device import PIXELS, DeviceContext, DeviceMap
 from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
+from depthcli.methods.stereo.refinement.directional_fill import DirectionalFill
 from depthcli.methods.stereo.refinement.left_right_check import LeftRightCheck
 from depthcli.methods.stereo.refinement.median import Median
 from depthcli.methods.stereo.refinement.slanted_median import BLOCK, SlantedMedian
@@ -31,6 +32,12 @@ def background_fill(method: BackgroundFill, disparity: DeviceMap, context: Devic
     rows = disparity.device.empty((height, width), np.float32)
     disparity.device.launch(_FILLS, "fill_rows", (width, height), PIXELS, disparity.values, rows, height, width)
     return disparity.refined(_FILLS, "fill_columns", [rows])
+
+
+def directional_fill(method: DirectionalFill, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:
+    """Return the map of :class:`DirectionalFill`; costs that differ by rounding may decide otherwise."""
+    image = disparity.device.upload(method.smoothed(context.pair.host))
+    return disparity.refined(_FILLS, "replace_fills", [image, context.right], *map(float, method.rates()))
 
 
 def left_right_check(method: LeftRightCheck, disparity: DeviceMap, context: DeviceContext) -> DeviceMap:

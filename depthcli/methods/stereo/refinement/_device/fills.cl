@@ -167,3 +167,68 @@ KERNEL void continue_surfaces(GLOBAL const float *RESTRICT values, GLOBAL const 
     filled[here] = value;
     reasons[here] = (uchar)reason;
 }
+
+#define MAX_COST 4.0f
+
+// Cost and distance, in steps, of the nearest measured value in a direction; not less than ``limit`` without one.
+DEVICE float search(GLOBAL const float *RESTRICT values, GLOBAL const uchar *RESTRICT status,
+                    GLOBAL const uchar *RESTRICT image, int height, int width, int y, int x, int dy, int dx,
+                    float color_rate, float distance_rate, float limit, int *distance)
+{
+    int edge = 0;
+    for (int steps = 1;; steps++) {
+        int v = y + steps * dy, u = x + steps * dx;
+        if (v < 0 || v >= height || u < 0 || u >= width)
+            return limit;
+        index_t there = (index_t)v * width + u, before = there - (index_t)dy * width - dx;
+        int change = 0;
+        for (int c = 0; c < 3; c++)
+            change += distance_of(image[3 * there + c], image[3 * before + c]);
+        edge = larger(edge, change);
+        float cost = (float)edge * color_rate + (float)steps * distance_rate;
+        *distance = steps;
+        if (cost >= limit || (!no_value(values[there]) && !(status[there] & FILLED)))
+            return cost;
+    }
+}
+
+// Filled values, but those of the strip on the left, where another direction has a cheaper one; ``image`` is smoothed.
+KERNEL void replace_fills(GLOBAL const float *RESTRICT values, GLOBAL const uchar *RESTRICT status,
+                          GLOBAL const uchar *RESTRICT image, GLOBAL const ushort *RESTRICT right,
+                          GLOBAL float *RESTRICT replaced, GLOBAL uchar *RESTRICT reasons, int height, int width,
+                          float color_rate, float distance_rate)
+{
+    OWN_PIXEL;
+    index_t row = (index_t)y * width, here = row + x;
+    float fill = values[here];
+    replaced[here] = fill;
+    reasons[here] = status[here];
+    if (no_value(fill) || !(status[here] & FILLED))
+        return;
+    int before = x;
+    while (before >= 0 && (no_value(values[row + before]) || (status[row + before] & FILLED)))
+        before--;
+    if (before < 0)
+        return;
+    float agreeing = MAX_COST, cheapest = MAX_COST, replacement = fill;
+    for (int k = 0; k < 8; k++) {
+        int axis = k / 2, sign = k % 2 ? -1 : 1, distance = 0;
+        int dy = axis == 0 ? 0 : sign, dx = axis == 0 || axis == 2 ? sign : axis == 3 ? -sign : 0;
+        float cost = search(values, status, image, height, width, y, x, dy, dx, color_rate, distance_rate, agreeing,
+                            &distance);
+        if (cost >= agreeing)
+            continue;
+        float value = values[here + (index_t)distance * dy * width + distance * dx];
+        int u = x - (int)(value + 0.5f);
+        if (u >= 0 && (float)right[row + u] < value - 1.5f)
+            cost += 1.5f;
+        if (fabs(value - fill) <= 2.0f + 0.3f * (float)distance)
+            agreeing = smaller_f(agreeing, cost);
+        else if (cost < cheapest) {
+            cheapest = cost;
+            replacement = value;
+        }
+    }
+    if (cheapest + 1.0f < agreeing)
+        replaced[here] = replacement;
+}

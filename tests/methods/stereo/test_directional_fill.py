@@ -1,0 +1,114 @@
+"""Filled values that are replaced by those of other directions."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.core.frames import StereoPair
+from depthcli.core.maps import DisparityMap, Status
+from depthcli.kernels.winners import winners
+from depthcli.methods.stereo.refinement.background_fill import BackgroundFill
+from depthcli.methods.stereo.refinement.directional_fill import DirectionalFill
+from depthcli.methods.stereo.volume import CostVolume, RefinementContext
+from tests.methods.stereo._pairs import TINY, blocky_pair, random_volume
+from tests.naive import stereo as naive
+
+
+def filled_case(height, width, disparities, seed=0):
+    """A map of blocks with gaps that were filled, and what belongs to it."""
+    rng = np.random.default_rng(seed)
+    volume = random_volume(height, width, disparities, np.uint16, seed)
+    blocks = rng.uniform(0, disparities - 1, (height // 6 + 1, width // 6 + 1)).repeat(6, 0).repeat(6, 1)
+    gaps = (rng.random((height // 4 + 1, width // 4 + 1)) < 0.4).repeat(4, 0).repeat(4, 1)[:height, :width]
+    values = np.where(gaps, np.float32(np.nan), blocks[:height, :width].astype(np.float32))
+    context = RefinementContext(blocky_pair(height, width), volume, winners(volume.costs)[1])
+    return BackgroundFill()(DisparityMap(values, gaps * np.uint8(Status.OCCLUDED)), context), context
+
+
+@pytest.mark.parametrize(("height", "width", "disparities"), [*TINY, (11, 23, 19), (26, 61, 40)])
+@pytest.mark.parametrize("scales", [(3.0, 40.0), (40.0, 5.0)])
+def test_against_the_reference(height, width, disparities, scales):
+    disparity, context = filled_case(height, width, disparities)
+    step = DirectionalFill(color_scale=scales[0], distance_scale=scales[1])
+    measured = ~np.isnan(disparity.values) & (disparity.status & Status.FILLED == 0)
+    image = cv2.GaussianBlur(context.pair.color8[0], (7, 7), 1.0)
+    expected, decided = naive.directional_fill(disparity.values, measured, image, context.right, *scales)
+    result = step(disparity, context)
+    np.testing.assert_array_equal(result.values[decided], expected[decided])
+    np.testing.assert_array_equal(result.status, disparity.status)
+    np.testing.assert_array_equal(result.values[measured], disparity.values[measured])
+    if height == 26:
+        assert np.count_nonzero(result.values != disparity.values) > 10
+
+
+WALL, BOARD = (90, 140, 90), (200, 60, 60)
+
+
+def between_two_boards(color):
+    """A gap of a color between two boards, a wall above them; the fill took the farther board."""
+    values = np.full((60, 90), np.float32(5))
+    values[20:, :40], values[20:, 60:] = 20, 30
+    colors = np.full((60, 90, 3), WALL, np.uint8)
+    colors[20:, :40], colors[20:, 40:60], colors[20:, 60:] = BOARD, color, (60, 60, 200)
+    gap = np.zeros((60, 90), np.bool_)
+    gap[20:, 40:60] = True
+    status = gap * np.uint8(Status.OCCLUDED)
+    right = np.full((60, 90), 40, np.uint16)  # contradicts nothing
+    context = RefinementContext(StereoPair(colors, colors), CostVolume(np.zeros((60, 90, 41), np.uint8)), right)
+    disparity = BackgroundFill()(DisparityMap(np.where(gap, np.float32(np.nan), values), status), context)
+    assert np.all(disparity.values[gap] == 20)
+    return disparity, context, gap
+
+
+def test_a_gap_takes_the_surface_that_no_edge_separates_from_it():
+    disparity, context, gap = between_two_boards(WALL)
+    result = DirectionalFill()(disparity, context)
+    assert np.all(result.values[20:, 43:57] == 5)  # nearer to the boards the smoothed image mixes the colors
+    np.testing.assert_array_equal(result.values[~gap], disparity.values[~gap])
+
+
+def test_a_gap_of_the_color_of_what_it_was_filled_with_stays():
+    disparity, context, _ = between_two_boards(BOARD)
+    np.testing.assert_array_equal(DirectionalFill()(disparity, context).values, disparity.values)
+
+
+def test_values_that_the_right_view_contradicts_cost_more():
+    disparity, context, gap = between_two_boards(WALL)
+    seen = RefinementContext(context.pair, context.volume, np.zeros_like(context.right))
+    before = DirectionalFill(distance_scale=16)(disparity, context).values[gap]
+    contradicted = DirectionalFill(distance_scale=16)(disparity, seen).values[gap]
+    assert 0 < np.count_nonzero(contradicted == 5) < np.count_nonzero(before == 5)
+
+
+def test_the_strip_on_the_left_keeps_its_fill():
+    values = np.full((40, 80), np.float32(5))
+    values[20:] = 20
+    strip = np.zeros((40, 80), np.bool_)
+    strip[20:, :15] = True
+    colors = np.full((40, 80, 3), 90, np.uint8)
+    colors[20:, 15:] = 200
+    status = strip * np.uint8(Status.OCCLUDED)
+    context = RefinementContext(
+        StereoPair(colors, colors), CostVolume(np.zeros((40, 80, 21), np.uint8)), np.full((40, 80), 20, np.uint16)
+    )
+    disparity = BackgroundFill()(DisparityMap(np.where(strip, np.float32(np.nan), values), status), context)
+    np.testing.assert_array_equal(DirectionalFill()(disparity, context).values, disparity.values)
+
+
+def test_a_band_with_the_halo_has_the_values_of_the_whole_map():
+    step = DirectionalFill(distance_scale=3)
+    height, cut, halo = 70, 9, step.halo()
+    assert halo == 15
+    disparity, context = filled_case(height, 60, 20, 4)
+    rows = slice(cut, height - cut)
+    part = RefinementContext(
+        StereoPair(*(np.ascontiguousarray(image[rows]) for image in context.pair.color8)),
+        CostVolume(np.ascontiguousarray(context.volume.costs[rows])),
+        np.ascontiguousarray(context.right[rows]),
+    )
+    band = step(DisparityMap(disparity.values[rows].copy(), disparity.status[rows].copy()), part).values
+    whole = step(disparity, context).values
+    assert np.count_nonzero(whole != disparity.values) > 10
+    np.testing.assert_array_equal(band[halo:-halo], whole[rows][halo:-halo])
