@@ -45,6 +45,8 @@ REGIONS = (
     Column("disc", "headline near discontinuities of depth"),
     Column("noc_bg, noc_fg, occ_bg, occ_fg", "headline over the background, or the objects, of that region",
            pattern="(noc|occ)_[bf]g"),
+    Column("class_0, class_1, class_2, class_3", "Booster: headline over materials of that class",
+           pattern="class_[0-3]"),
     Column("gap", "headline where the sensor measured nothing"),
     Column("specular", "headline where a reflection keeps the sensor from measuring"),
     Column("mismatch", "headline where the sensor's value is wrong"),

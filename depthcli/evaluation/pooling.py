@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import ClassVar
 
 from depthcli.evaluation.results import MapResult
-from depthcli.evaluation.scores import Key, Score
+from depthcli.evaluation.scores import Key, Score, percent
 
 
 class Pooling:
@@ -63,3 +63,23 @@ class Pooling:
     def mean(self, results: Sequence[MapResult]) -> list[Score]:
         """Compute every metric in every region over the scenes of one run."""
         return self.pooled((result.scores, result.scene) for result in results)
+
+
+def pool_pixels(scores: Sequence[Score], nothing: float = math.nan) -> Score:
+    """Return one metric over all pixels of all frames: wrong pixels / all pixels, or the mean error.
+
+    ``nothing`` is its value where pixels count, but no frame has an estimate at any.
+    """
+    pixels, n_region = sum(s.pixels for s in scores), sum(s.region_pixels for s in scores)
+    counts = [s.wrong for s in scores if s.wrong is not None]
+    value = density = math.nan
+    if n_region:
+        density = math.fsum(s.region_pixels * s.density for s in scores if s.region_pixels) / n_region
+        if not pixels:
+            value = nothing
+        elif counts:
+            value = percent(sum(counts), pixels)
+        else:
+            value = math.fsum(s.value * s.pixels for s in scores if s.pixels) / pixels
+    wrong = sum(counts) if counts else None
+    return Score(scores[0].metric, scores[0].region, value, pixels, density, wrong, n_region)

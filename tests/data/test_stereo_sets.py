@@ -260,3 +260,168 @@ def test_instereo2k(tmp_path: Path):
     (folder / "right.png").unlink()
     with pytest.raises(InputError, match=r"only one image of the pair, no right\.png"):
         find(tmp_path)[0].load()
+
+
+# Middlebury 2021 and Booster
+
+
+def test_middlebury_2021_has_masks_by_both_views(tmp_path: Path):
+    folder = tmp_path / "artroom1"
+    images(folder / "im0.png", folder / "im1.png", folder / "ambient" / "L0" / "im0e0.png")
+    left, right = DISPARITY.copy(), np.full((HEIGHT, WIDTH), 2.5, np.float32)
+    left[0, 5] = np.inf
+    right[5, 3] = np.inf
+    write_pfm(folder / "disp0.pfm", left)
+    write_pfm(folder / "disp1.pfm", right)
+    camera = "[1734.16 0 333.49; 0 1734.16 958.05; 0 0 1]"
+    (folder / "calib.txt").write_text(
+        f"cam0={camera}\ncam1={camera}\ndoffs=0\nbaseline=529.50\nwidth=1920\nheight=1080\nndisp=170\nvmin=55\nvmax=142\n"
+    )
+    (scene,) = find(tmp_path)
+    assert (scene.layout, scene.max_disparity, scene.masks) == ("middlebury-v3", 170, {})
+    masks = protocols.load(scene.protocol)().truth(scene).masks
+    assert list(masks) == ["nonocc", "all"]
+    expected = np.isfinite(left) & (left == 2.5) & (np.arange(WIDTH) >= 3)
+    expected[5, 6] = False  # its match, 3 px to the left, is unknown
+    np.testing.assert_array_equal(masks["nonocc"], expected)
+    assert scene.calibration is not None
+    assert read_geometry(scene.calibration).fb == pytest.approx(1734.16 * 0.5295)
+
+
+_BOOSTER = """<?xml version="1.0"?>
+<opencv_storage>
+<proj_matL type_id="opencv-matrix"><rows>3</rows><cols>4</cols><dt>d</dt>
+<data>5000. 0. 2000. 0. 0. 5000. 1500. 0. 0. 0. 1. 0.</data></proj_matL>
+<proj_matR type_id="opencv-matrix"><rows>3</rows><cols>4</cols><dt>d</dt>
+<data>5000. 0. 2010. -250000. 0. 5000. 1500. 0. 0. 0. 1. 0.</data></proj_matR>
+<baselineLR>50.</baselineLR>
+</opencv_storage>
+"""
+
+
+def booster(folder: Path) -> Path:
+    images(*(folder / camera / f"im{k}.png" for camera in ("camera_00", "camera_02") for k in (0, 1)))
+    values = DISPARITY.copy()
+    values[0, 0] = 0
+    visible, classes = np.full((HEIGHT, WIDTH), 255, np.uint8), np.zeros((HEIGHT, WIDTH), np.uint8)
+    visible[:, 0], classes[2:4, 3:] = 0, 3
+    write_png(folder / "mask_00.png", visible)
+    write_png(folder / "mask_cat.png", classes)
+    np.save(folder / "disp_00.npy", values)
+    np.save(folder / "disp_02.npy", values)
+    (folder / "calib_00-02.xml").write_text(_BOOSTER)
+    return folder
+
+
+def test_booster(tmp_path: Path):
+    booster(tmp_path / "balanced" / "Bathroom")
+    first, second = find(tmp_path)
+    assert (first.name, second.name) == ("balanced/Bathroom_im0", "balanced/Bathroom_im1")
+    assert (first.layout, first.protocol) == ("booster", "booster")
+    truth = second.truth()
+    assert np.isnan(truth.disparity[0, 0])
+    np.testing.assert_array_equal(truth.disparity.ravel()[1:], DISPARITY.ravel()[1:])
+    counts = {name: int(mask.sum()) for name, mask in truth.masks.items()}
+    assert counts == {"nonocc": 42, "class_0": 38, "class_1": 0, "class_2": 0, "class_3": 10}
+    judge = protocols.load(first.protocol)()
+    assert list(judge.truth(first).masks) == ["all", "nonocc", "class_0", "class_1", "class_2", "class_3"]
+    assert first.calibration is not None
+    geometry = read_geometry(first.calibration)
+    assert (geometry.left.fx, geometry.baseline, geometry.offset) == (5000, pytest.approx(0.05), 10)
+    check("booster", tmp_path / "balanced")
+
+
+@pytest.mark.parametrize("text", ["<a>", "<a><b>1</b></a>", _BOOSTER.replace("5000. 0. 2000. ", ""),
+                                  _BOOSTER.replace("<baselineLR>50.", "<baselineLR>")])  # fmt: skip
+def test_a_broken_calibration_of_booster(tmp_path: Path, text: str):
+    (tmp_path / "calib.xml").write_text(text)
+    with pytest.raises(InputError, match=r"calib\.xml: [^\n]*$"):
+        read_geometry(tmp_path / "calib.xml")
+
+
+def test_unbalanced_pairs_of_booster_are_refused(tmp_path: Path):
+    booster(tmp_path / "unbalanced" / "Bathroom")
+    (tmp_path / "unbalanced" / "Bathroom" / "camera_02").rename(tmp_path / "unbalanced" / "Bathroom" / "camera_01")
+    scene = find(tmp_path)[0]
+    with pytest.raises(InputError, match=r"an unbalanced pair, of two sizes; want camera_02"):
+        scene.load()
+
+
+# Spring
+
+
+def finer(disparity: np.ndarray) -> np.ndarray:
+    return np.repeat(np.repeat(disparity, 2, axis=0), 2, axis=1).astype(np.float32)
+
+
+def write_hdf5(path: Path, name: str, array: np.ndarray) -> None:
+    h5py = pytest.importorskip("h5py")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with h5py.File(path, "w") as file:
+        file.create_dataset(name, data=array, compression="gzip", compression_opts=5)
+
+
+def spring(folder: Path, disparity: np.ndarray | None = None) -> Path:
+    for number in ("0001", "0002"):
+        images(*(folder / f"frame_{side}" / f"frame_{side}_{number}.png" for side in ("left", "right")))
+        if disparity is not None:
+            for side in ("left", "right"):
+                write_hdf5(folder / f"disp1_{side}" / f"disp1_{side}_{number}.dsp5", "disparity", disparity)
+    (folder / "cam_data").mkdir()
+    (folder / "cam_data" / "intrinsics.txt").write_text("2000.5 2000.5 960 540\n2100 2100 960 540\n")
+    return folder
+
+
+def test_the_frames_of_spring(tmp_path: Path):
+    spring(tmp_path / "train" / "0001")
+    first, second = find(tmp_path)
+    assert (first.name, first.layout, first.protocol) == ("train/0001_0001", "spring", "spring")
+    assert not first.has_truth
+    assert first.geometry is not None
+    assert second.geometry is not None
+    assert (first.geometry.fb, second.geometry.fb) == (pytest.approx(2000.5 * 0.065), pytest.approx(2100 * 0.065))
+    check("spring", tmp_path / "train")
+    (tmp_path / "train" / "0001" / "cam_data" / "intrinsics.txt").write_text("2000.5 2000.5 960 540\n")
+    with pytest.raises(InputError, match=r"intrinsics\.txt: no line for the frame 0002"):
+        find(tmp_path / "train" / "0001")
+
+
+def test_disparities_of_spring(tmp_path: Path):
+    values = finer(DISPARITY)
+    values[0, 0], values[0, 1], values[0, 2] = np.nan, 77, 0  # of the sky
+    (scene, _) = find(spring(tmp_path, values))
+    truth = scene.truth()
+    assert truth.disparity.shape == (HEIGHT, WIDTH)
+    assert np.isnan(truth.disparity[0, 0])
+    assert truth.disparity[0, 1] == 0  # infinitely far is a known disparity
+    np.testing.assert_array_equal(truth.disparity[1:], DISPARITY[1:])
+    np.testing.assert_array_equal(truth.finer, values)
+    assert truth.right is not None
+
+
+def test_the_smallest_of_four_errors_counts_for_spring(tmp_path: Path):
+    values = finer(DISPARITY)
+    values[0, 0] = np.nan
+    values[1, 3] = 90  # of the pixel (0, 1)
+    (scene, _) = find(spring(tmp_path, values))
+    judge = protocols.load("spring")()
+    truth = judge.truth(scene)
+    estimate = DISPARITY.copy()
+    estimate[0, :4] = 50, 86, 3.5 + 1 / 64, np.nan  # does not count, 4 px off, 1 1/64 px off, missing
+    scores = {(s.metric.name, s.metric.threshold): s for s in judge.scores(estimate, truth)}
+    assert (scores["bad", 1.0].wrong, scores["bad", 1.0].pixels) == (3, HEIGHT * WIDTH - 1)
+    assert scores["bad", 3.0].wrong == 2
+    assert scores["D1", 3.0].wrong == 1  # 4 px are below 5 % of 90 px
+    assert scores["avgerr", None].value == pytest.approx((4 + 1 + 1 / 64) / (HEIGHT * WIDTH - 2))
+    assert judge.headline == scores["bad", 1.0].metric
+
+
+@pytest.mark.parametrize(("name", "array", "said"), [
+    ("disparity", np.zeros((5, 6)), "twice the resolution"),
+    ("flow", np.zeros((4, 6)), "no array called disparity; there are: flow"),
+])  # fmt: skip
+def test_other_files_than_disparities_of_spring(tmp_path: Path, name: str, array: np.ndarray, said: str):
+    spring(tmp_path)
+    write_hdf5(tmp_path / "disp1_left" / "disp1_left_0001.dsp5", name, array)
+    with pytest.raises(InputError, match=rf"disp1_left_0001\.dsp5: .*{said}"):
+        find(tmp_path)[0].truth()

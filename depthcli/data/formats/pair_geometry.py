@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
 from depthcli.data.formats.files import naming, read_bytes, write_text
 from depthcli.data.formats.plain_text import image_sides, key_values, numbers
+from depthcli.data.formats.rigs import storage_fields
 
 _MILLIMETERS = 1000.0
+_UNKNOWN = "no calibration of a rectified pair that is known (Middlebury's cam0=, KITTI's P2:)"
 _MAX_BYTES = 1 << 24  # a calibration has a few kilobytes
 
 
@@ -20,8 +26,9 @@ def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry
 
     Parameters
     ----------
-    path : ``calib.txt`` of Middlebury v3 or ETH3D (``cam0``, ``cam1``, ``doffs``, ``baseline`` in mm); or
-        KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:`` (DrivingStereo: ``P_rect_101:``)
+    path : ``calib.txt`` of Middlebury v3 or ETH3D (``cam0``, ``cam1``, ``doffs``, ``baseline`` in mm); Booster's XML
+        (``proj_matL``, ``baselineLR``); or KITTI's projections, ``P0:`` to ``P3:`` or ``P_rect_00:`` to ``P_rect_03:``
+        (DrivingStereo: ``P_rect_101:``)
     cameras : numbers of the left and the right one among those of KITTI: 0, 1 grey, 2, 3 color (DrivingStereo: 101,
         103)
 
@@ -31,12 +38,15 @@ def read_geometry(path: Path, cameras: tuple[int, int] = (2, 3)) -> PairGeometry
         Not readable, of no known kind, or a number is missing or wrong; one line that names the file.
     """
     with naming(path):
-        fields = key_values(read_bytes(path, _MAX_BYTES).decode("utf-8", "replace"))
+        text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
+        if text.lstrip().startswith("<"):
+            return _booster(storage_fields(text))
+        fields = key_values(text)
         if "cam0" in fields:
             return _middlebury(fields)
         if any(re.fullmatch(r"P(\d|_rect_\d{2,3})", key) for key in fields):
             return _kitti(fields, cameras)
-        raise InputError("no calibration of a rectified pair that is known (Middlebury's cam0=, KITTI's P2:)")
+        raise InputError(_UNKNOWN)
 
 
 def write_geometry(path: Path, geometry: PairGeometry, max_disparity: int | None = None) -> None:
@@ -73,6 +83,21 @@ def _middlebury(fields: dict[str, str]) -> PairGeometry:
     if "width" in fields and "height" in fields:
         size = image_sides(f"{fields['width']} {fields['height']}", "width, height")
     return PairGeometry(Intrinsics.of_matrix(left), baseline, offset, size)
+
+
+def _booster(fields: dict[str, Any]) -> PairGeometry:
+    left, right = (_projection(fields, name) for name in ("proj_matL", "proj_matR"))
+    baseline = float(numbers(fields.get("baselineLR"), "baselineLR", (1,))[0]) / _MILLIMETERS
+    return PairGeometry(Intrinsics.of_matrix(left), baseline, float(right[0, 2] - left[0, 2]))
+
+
+def _projection(fields: dict[str, Any], name: str) -> NDArray[np.float64]:
+    """(3, 3), (3, 4) or (4, 4) projection of a rectified camera."""
+    stored = fields.get(name)
+    values = numbers(stored.get("data") if isinstance(stored, dict) else None, name)
+    if values.size not in (9, 12, 16):
+        raise InputError(f"{name}: want a projection of 3 x 4 numbers (got {values.size})")
+    return values.reshape(-1, 3 if values.size == 9 else 4)
 
 
 def _kitti(fields: dict[str, str], cameras: tuple[int, int]) -> PairGeometry:

@@ -61,7 +61,7 @@ def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, came
     with naming(paths[0]):
         if re.search(r"^K_0\d:", texts[0], re.MULTILINE):
             rig = _kitti(key_values(texts[0]), cameras)
-        elif "cam0" in (files := [_contents(text) for text in texts])[0]:
+        elif "cam0" in (files := [storage_fields(text) for text in texts])[0]:
             rig = _kalibr(files[0])
         elif "camera_matrix" in files[0]:
             rig = _ros(files)
@@ -95,7 +95,7 @@ def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_si
     text = read_bytes(path, _MAX_BYTES).decode("utf-8", "replace")
     with naming(path):
         if path.suffix.lower() in (".yml", ".yaml"):
-            stored = _opencv([_contents(text)], 1.0, False)
+            stored = _opencv([storage_fields(text)], 1.0, False)
             cameras = [stored.left, stored.right]
             rotation, translation = stored.rotation, stored.translation
         else:
@@ -130,8 +130,8 @@ def _json_camera(fields: dict[str, Any], name: str, image_size: tuple[int, int])
     return Camera(matrix, tuple(_numbers(camera, "distortion", (-1,), name).tolist()))
 
 
-def _contents(text: str) -> dict[str, Any]:
-    """What a file of JSON, XML or YAML holds.
+def storage_fields(text: str) -> dict[str, Any]:
+    """Return what a file of JSON, XML or YAML holds, as OpenCV's ``FileStorage``; InputError where it cannot be read.
 
     OpenCV's own reader is not used: for some damaged files it never ends, or ends the process.
     """

@@ -1,4 +1,4 @@
-"""Scenes of the third Middlebury evaluation."""
+"""Scenes of the third Middlebury evaluation and of the sets of 2014 and 2021."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ class MiddleburyV3(Layout):
     """``im0`` and ``im1`` with a ``calib.txt``."""
 
     kind = StereoScene
-    wants = "`im0`, `im1`, `calib.txt`, `disp0GT.pfm`, `mask0nocc.png`"
+    wants = (
+        "`im0`, `im1`, `calib.txt`, `disp0GT.pfm`, `mask0nocc.png`; of the sets of 2014 and 2021 `disp0.pfm`, "
+        "`disp1.pfm`, by which pixels hidden in the right view are found"
+    )
     protocol = "middlebury_v3"
 
     def fits(self, folder: Folder) -> bool:

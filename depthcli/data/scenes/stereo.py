@@ -243,7 +243,7 @@ class StereoScene(Scene):
         right = None if self.disparity_right is None else self.decode(self.disparity_right, scale)
         noc = None if self.disparity_noc is None else self.decode(self.disparity_noc, scale)
         objects = None if self.objects is None else read_grey(self.objects) > 0
-        masks = self._masks()
+        masks = self.read_masks()
         others = [(self.disparity_noc, noc), (self.objects, objects), *masks.values()]
         for file, array in others:
             if file is not None and array is not None:
@@ -252,8 +252,8 @@ class StereoScene(Scene):
         chosen = {name: mask & counted for name, (_, mask) in masks.items()}
         return StereoTruth(disparity, right, noc, objects, chosen, scale)
 
-    def _masks(self) -> dict[str, tuple[Path, NDArray[np.bool_]]]:
-        """Name -> file and (H, W) mask."""
+    def read_masks(self) -> dict[str, tuple[Path, NDArray[np.bool_]]]:
+        """Return name -> file and (H, W) mask, True = evaluate; overridden by sets with masks of their own."""
         from depthcli.data.formats.images import read_grey
 
         masks = {name: (path, read_grey(path) == 255) for name, path in self.masks.items()}

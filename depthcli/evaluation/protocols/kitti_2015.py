@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,9 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.data.scenes.stereo import StereoTruth
-from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityTruth, Masks, difference
+from depthcli.evaluation.pooling import pool_pixels
+from depthcli.evaluation.protocols._disparity import (
+    PRESENTATION,
+    Disparity,
+    DisparityTruth,
+    Masks,
+    difference,
+)
 from depthcli.evaluation.protocols.kitti_2012 import INTERPOLATED, NOTHING_ESTIMATED, Kitti2012Protocol
-from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally, percent
+from depthcli.evaluation.scores import ESTIMATED_ONLY, Metric, Score, Tally
 
 
 class Kitti2015Protocol(Kitti2012Protocol):
@@ -62,19 +68,7 @@ class Kitti2015Protocol(Kitti2012Protocol):
 
     def pool(self, scores: Sequence[Score], weights: Sequence[float]) -> Score:
         """Compute a score over all pixels of all frames: wrong pixels / all pixels, or the mean error."""
-        pixels, n_region = sum(s.pixels for s in scores), sum(s.region_pixels for s in scores)
-        counts = [s.wrong for s in scores if s.wrong is not None]
-        value = density = math.nan
-        if n_region:
-            density = math.fsum(s.region_pixels * s.density for s in scores if s.region_pixels) / n_region
-            if not pixels:
-                value = NOTHING_ESTIMATED
-            elif counts:
-                value = percent(sum(counts), pixels)
-            else:
-                value = math.fsum(s.value * s.pixels for s in scores if s.pixels) / pixels
-        wrong = sum(counts) if counts else None
-        return Score(scores[0].metric, scores[0].region, value, pixels, density, wrong, n_region)
+        return pool_pixels(scores, NOTHING_ESTIMATED)
 
 
 def is_d1(error: Disparity, truth: Disparity) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ class MiddleburyV2Protocol(DisparityProtocol):
     """
 
     presentation = replace(PRESENTATION, title="Middlebury v2: bad pixels, %; missing counts as bad", scene_rows=False)
-    thresholds = (0.5, 0.75, 1.0, 1.5, 2.0)
+    thresholds: ClassVar[tuple[float, ...]] = (0.5, 0.75, 1.0, 1.5, 2.0)
     default_threshold = 1.0
     averages_regions = True
 

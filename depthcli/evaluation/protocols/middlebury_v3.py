@@ -11,8 +11,17 @@ from numpy.typing import NDArray
 
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.scenes import Scene
+from depthcli.data.scenes.stereo import StereoTruth
 from depthcli.evaluation.benchmarks import TRAINING, MiddleburyV3Benchmark
-from depthcli.evaluation.protocols._disparity import PRESENTATION, Disparity, DisparityProtocol, DisparityTruth, size
+from depthcli.evaluation.protocols._disparity import (
+    PRESENTATION,
+    Disparity,
+    DisparityProtocol,
+    DisparityTruth,
+    Masks,
+    size,
+)
+from depthcli.evaluation.protocols.middlebury_v2 import derive_masks
 from depthcli.evaluation.scores import ESTIMATED_ONLY, MISSING_APART, MISSING_IS_BAD, Metric, Score, Tally, float_sum
 
 QUANTILES = (50, 90, 95, 99)  # percent, as printed by the SDK
@@ -46,6 +55,16 @@ class MiddleburyV3Protocol(DisparityProtocol):
     default_threshold = 2.0
     takes = ("scale", "threshold", "invalid", "resolution")
     thresholded_metric = Metric("totbad", "%", convention=MISSING_IS_BAD, worst=100.0)
+
+    def masks(self, stored: StereoTruth) -> Masks:
+        """Return the masks of the files; without ``nonocc``, as in the sets of 2014 and 2021, it is derived.
+
+        It is derived from the truth of both views, as that of Middlebury v2.
+        """
+        masks = super().masks(stored)
+        if "nonocc" not in masks and stored.right is not None and stored.right.shape == stored.disparity.shape:
+            masks["nonocc"] = derive_masks(stored.disparity, stored.right)["nonocc"]
+        return masks
 
     def weight(self, scene: str) -> float:
         """Return 0.5 for a hard scene and 1 for all others, as in the site's average."""
