@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from depthcli.data.formats.pictures import Palette
     from depthcli.methods.kinect.config import RefineKinectConfig
 
-_METRIC_SUFFIXES = (".pfm", ".npy")
-
 
 class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
     """Refines single frames, or sequences where the method carries state from frame to frame."""
@@ -243,8 +241,9 @@ def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
     import numpy as np
 
     from depthcli.data.formats.depth import SENSOR, implausible_depth, read_codes
+    from depthcli.data.formats.images import IMAGE_SUFFIXES
 
-    if not scene.rotated and scene.depth.suffix not in _METRIC_SUFFIXES:
+    if not scene.rotated and scene.depth.suffix.lower() in IMAGE_SUFFIXES:
         codes = read_codes(scene.depth)
         if np.mean((codes[codes > 0] & 7) == 0) > 0.5:  # the three low bits are free where codes are rotated by 3
             return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]

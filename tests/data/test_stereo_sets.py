@@ -26,7 +26,6 @@ DISPARITY[2:4, 3:] = 4.25
 
 def find(folder: Path, layout: str | None = None, warn=lambda line: None) -> list[StereoScene]:
     scenes = discover_scenes(folder, (StereoScene,), layout, ["*"], warn)
-    assert all(isinstance(scene, StereoScene) for scene in scenes)
     return scenes  # type: ignore[return-value]
 
 
@@ -345,6 +344,44 @@ def test_unbalanced_pairs_of_booster_are_refused(tmp_path: Path):
     scene = find(tmp_path)[0]
     with pytest.raises(InputError, match=r"an unbalanced pair, of two sizes; want camera_02"):
         scene.load()
+
+
+# ETH3D
+
+
+def eth3d(root: Path, scene: str = "delivery_area_1l") -> Path:
+    folder = root / "two_view_training" / scene
+    images(folder / "im0.png", folder / "im1.png")
+    camera = "[541.8 0 553.4; 0 541.8 232.4; 0 0 1]"
+    (folder / "calib.txt").write_text(f"cam0={camera}\ncam1={camera}\ndoffs=0\nbaseline=59.9\nwidth=8\nndisp=8\n")
+    for name in ("cameras.txt", "images.txt"):
+        (folder / name).write_text("")
+    return folder
+
+
+def test_the_truth_of_eth3d_lies_in_a_folder_beside(tmp_path: Path):
+    folder = eth3d(tmp_path)
+    assert not find(tmp_path)[0].has_truth
+    truth = tmp_path / "two_view_training_gt" / folder.name
+    write_pfm(truth / "disp0GT.pfm", DISPARITY)
+    write_png(truth / "mask0nocc.png", np.full((HEIGHT, WIDTH), 255, np.uint8))
+    (scene,) = find(tmp_path)
+    assert (scene.name, scene.layout, scene.protocol) == ("two_view_training/delivery_area_1l", "eth3d", "eth3d")
+    np.testing.assert_array_equal(scene.truth().disparity, DISPARITY)
+    assert scene.truth().masks["nonocc"].all()
+    check("eth3d", tmp_path / "two_view_training")
+
+
+@pytest.mark.parametrize("camera", ["rig_calibration_undistorted", "dslr_calibration_jpg"])
+def test_many_view_scenes_of_eth3d_are_refused(tmp_path: Path, camera: str):
+    for name in (camera, "images"):
+        (tmp_path / "delivery_area" / name).mkdir(parents=True)
+    with pytest.raises(InputError, match=r"a many-view scene of ETH3D, without rectified pairs; its two-view scenes"):
+        find(tmp_path / "delivery_area")
+    eth3d(tmp_path)
+    refused, usable = discover_scenes(tmp_path, (StereoScene,))
+    assert "many-view" in refused.problem
+    assert usable.layout == "eth3d"
 
 
 # Spring

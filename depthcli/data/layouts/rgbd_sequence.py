@@ -22,6 +22,8 @@ class RgbdSequence(Layout):
     wants = "`color_00000.*` and `depth_00000.*`, or `color/` and `depth/` with numbered files; `meta.json` as `rgbd`"
 
     def scenes(self, folder: Folder) -> list[Scene]:
+        if folder.names & {"intrinsic", "intrinsics_color.txt"}:  # of scannet
+            return []
         if folder.has("color", "depth"):
             colors = numbered(Folder(folder.path / "color", "", ""), "", IMAGE_SUFFIXES)
             depths = numbered(Folder(folder.path / "depth", "", ""), "", DEPTH_SUFFIXES)
