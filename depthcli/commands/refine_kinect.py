@@ -108,10 +108,8 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         return said
 
     def memory_of(self, config: RefineKinectConfig, scene: Scene) -> int | None:
-        from depthcli.data.formats.headers import image_size
-
         first = _first_frame(scene)
-        return None if first is None else config.pipeline.peak_bytes(image_size(first.color)[:2])
+        return None if first is None else config.pipeline.peak_bytes(first.color_size())
 
     def columns(self) -> tuple[Column, ...]:
 

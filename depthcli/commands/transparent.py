@@ -49,9 +49,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
 
     def memory_of(self, config: TransparentConfig, scene: RgbdScene) -> int:
         """Return an estimate of the peak memory after the sparse depth is known, bytes."""
-        from depthcli.data.formats.headers import image_size
-
-        return config.pipeline.peak_bytes(image_size(scene.color)[:2])
+        return config.pipeline.peak_bytes(scene.color_size())
 
     def columns(self) -> tuple[Column, ...]:
 

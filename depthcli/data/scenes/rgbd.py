@@ -112,6 +112,13 @@ class RgbdScene(Scene):
         """True where the true depth is known."""
         return self.depth_true is not None
 
+    def color_size(self) -> tuple[int, int]:
+        """Return (height, width) of the color image by its header alone; InputError where it cannot be read."""
+        from depthcli.data.formats.headers import image_size
+
+        size = image_size(self.color)
+        return size.height, size.width
+
     def load(self) -> RgbdFrame:
         """Return color and depth of one size, depth in meters and registered to the color.
 
@@ -124,12 +131,11 @@ class RgbdScene(Scene):
 
         from depthcli.core.cameras.camera import Intrinsics
         from depthcli.core.cameras.kinect import sensor_fb
-        from depthcli.core.frames import RgbdFrame, color8
+        from depthcli.core.frames import RgbdFrame
         from depthcli.data.formats.depth import check_fb
-        from depthcli.data.formats.images import read_image
 
         self.check()
-        color = color8(read_image(self.color))
+        color = self._color()
         intrinsics = None if self.intrinsics is None else Intrinsics(*self.intrinsics)
         interpolated = False
         if self.raw:
@@ -195,6 +201,12 @@ class RgbdScene(Scene):
         if self.fb:
             check_fb(self.folder / "meta.json", self.fb, depth)
         return RgbdTruth(depth, masks, self.fb)
+
+    def _color(self) -> NDArray[np.uint8]:
+        from depthcli.core.frames import color8
+        from depthcli.data.formats.images import read_image
+
+        return color8(read_image(self.color))
 
     def _depth(self, path: Path) -> NDArray[np.float32]:
         from depthcli.data.formats.depth import MILLIMETERS, read_depth
