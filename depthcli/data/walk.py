@@ -64,8 +64,11 @@ def discover_scenes(
         names = ", ".join(each.name for each in _wanted(layouts(), fitting, None))
         raise InputError(f"no layout called {layout!r}; one of: {names}")
     if not found:
-        files = "; ".join(f"{each.name}: {each.wants.replace('`', '').partition(';')[0]}" for each in wanted)
-        raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {files})")
+        names = ", ".join(each.name for each in wanted)
+        looked_for = f"{names}: {wanted[0].wants.replace('`', '').partition(';')[0]}"
+        if len(wanted) > 1:
+            looked_for = f"files of the layouts {names}; depthcli help layouts names them"
+        raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {looked_for})")
     return chosen_scenes(found, patterns, folder)
 
 

@@ -223,8 +223,10 @@ def test_a_broken_scene_spoils_no_other(tmp_path: Path):
 def test_what_is_said_where_nothing_fits(tmp_path: Path):
     with pytest.raises(InputError, match="no such folder"):
         find(tmp_path / "absent")
-    with pytest.raises(InputError, match=r"no scenes found.*image_2.*im0, im1.*left"):
+    with pytest.raises(InputError, match=r"no scenes found.*kitti-2015.*scenes, .*depthcli help layouts"):
         find(tmp_path)
+    with pytest.raises(InputError, match=r"no scenes found.*looked for kitti-2015: image_2, image_3"):
+        find(tmp_path, "kitti-2015")
     own(tmp_path / "a")
     with pytest.raises(InputError, match=r"no scene matches 'x\*'; there are: a"):
         find(tmp_path, pattern="x*")

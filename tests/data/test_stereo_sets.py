@@ -97,6 +97,12 @@ def test_a_scene_flow_frame_without_its_right_image_or_truth(tmp_path: Path):
     assert not scene.has_truth
 
 
+def test_webp_frames_of_the_scene_flow_sets_are_refused(tmp_path: Path):
+    images(*(tmp_path / "frames_cleanpass" / "a" / side / "0006.webp" for side in ("left", "right")))
+    with pytest.raises(InputError, match=r"left/0006\.webp: WebP is not read; want the set's PNG images"):
+        find(tmp_path)[0].load()
+
+
 # MPI Sintel
 
 

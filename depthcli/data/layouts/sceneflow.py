@@ -44,7 +44,7 @@ class Sceneflow(Layout):
             (folder.path / name, left)
             for name in _PASSES
             if name in folder.names
-            for left in files_below(folder.path / name, (".png",))
+            for left in files_below(folder.path / name, (".png", ".webp"))
             if left.parent.name == "left"
         ]
         return [self._frame(folder, place, left, truth) for place, left in frames]
@@ -52,11 +52,14 @@ class Sceneflow(Layout):
     def _frame(self, folder: Folder, place: Path, left: Path, truth: Path) -> Scene:
         right = existing(left.parent.with_name("right") / left.name)
         where = left.relative_to(place)
+        problem = "" if right else f"{left}: only one image of the pair, no right/{left.name}"
+        if left.suffix.lower() == ".webp":
+            problem = f"{left}: WebP is not read; want the set's PNG images"
         beside = (truth / where).with_suffix(".pfm")
         return self.scene(
             folder,
             name=f"{folder.prefix}{place.name}/{'_'.join([*where.parts[:-2], left.stem])}",
-            problem="" if right else f"{left}: only one image of the pair, no right/{left.name}",
+            problem=problem,
             left=left,
             right=right,
             disparity_left=existing(beside),
