@@ -18,6 +18,8 @@ class Crestereo(Layout):
     wants = "`NAME_left.jpg`, `NAME_right.jpg`, `NAME_left.disp.png`, `NAME_right.disp.png` (codes / 32)"
 
     def scenes(self, folder: Folder) -> list[Scene]:
+        if not any(name.endswith(f"{_LEFT}.disp.png") for name in folder.names):
+            return []
         truths = folder.starting("", (".png",))
         names = [stem.removesuffix(f"{_LEFT}.disp") for stem in truths if stem.endswith(f"{_LEFT}.disp")]
         scenes: list[Scene] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 from depthcli.core.errors import InputError
 from depthcli.data.layouts import Folder
@@ -31,15 +32,18 @@ class Eth3d(MiddleburyV3):
             raise InputError(
                 f"{folder.path}: a many-view scene of ETH3D, without rectified pairs; its two-view scenes can be used"
             )
-        place = folder.path.absolute().parent
-        truth = place.with_name(f"{place.name}_gt") / folder.path.name
         return [
-            replace(
-                scene,
-                disparity_left=existing(truth / "disp0GT.pfm"),
-                masks={"nonocc": mask} if (mask := existing(truth / "mask0nocc.png")) else {},
-            )
+            _with_truth(scene, folder.path)
             if isinstance(scene, StereoScene) and scene.disparity_left is None
             else scene
             for scene in super().scenes(folder)
         ]
+
+
+def _with_truth(scene: StereoScene, path: Path) -> StereoScene:
+    """The scene with the truth in the folder of its name beside the one that holds it, if there is one."""
+    place = path.absolute().parent
+    truth = place.with_name(f"{place.name}_gt") / path.name
+    mask = existing(truth / "mask0nocc.png")
+    masks = {} if mask is None else {"nonocc": mask}
+    return replace(scene, disparity_left=existing(truth / "disp0GT.pfm"), masks=masks)

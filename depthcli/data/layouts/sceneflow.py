@@ -39,7 +39,6 @@ class Sceneflow(Layout):
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
-        truth = next((folder.path / name for name in _TRUTHS if name in folder.names), folder.path / _TRUTHS[0])
         frames = [
             (folder.path / name, left)
             for name in _PASSES
@@ -47,7 +46,8 @@ class Sceneflow(Layout):
             for left in files_below(folder.path / name, (".png", ".webp"))
             if left.parent.name == "left"
         ]
-        return [self._frame(folder, place, left, truth) for place, left in frames]
+        truth = next((name for name in _TRUTHS if name in folder.names), _TRUTHS[0])
+        return [self._frame(folder, place, left, folder.path / truth) for place, left in frames]
 
     def _frame(self, folder: Folder, place: Path, left: Path, truth: Path) -> Scene:
         right = existing(left.parent.with_name("right") / left.name)

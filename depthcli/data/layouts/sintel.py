@@ -43,9 +43,9 @@ class Sintel(Layout):
     def scenes(self, folder: Folder) -> list[Scene]:
         scenes: list[Scene] = []
         for name in _PASSES:
-            place, other = folder.path / f"{name}_left", folder.path / f"{name}_right"
-            if not folder.has(place.name, other.name):
+            if not folder.has(f"{name}_left", f"{name}_right"):
                 continue
+            place, other = folder.path / f"{name}_left", folder.path / f"{name}_right"
             for left in files_below(place, (".png",)):
                 where = left.relative_to(place)
                 right = existing(other / where)

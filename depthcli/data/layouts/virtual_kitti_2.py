@@ -46,9 +46,9 @@ class VirtualKitti2(Layout):
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
-        frames = folder.path / "frames"
         if "frames" not in folder.names:
             return []
+        frames = folder.path / "frames"
         lefts = files_below(frames / "rgb" / "Camera_0", (".jpg", ".png"))
         calibration = existing(folder.path / "intrinsic.txt")
         geometry = _geometry(calibration)
