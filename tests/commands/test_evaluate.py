@@ -514,7 +514,7 @@ def test_the_protocol_is_given_or_named_by_the_scene(tmp_path: Path, truth: Path
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitti_2012"}))
     assert [r.protocol for r in evaluate([run], truth, None).results] == ["kitti-2012", "middlebury-v2"]
     assert [r.protocol for r in evaluate([run], truth, None, protocol="ETH3D").results] == ["eth3d"] * 2
-    with pytest.raises(InputError, match=r"no protocol called 'kitty'; one of: depth, eth3d, kitti-2012"):
+    with pytest.raises(InputError, match=r"no protocol called 'kitty'; one of: booster, depth, eth3d, kitti-2012"):
         evaluate([run], truth, None, protocol="kitty")
     (truth / "a" / "meta.json").write_text(json.dumps({"disp_scale": 8, "protocol": "kitty"}))
     report = evaluate([run], truth, None)
