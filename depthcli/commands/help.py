@@ -178,7 +178,7 @@ def _formats() -> Page:
              "codes"),
             *others,
             ("volumes", " ".join(VOLUME_SUFFIXES)),
-            ("arrays in HDF5", ".dsp5 .hdf5 .mat of the layouts hypersim, nyu-v2, spring: pip install 'depthcli[hdf5]'"),
+            ("arrays in HDF5", ".dsp5 .hdf5 .mat of layouts hypersim, nyu-v2, spring: pip install 'depthcli[hdf5]'"),
         ],
         "Maps of a run, by the protocol that scores them": [(", ".join(which), ends) for ends, which in maps.items()],
     }  # fmt: skip
