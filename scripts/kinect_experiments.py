@@ -21,6 +21,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -210,26 +211,59 @@ def speed(methods: dict[str, Refine | None]) -> None:
 
 
 def sequence(seeds: int) -> None:
-    """Print a row a kind of sequence: MAE along it and frame by frame, all and where an object has just left."""
+    """Print a row a kind of sequence: MAE and temporal noise, along it and frame by frame, and MAE of what was hidden.
+
+    The temporal noise is the standard deviation over the frames of the error at one surface point, mean of the points
+    that all frames see.
+    """
     pipeline = preset("sequence")
     rows = []
-    for kind in SEQUENCE_KINDS:
-        found: dict[str, list[float]] = {name: [] for name in ("along", "single", "along left", "single left")}
+    for kind in (*SEQUENCE_KINDS, "camera, no poses"):
+        names = ("along", "single", "along noise", "single noise", "along left", "single left")
+        found: dict[str, list[float]] = {name: [] for name in names}
         for seed in range(seeds):
-            samples = make_kinect_sequence(kind, 10, seed, 320, 240, 40)
+            samples = make_kinect_sequence(kind.partition(",")[0], 10, seed, 320, 240, 40)  # type: ignore[arg-type]
             state = None
+            errors: dict[str, list[NDArray[np.float32]]] = {"along": [], "single": []}
             for k, made in enumerate(samples):
-                results = {"single": pipeline(made.frame())}  # type: ignore[operator]
-                results["along"], state = pipeline.step(made.frame(), state)  # type: ignore[attr-defined]
+                frame = replace(made.frame(), pose=None) if kind == "camera, no poses" else made.frame()
+                results = {"single": pipeline(frame)}  # type: ignore[operator]
+                results["along"], state = pipeline.step(frame, state)  # type: ignore[attr-defined]
                 left = samples[k - 1].truth - made.truth > 3
-                for name, result in results.items() if k else ():
-                    error = np.abs(disparity_of_depth(result.depth.values, RgbdFrame.fb) - made.truth)
-                    found[name].append(float(np.nanmean(error)))
-                    if left.any():
-                        found[f"{name} left"].append(float(np.nanmean(error[left])))
+                at = same_points(samples[0], made)
+                for name, result in results.items():
+                    error = disparity_of_depth(result.depth.values, RgbdFrame.fb) - made.truth
+                    errors[name].append(np.where(at >= 0, error.ravel()[np.maximum(at, 0)], np.float32(np.nan)))
+                    if k:
+                        found[name].append(float(np.nanmean(np.abs(error))))
+                    if k and made.pose is None and left.any():
+                        found[f"{name} left"].append(float(np.nanmean(np.abs(error[left]))))
+            for name, maps in errors.items():
+                found[f"{name} noise"].append(float(np.nanmean(np.std(maps, axis=0))))
         rows.append((kind, *(Number(_mean(values), 3) for values in found.values())))
-    header = ("kind", "sequence", "frame by frame", "sequence, just left", "frame by frame, just left")
+    ways = ("sequence", "frame by frame")
+    header = ("kind", *(f"{way}{what}" for what in ("", ", temporal noise", ", just left") for way in ways))
     print(Table(f"Sequences of 10 frames, {seeds} seeds: MAE, px", header, tuple(rows)).markdown())
+
+
+def same_points(first: KinectSample, other: KinectSample) -> NDArray[np.int64]:
+    """Return the index in the other frame of what each pixel of the first one shows, (H, W); -1 where it is hidden."""
+    height, width = first.truth.shape
+    places = np.arange(height * width).reshape(height, width)
+    if first.pose is None or other.pose is None or first.intrinsics is None:
+        return np.where(np.abs(first.truth - other.truth) < 0.5, places, -1)
+    depth = first.depth_true()
+    points = first.intrinsics.points(depth, np.isfinite(depth))
+    motion = np.linalg.inv(other.pose) @ first.pose
+    moved = points @ motion[:3, :3].T + motion[:3, 3]
+    x, y, w = first.intrinsics.matrix @ moved.T
+    columns, rows = np.rint(x / w).astype(np.int64), np.rint(y / w).astype(np.int64)
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    index = np.where(inside, rows * width + columns, 0)
+    seen = inside & (np.abs(other.truth.ravel()[index] - RgbdFrame.fb / moved[:, 2]) < 0.5)
+    result = np.full((height, width), -1)
+    result[np.isfinite(depth)] = np.where(seen, index, -1)
+    return result
 
 
 def soak(frames: int) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -105,6 +107,9 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
         said = {"depth_scale": str(scale), "camera": f"{first.intrinsics} {first.fb} {first.rotated} {first.raw}"}
         if first.depth_intrinsics is not None:
             said["depth_camera"] = f"{first.depth_intrinsics} {first.depth_to_color}"
+        frames = scene.frames if isinstance(scene, SequenceScene) else ()
+        if any(frame.pose is not None for frame in frames):
+            said["poses"] = hashlib.sha256(repr([frame.pose for frame in frames]).encode()).hexdigest()[:16]
         return said
 
     def memory_of(self, config: RefineKinectConfig, scene: Scene) -> int | None:
@@ -178,6 +183,9 @@ def _refine_sequence(config: RefineKinectConfig, scene: SequenceScene, folder: P
     for key, value in outcomes[0].facts.items():
         if isinstance(value, float):
             facts[key] = round(sum(each.facts[key] for each in outcomes) / len(outcomes), 6)
+    if "motion" in facts:
+        runs = itertools.groupby(each.facts["motion"] for each in outcomes)
+        facts["motion"] = ", ".join(f"{len(list(run))} {motion}" for motion, run in runs)
     seconds = {key: sum(each.seconds.get(key, 0.0) for each in outcomes) for key in outcomes[0].seconds}
     warnings = [line for each in outcomes for line in each.warnings]
     return Outcome(facts, seconds, [*problems, *dict.fromkeys(warnings)])
@@ -224,6 +232,7 @@ def _refine_frame(
         },
         "density": round(found.density, 6),
         **{name: float(value) for name, value in found.details.figures.items()},
+        **found.details.words,
     }
     if frame.interpolated or scene.depth_intrinsics is not None:
         facts["registered"] = "by both cameras" if scene.depth_intrinsics else "assumed"

@@ -146,6 +146,7 @@ class RgbdFrame:
         default is that of Kinect v1 (580 pixels x 75 mm)
     intrinsics : the color camera's, or None where they are not known
     interpolated : the sensor's map is smaller than ``color``, and ``depth`` interpolated between its samples
+    pose : (4, 4) float64, from the camera's coordinates to the world's, meters; or None where it is not known
     """
 
     color: NDArray[np.uint8]
@@ -153,6 +154,7 @@ class RgbdFrame:
     fb: float = 43.5
     intrinsics: Intrinsics | None = None
     interpolated: bool = False
+    pose: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:

@@ -25,6 +25,7 @@ class Result:
     tables : name -> list of rows (dicts), written as CSV
     pictures : name -> (H, W), (H, W, 3) uint8 or (H, W) uint16, written as PNG
     figures : name -> number, added to the scene's row of the report
+    words : name -> text, added to it as well
     """
 
     seconds: dict[str, float] = field(default_factory=dict)
@@ -32,6 +33,7 @@ class Result:
     tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     pictures: dict[str, NDArray[Any]] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
+    words: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass

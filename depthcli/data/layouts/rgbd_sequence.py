@@ -7,6 +7,7 @@ from pathlib import Path
 
 from depthcli.core.errors import InputError
 from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.formats.poses import read_poses
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.layouts.rgbd import DEPTH_SUFFIXES, frame
 from depthcli.data.scenes import Scene
@@ -19,7 +20,10 @@ class RgbdSequence(Layout):
     """One folder per sequence; color and depth of one number belong together."""
 
     kind = RgbdScene
-    wants = "`color_00000.*` and `depth_00000.*`, or `color/` and `depth/` with numbered files; `meta.json` as `rgbd`"
+    wants = (
+        "`color_00000.*` and `depth_00000.*`, or `color/` and `depth/` with numbered files; `meta.json` as `rgbd`; "
+        "where known `poses.txt`"
+    )
 
     def scenes(self, folder: Folder) -> list[Scene]:
         if folder.names & {"intrinsic", "intrinsics_color.txt"}:  # of scannet
@@ -32,8 +36,10 @@ class RgbdSequence(Layout):
             depths = {n: f for n, f in numbered(folder, "depth_", DEPTH_SUFFIXES).items() if "true" not in f.stem}
         if not colors or not depths:
             return []
+        frames = sorted({**colors, **depths})
+        poses = read_poses(folder.path / "poses.txt").of_frames(frames) if folder.has("poses.txt") else {}
         scenes: list[Scene] = []
-        for number in sorted({**colors, **depths}):
+        for number in frames:
             color, depth = colors.get(number), depths.get(number)
             there = color or depth
             assert there is not None
@@ -43,7 +49,7 @@ class RgbdSequence(Layout):
                 problem = f"{there}: a frame without its {'color' if color is None else 'depth'}"
             scenes.append(
                 frame(self, folder, color or there, depth or there, name=folder.prefix + digits, problem=problem,
-                      sequence=folder.name, number=number)
+                      sequence=folder.name, number=number, pose=poses.get(number))
             )  # fmt: skip
         return scenes
 

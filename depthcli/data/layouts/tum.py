@@ -6,6 +6,7 @@ from pathlib import Path
 
 from depthcli.core.errors import InputError
 from depthcli.data.formats.files import read_bytes
+from depthcli.data.formats.poses import Poses, read_poses
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.layouts.rgbd import frame
 from depthcli.data.scenes import Scene
@@ -19,7 +20,10 @@ class Tum(Layout):
     """Color and depth images, each with a time, paired by ``associations.txt`` or by the nearest time."""
 
     kind = RgbdScene
-    wants = "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter"
+    wants = (
+        "`rgb/`, `depth/` with `associations.txt`, or `rgb.txt` and `depth.txt`; 5000 codes a meter; where known "
+        "`groundtruth.txt` (poses)"
+    )
 
     def scenes(self, folder: Folder) -> list[Scene]:
         if not folder.has("rgb", "depth") or not (folder.has("associations.txt") or folder.has("rgb.txt", "depth.txt")):
@@ -30,6 +34,7 @@ class Tum(Layout):
                 pairs = [(c, d, a, b) for a, b, c, d in pairs]
         else:
             pairs = _nearest(folder)
+        poses = read_poses(folder.path / "groundtruth.txt") if folder.has("groundtruth.txt") else Poses((), ())
         scenes: list[Scene] = []
         for number, (time, color, depth_time, depth) in enumerate(pairs):
             apart = abs(time - depth_time)
@@ -40,7 +45,8 @@ class Tum(Layout):
                 )
             scenes.append(
                 frame(self, folder, folder.path / color, folder.path / depth, name=f"{folder.prefix}{time:.6f}",
-                      problem=problem, depth_scale=_DEPTH_SCALE, sequence=folder.name, number=number)
+                      problem=problem, depth_scale=_DEPTH_SCALE, sequence=folder.name, number=number,
+                      pose=poses.at(time))
             )  # fmt: skip
         if not scenes:
             raise InputError(f"{folder.path}: no line pairs a color image with a depth image")

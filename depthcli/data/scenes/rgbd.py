@@ -60,6 +60,7 @@ class RgbdScene(Scene):
     hidden : mask of pixels that the sensor is made not to see (255), where its depth is the true one; or None
     sparse, sparse_confidence : a second depth map in the same codes, known at some pixels, and how sure it is; or None
     sequence, number : the sequence that the frame belongs to, or empty, and its place there
+    pose : (4, 4), row by row, from the color camera's coordinates to the world's, meters; or None
     """
 
     options: ClassVar[tuple[Option, ...]] = (
@@ -85,6 +86,7 @@ class RgbdScene(Scene):
     sparse_confidence: Path | None = None
     sequence: str = ""
     number: int = 0
+    pose: tuple[float, ...] | None = None
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
@@ -146,7 +148,8 @@ class RgbdScene(Scene):
             raise InputError(f"{self.depth}: no pixel has a depth")
         if self.fb:
             check_fb(self.folder / "meta.json", self.fb, depth)
-        return RgbdFrame(color, depth, self.fb or sensor_fb(intrinsics), intrinsics, interpolated)
+        pose = None if self.pose is None else np.array(self.pose).reshape(4, 4)
+        return RgbdFrame(color, depth, self.fb or sensor_fb(intrinsics), intrinsics, interpolated, pose)
 
     def load_sparse(self) -> SparseFrame:
         """Return the frame with its second, sparse depth.

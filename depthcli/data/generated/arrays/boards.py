@@ -38,6 +38,30 @@ def moved(board: Board, columns: int) -> Board:
     return Board(cover, color, disparity)
 
 
+def seen_from(board: Board, motion: NDArray[np.float64], camera: NDArray[np.float64], fb: float) -> Board:
+    """Return the board as a moved camera sees it: its plane of disparity, and its picture by that plane's homography.
+
+    Parameters
+    ----------
+    motion : (4, 4), from the coordinates of the camera that sees ``board`` to those of the moved one, meters
+    camera : (3, 3) camera matrix of both, pixels
+    fb : focal length x baseline, pixel meters
+    """
+    height, width = board.disparity.shape
+    rotation, shift = motion[:3, :3], motion[:3, 3]
+    rows, columns = np.mgrid[:height, :width]
+    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
+    plane = np.linalg.lstsq(pixels, board.disparity.ravel().astype(np.float64), rcond=None)[0]  # disparity = plane . p
+    normal = camera.T @ plane  # normal . X = fb on the plane
+    homography = camera @ (rotation + np.outer(shift, normal) / fb) @ np.linalg.inv(camera)
+    turned = rotation @ normal
+    moved_plane = np.linalg.inv(camera).T @ turned * fb / (fb + turned @ shift)
+    cover = cv2.warpPerspective(board.cover, homography, (width, height), borderMode=cv2.BORDER_REPLICATE)
+    color = cv2.warpPerspective(board.color, homography, (width, height), borderMode=cv2.BORDER_REFLECT_101)
+    disparity = (pixels @ moved_plane).reshape(height, width)
+    return Board(cover.astype(np.float32), color.astype(np.float32), disparity.astype(np.float32))
+
+
 class Canvas:
     """A picture and its disparity, onto which boards are put from far to near."""
 

@@ -13,17 +13,19 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
 from depthcli.core.cameras.triangulation import depth_of_disparity
 from depthcli.core.frames import RgbdFrame
 from depthcli.data.generated.arrays import textures
 from depthcli.data.generated.arrays.boards import Canvas, Disparity, moved
+from depthcli.data.generated.arrays.camera_path import Shot, along_boards
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
 
 Mask = NDArray[np.bool_]
 
 SceneKind = Literal["planes", "foreground", "curved", "camouflage"]
 SCENE_KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
-SequenceKind = Literal["static", "moving"]
+SequenceKind = Literal["static", "moving", "camera"]
 SEQUENCE_KINDS: tuple[SequenceKind, ...] = get_args(SequenceKind)
 
 _COLOR_NOISE = 2.0  # grey levels, of every frame of a sequence
@@ -42,6 +44,8 @@ class KinectSample:
     specular : in a disc without a measurement, and not in shadow
     mismatch : measured, but the value of the surface in front
     measured : measured rightly, up to noise
+    intrinsics : of the camera, or None where it has none
+    pose : (4, 4) float64, from the camera's coordinates to the world's, meters; or None where the camera has none
     """
 
     color: NDArray[np.uint8]
@@ -51,6 +55,8 @@ class KinectSample:
     specular: Mask
     mismatch: Mask
     measured: Mask
+    intrinsics: Intrinsics | None = None
+    pose: NDArray[np.float64] | None = None
 
     @property
     def gap(self) -> Mask:
@@ -59,7 +65,7 @@ class KinectSample:
 
     def frame(self, fb: float = RgbdFrame.fb) -> RgbdFrame:
         """The measurement as a frame in meters; ``fb`` in pixel meters."""
-        return RgbdFrame(self.color, depth_of_disparity(self.disparity, fb), fb)
+        return RgbdFrame(self.color, depth_of_disparity(self.disparity, fb), fb, self.intrinsics, pose=self.pose)
 
     def depth_true(self, fb: float = RgbdFrame.fb) -> NDArray[np.float32]:
         """(H, W) float32, meters, NaN = unknown."""
@@ -228,15 +234,17 @@ def make_kinect_sequence(
     fattening: int = 4,
     noise: float = 0.3,
 ) -> list[KinectSample]:
-    """Return a sequence as a Kinect on a tripod records it: new noise in color and depth in every frame, exact truth.
+    """Return a sequence as a Kinect records it: new noise in color and depth in every frame, exact truth.
 
     Parameters
     ----------
-    kind : ``static`` (nothing moves) or ``moving`` (a board crosses the scene)
+    kind : ``static`` (on a tripod, nothing moves), ``moving`` (a board crosses the scene) or ``camera`` (the camera
+        moves along boards, sideways and forward, and turns; with intrinsics and poses)
     frames : how many
     seed : chooses the scene, discs and noise; specular discs stay where they are
     width, height, max_disparity : pixels
-    speed : pixels per frame that the board moves to the right
+    speed : pixels per frame that the board moves to the right, or that the nearest surface does to the left where
+        the camera moves
     fattening, noise : as in :func:`simulate_kinect`
 
     Raises
@@ -248,17 +256,11 @@ def make_kinect_sequence(
         raise ValueError(f"kind must be one of {', '.join(SEQUENCE_KINDS)}, got {kind!r}")
     if frames < 1:
         raise ValueError(f"want at least one frame, got {frames}")
-    color, truth = make_kinect_scene("foreground", seed, width, height, max_disparity)
     rng = np.random.Generator(np.random.PCG64([seed, 0x5E0]))
-    canvas = Canvas(rng, width, height, textures.color(rng), far=1.0)
-    canvas.color, canvas.truth = color.astype(np.float32) / np.float32(255), truth
-    size = (0.09 * width, 0.2 * height)
-    mover = canvas.board((0.2 * width, 0.55 * height), size, 0.85 * max_disparity, textures.color(rng), flat=True)
+    shots = _shots(kind, rng, frames, seed, width, height, max_disparity, speed)
     spots = _discs(rng, (height, width), 8, (8.0, 22.0))
     samples = []
-    for index in range(frames):
-        if kind == "moving":
-            color, truth = canvas.photograph(moved(mover, index * speed))
+    for color, truth, pose in shots:
         grain = _COLOR_NOISE * rng.standard_normal(color.shape, np.float32)
         noisy = np.clip(np.rint(color + grain), 0, 255).astype(np.uint8)
         sample = simulate_kinect(noisy, truth, int(rng.integers(2**31)), fattening=fattening, noise=noise, discs=0)
@@ -269,6 +271,31 @@ def make_kinect_sequence(
                 specular=np.isfinite(sample.truth) & spots & ~sample.occluded,
                 mismatch=sample.mismatch & ~spots,
                 measured=sample.measured & ~spots,
+                intrinsics=None if pose is None else typical_intrinsics(width, height),
+                pose=pose,
             )
         )
     return samples
+
+
+def _shots(
+    kind: SequenceKind,
+    rng: np.random.Generator,
+    frames: int,
+    seed: int,
+    width: int,
+    height: int,
+    max_disparity: int,
+    speed: int,
+) -> list[Shot]:
+    """Color, true disparity and pose of every frame, without noise."""
+    if kind == "camera":
+        return along_boards(rng, frames, width, height, max_disparity, speed)
+    color, truth = make_kinect_scene("foreground", seed, width, height, max_disparity)
+    canvas = Canvas(rng, width, height, textures.color(rng), far=1.0)
+    canvas.color, canvas.truth = color.astype(np.float32) / np.float32(255), truth
+    size = (0.09 * width, 0.2 * height)
+    mover = canvas.board((0.2 * width, 0.55 * height), size, 0.85 * max_disparity, textures.color(rng), flat=True)
+    if kind == "static":
+        return [(color, truth, None)] * frames
+    return [(*canvas.photograph(moved(mover, index * speed)), None) for index in range(frames)]

@@ -1,8 +1,8 @@
-"""Frames of a camera that moves little: segments are carried from frame to frame (thesis, chapter 4)."""
+"""Frames of a recording: segments are carried from frame to frame (thesis, chapter 4), with the camera's motion."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import cv2
@@ -11,16 +11,22 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.polynomials import surface_at
+from depthcli.core.cameras.camera import typical_intrinsics
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.kernels.jit import jit, parallel_jit, prange
+from depthcli.methods.kinect.camera_motion import View, displacement, estimated_motion, view_after
 from depthcli.methods.kinect.layers import Layer, Measurement, combine
 from depthcli.methods.kinect.pipeline import SequencePipeline
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.methods.kinect.segment_surfaces import SHADOW_PENALTY
 
 _FILLED, _FALLBACK, _CARRIED = int(DepthStatus.GAP_FILLED), int(DepthStatus.FALLBACK), int(DepthStatus.CARRIED)
+
+_MIN_CHANGED = 0.02  # share of changed pixels below which no motion is estimated; noise alone changes fewer
+_MIN_MOTION = 0.5  # pixels; a camera that moves less is taken as still, since pixels keep their places
+_MIN_GAIN = 0.02  # share of pixels that agree after an estimated motion only, for it to be believed
 
 
 @dataclass(frozen=True)
@@ -34,6 +40,7 @@ class SequenceState:
     disparity : (H, W) float32, refined, pixels, NaN = none
     noise : of the last segmented frame, pixels
     age : frames since then
+    pose : (4, 4) float64 of the frame, from the camera's coordinates to the world's, meters; or None
     """
 
     layers: tuple[Layer, ...]
@@ -41,13 +48,17 @@ class SequenceState:
     disparity: NDArray[np.float32]
     noise: float
     age: int
+    pose: NDArray[np.float64] | None = None
 
 
 class Sequence(SequencePipeline, Dsrm):
     """The first frame as in ``dsrm``; then every still pixel keeps its segment, and surfaces are refitted.
 
     Changed pixels join the segment that is nearest in color and depth. After too much change, or too many frames,
-    segments are computed again.
+    segments are computed again. Where the camera has moved, by the poses of both frames or by tracked corners, the
+    segments are first projected into its new view, if more pixels then agree with the frame; pixels that nothing
+    reaches are changed. ``words["motion"]`` of the result says which: ``still``, ``pose``, ``estimated``, or ``new``
+    where segments are computed again.
     """
 
     renamed: ClassVar[dict[str, str]] = {"most_changed": "max_changed", "longest": "max_age"}
@@ -78,10 +89,8 @@ class Sequence(SequencePipeline, Dsrm):
         clock = Clock()
         clock.start("unreliable")
         measurement = Measurement.of(frame, self.jump, self.row_band, self.column_band, state.noise)
-        still = still_pixels(
-            frame.color, state.color, measurement.reliable, state.disparity, self.color_change,
-            self.tolerance * state.noise,
-        )  # fmt: skip
+        clock.start("motion")
+        motion, state, still = self.followed(frame, measurement, state)
         clock.start("model")
         if state.age + 1 >= self.max_age or 1 - still.mean() > self.max_changed:
             return self.start(frame)
@@ -99,13 +108,56 @@ class Sequence(SequencePipeline, Dsrm):
         refined = refined.filled(frame, state.noise)
         clock.start("result")
         result = refined.to_depth(frame)
-        result.seconds = clock.seconds
-        return result, SequenceState(tuple(layers), frame.color, refined.disparity, state.noise, state.age + 1)
+        result.seconds, result.words["motion"] = clock.seconds, motion
+        return result, SequenceState(
+            tuple(layers), frame.color, refined.disparity, state.noise, state.age + 1, frame.pose
+        )
 
     def start(self, frame: RgbdFrame) -> tuple[RefinedDepth, SequenceState]:
         """Refine the first frame of a sequence."""
         result, measurement, layers, disparity = self.refine(frame)
-        return result, SequenceState(tuple(layers), frame.color, disparity, measurement.noise, 0)
+        result.words["motion"] = "new"
+        return result, SequenceState(tuple(layers), frame.color, disparity, measurement.noise, 0, frame.pose)
+
+    def followed(
+        self, frame: RgbdFrame, measurement: Measurement, state: SequenceState
+    ) -> tuple[str, SequenceState, NDArray[np.bool_]]:
+        """Return ``still``, ``pose`` or ``estimated``, the state in the view of the next frame, and its still pixels.
+
+        The state is returned as it is where the camera has not moved, or where fewer pixels would agree if it had.
+        """
+        still = self._still(frame, measurement, state.color, state.disparity)
+        agreed = float(still.mean())
+        camera = frame.intrinsics or typical_intrinsics(frame.shape[1], frame.shape[0])
+        by_pose = frame.pose is not None and state.pose is not None
+        if frame.pose is not None and state.pose is not None:
+            motion: NDArray[np.float64] | None = np.linalg.inv(frame.pose) @ state.pose
+        elif 1 - agreed <= _MIN_CHANGED:
+            motion = None
+        else:
+            motion = estimated_motion(state.color, frame.color, state.disparity, camera, frame.fb)
+        if motion is None or displacement(motion, state.disparity, camera, frame.fb) < _MIN_MOTION:
+            return "still", state, still
+        view = view_after(motion, state.color, state.disparity, camera, frame.fb, self.jump * state.noise)
+        moved = self._still(frame, measurement, view.color, view.disparity) & view.reached
+        if moved.sum() <= (agreed + (0 if by_pose else _MIN_GAIN)) * max(view.reached.sum(), 1):
+            return "still", state, still
+        layers = tuple(self._moved_layer(layer, view, state.noise) for layer in state.layers)
+        moved_state = replace(state, layers=layers, color=view.color, disparity=view.disparity)
+        return "pose" if by_pose else "estimated", moved_state, moved & view.certain(self.jump * state.noise)
+
+    def _still(
+        self, frame: RgbdFrame, measurement: Measurement, color: NDArray[np.uint8], disparity: NDArray[np.float32]
+    ) -> NDArray[np.bool_]:
+        return still_pixels(
+            frame.color, color, measurement.reliable, disparity, self.color_change, self.tolerance * measurement.noise
+        )
+
+    def _moved_layer(self, layer: Layer, view: View, noise: float) -> Layer:
+        source = np.maximum(view.source, 0)
+        labels = np.where(view.reached, layer.labels.ravel()[source], np.int32(-1))
+        own = view.reached & layer.own.ravel()[source]
+        return Layer(labels, self.model(view.disparity, labels, noise), own)
 
 
 @parallel_jit

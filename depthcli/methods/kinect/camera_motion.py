@@ -1,0 +1,201 @@
+"""Motion of the camera between two frames: estimated from both, and what the first frame shows in the second's view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from depthcli.core.cameras.camera import Intrinsics
+from depthcli.kernels.jit import jit, parallel_jit, prange
+
+# Sizes of usual trackers; nothing in the repository varies them.
+_MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 400, 0.01, 8  # count, share of the best one's score, pixels
+_MIN_INLIERS, _MIN_INLIER_SHARE = 30, 0.5  # tracked corners that agree with a motion
+_UNCERTAIN = 3  # pixels
+_REPROJECTION = 1.0  # pixels, of a corner that agrees
+
+
+@dataclass(frozen=True)
+class View:
+    """What the frame before shows in the view of the next one.
+
+    Attributes
+    ----------
+    source : (H, W) int32, row x width + column of the pixel of the frame before; -1: nothing of it is seen there
+    disparity : (H, W) float32, pixels in the next view, NaN = none
+    color : (H, W, 3) uint8, interpolated; arbitrary where ``source`` is -1
+    """
+
+    source: NDArray[np.int32]
+    disparity: NDArray[np.float32]
+    color: NDArray[np.uint8]
+
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """(H, W) bool: the frame before shows what is seen there."""
+        return self.source >= 0
+
+    def certain(self, max_step: float) -> NDArray[np.bool_]:
+        """Select the pixels, (H, W) bool, that are reached and not beside a step of disparity or unreached ones.
+
+        Whole pixels are carried, so that an edge is up to half a pixel off, which would add up from frame to frame.
+
+        Parameters
+        ----------
+        max_step : within a surface, pixels of disparity
+        """
+        values, around = np.nan_to_num(self.disparity), np.ones((2 * _UNCERTAIN + 1, 2 * _UNCERTAIN + 1), np.uint8)
+        steps = cv2.morphologyEx(values, cv2.MORPH_GRADIENT, around)
+        certain: NDArray[np.bool_] = self.reached & (steps <= max_step)
+        return certain
+
+
+def view_after(
+    motion: NDArray[np.float64],
+    color: NDArray[np.uint8],
+    disparity: NDArray[np.float32],
+    camera: Intrinsics,
+    fb: float,
+    max_step: float,
+) -> View:
+    """Project a frame into the view after a motion; of several pixels in one place the nearest is seen.
+
+    Parameters
+    ----------
+    motion : (4, 4), from the frame's coordinates to those of the next view, meters
+    color : (H, W, 3) uint8
+    disparity : (H, W) float32, ``fb / depth``, NaN = none
+    max_step : gaps of one pixel are closed between pixels that differ by at most this, pixels of disparity
+    """
+    shape = disparity.shape
+    forward = _pixel_motion(motion, camera)
+    source, values = np.full(shape, -1, np.int32), np.full(shape, np.nan, np.float32)
+    _splat(disparity, *forward, np.float64(fb), source, values)
+    _close(source, values, np.float32(max_step))
+    columns, rows = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    _places(
+        values, *_pixel_motion(np.asarray(np.linalg.inv(motion), np.float64), camera), np.float64(fb), columns, rows
+    )
+    shown = cv2.remap(color, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return View(source, values, np.asarray(shown, np.uint8))
+
+
+def displacement(motion: NDArray[np.float64], disparity: NDArray[np.float32], camera: Intrinsics, fb: float) -> float:
+    """Return how far the image moves, pixels: the 90th percentile over a grid; 0 where no pixel has a disparity."""
+    rows, columns = (axis.ravel() for axis in np.mgrid[: disparity.shape[0] : 16, : disparity.shape[1] : 16])
+    known = ~np.isnan(disparity[rows, columns])
+    rows, columns = rows[known], columns[known]
+    if not rows.size:
+        return 0.0
+    matrix, offset = _pixel_motion(motion, camera)
+    pixels = np.stack([columns, rows, np.ones(rows.size)])
+    points = (matrix @ pixels).T + offset * (disparity[rows, columns] / fb)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = np.where(points[:, 2:] > 0, points[:, :2] / points[:, 2:], np.inf)
+    return float(np.quantile(np.hypot(moved[:, 0] - columns, moved[:, 1] - rows), 0.9, method="lower"))
+
+
+def estimated_motion(
+    color: NDArray[np.uint8],
+    next_color: NDArray[np.uint8],
+    disparity: NDArray[np.float32],
+    camera: Intrinsics,
+    fb: float,
+) -> NDArray[np.float64] | None:
+    """Estimate the motion of the camera from corners that are tracked from one frame to the next; None: too few agree.
+
+    Corners are tracked by the method of Lucas and Kanade, and the motion is that of a perspective-n-point problem
+    with RANSAC.
+
+    Parameters
+    ----------
+    color, next_color : (H, W, 3) uint8 RGB
+    disparity : (H, W) float32, of the first frame, NaN = none
+
+    Returns
+    -------
+    (4, 4), from the first frame's coordinates to those of the next, meters
+    """
+    grey, next_grey = (cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in (color, next_color))
+    corners = cv2.goodFeaturesToTrack(grey, _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE)
+    if corners is None or len(corners) < _MIN_INLIERS:
+        return None
+    tracked, found, _ = cv2.calcOpticalFlowPyrLK(grey, next_grey, corners, None)  # type: ignore[call-overload]
+    at, to = corners.reshape(-1, 2).astype(np.float64), tracked.reshape(-1, 2).astype(np.float64)
+    columns, rows = np.rint(at).astype(np.int64).T
+    inverse = disparity[rows, columns].astype(np.float64) / fb
+    good = (found.ravel() == 1) & (inverse > 0)
+    if good.sum() < _MIN_INLIERS:
+        return None
+    at, to, z = at[good], to[good], 1 / inverse[good]
+    points = np.stack([(at[:, 0] - camera.cx) / camera.fx * z, (at[:, 1] - camera.cy) / camera.fy * z, z], axis=1)
+    done, turn, shift, inliers = cv2.solvePnPRansac(
+        points, to, camera.matrix, np.zeros(4), reprojectionError=_REPROJECTION, confidence=0.999
+    )
+    if not done or inliers is None or len(inliers) < max(_MIN_INLIERS, _MIN_INLIER_SHARE * len(points)):
+        return None
+    chosen = inliers.ravel()
+    turn, shift = cv2.solvePnPRefineLM(points[chosen], to[chosen], camera.matrix, np.zeros(4), turn, shift)
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
+    return motion if np.isfinite(motion).all() else None
+
+
+def _pixel_motion(motion: NDArray[np.float64], camera: Intrinsics) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    # A pixel p = (x, y, 1) of depth z moves to that of A p + b / z, and its depth to z (A p + b / z)[2].
+    return camera.matrix @ motion[:3, :3] @ np.linalg.inv(camera.matrix), camera.matrix @ motion[:3, 3]
+
+
+@jit
+def _splat(disparity, a, b, fb, source, values):  # type: ignore[no-untyped-def]
+    height, width = disparity.shape
+    for y in range(height):
+        for x in range(width):
+            d = disparity[y, x]
+            if not d > 0:
+                continue
+            inverse = d / fb
+            w = a[2, 0] * x + a[2, 1] * y + a[2, 2] + b[2] * inverse
+            if not w > 0:
+                continue
+            u = (a[0, 0] * x + a[0, 1] * y + a[0, 2] + b[0] * inverse) / w
+            v = (a[1, 0] * x + a[1, 1] * y + a[1, 2] + b[1] * inverse) / w
+            if not (-0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5):
+                continue
+            i, j = int(np.floor(v + 0.5)), int(np.floor(u + 0.5))
+            value = np.float32(d / w)
+            if not values[i, j] >= value:  # true where it is unknown
+                values[i, j] = value
+                source[i, j] = y * width + x
+
+
+@jit
+def _close(source, values, max_step):  # type: ignore[no-untyped-def]
+    # Gaps of one pixel, first along rows, then along columns.
+    height, width = values.shape
+    for dy, dx in ((0, 1), (1, 0)):
+        for y in range(dy, height - dy):
+            for x in range(dx, width - dx):
+                if source[y, x] >= 0:
+                    continue
+                before, after = values[y - dy, x - dx], values[y + dy, x + dx]
+                if abs(before - after) <= max_step:
+                    values[y, x] = (before + after) / np.float32(2)
+                    source[y, x] = source[y - dy, x - dx]
+
+
+@parallel_jit
+def _places(values, a, b, fb, columns, rows):  # type: ignore[no-untyped-def]
+    # Where the pixels of the next view lie in the frame before; -1 where they are not seen.
+    height, width = values.shape
+    for y in prange(height):
+        for x in range(width):
+            columns[y, x], rows[y, x] = -1, -1
+            inverse = values[y, x] / fb
+            w = a[2, 0] * x + a[2, 1] * y + a[2, 2] + b[2] * inverse
+            if w > 0:  # False where it is unknown
+                columns[y, x] = (a[0, 0] * x + a[0, 1] * y + a[0, 2] + b[0] * inverse) / w
+                rows[y, x] = (a[1, 0] * x + a[1, 1] * y + a[1, 2] + b[1] * inverse) / w
