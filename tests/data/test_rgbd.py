@@ -121,6 +121,66 @@ def test_tum_pairs_by_time(tmp_path: Path):
     assert "associations.txt:1: want time file time file" in broken.problem
 
 
+def poses_of(folder: Path) -> list:
+    return [None if scene.pose is None else np.array(scene.pose).reshape(4, 4) for scene in find(folder)]
+
+
+def test_tum_frames_have_the_pose_of_their_time(tmp_path: Path):
+    place = tmp_path / "t"
+    for k in range(4):
+        write_png(place / f"rgb/{k}.png", COLOR)
+        write_png(place / f"depth/{k}.png", DEPTH)
+    pairs = (f"{time} rgb/{k}.png {time} depth/{k}.png\n" for k, time in enumerate((1.0, 1.01, 1.09, 2.0)))
+    (place / "associations.txt").write_text("".join(pairs))
+    assert poses_of(tmp_path) == [None] * 4
+    quarter = "0 0 .7071068 .7071068"
+    (place / "groundtruth.txt").write_text(
+        f"# timestamp tx ty tz qx qy qz qw\n1.0 1 2 3 0 0 0 1\n1.02 2 2 3 {quarter}\n1.08 4 0 0 0 0 0 1\n"
+    )
+    exact, between, nearest, none = poses_of(tmp_path)
+    np.testing.assert_array_equal(exact[:3], np.c_[np.eye(3), (1, 2, 3)])
+    np.testing.assert_allclose(between[:3, 3], (1.5, 2, 3))
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(between[:3, :3], [[half, -half, 0], [half, half, 0], [0, 0, 1]], atol=1e-6)
+    assert nearest[0, 3] == 4 and none is None
+    np.testing.assert_array_equal(find(tmp_path)[0].load().pose, exact)
+
+
+@pytest.mark.parametrize("lines", [1, 4])
+def test_numbered_frames_have_poses_by_order_or_by_number(tmp_path: Path, lines: int):
+    place = tmp_path / "s"
+    for k in (3, 4, 7):
+        write_png(place / f"color_{k:05}.png", COLOR)
+        write_png(place / f"depth_{k:05}.png", DEPTH)
+    rows = ["1 0 0 5", "0 1 0 6", "0 0 1 7", "0 0 0 1"]
+    matrix = (" " if lines == 1 else "\n").join(rows) + "\n"
+    (place / "poses.txt").write_text(matrix + "\n" + matrix.replace("5", "8"))  # fewer than frames
+    first, second, third = poses_of(tmp_path)
+    assert first[:3, 3].tolist() == [5, 6, 7] and second[0, 3] == 8 and third is None
+    (place / "poses.txt").write_text("3 1 2 3 0 0 0 1\n7 4 2 3 0 0 0 1\n")
+    first, second, third = poses_of(tmp_path)
+    assert first[0, 3] == 1 and second is None and third[0, 3] == 4
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("", "poses.txt: holds no pose"),
+    ("1 2 3\n", "poses.txt:1: want 'time tx ty tz qx qy qz qw'"),
+    ("0 1 2 3 0 0 0 1\n1 x 2 3 0 0 0 1\n", "poses.txt:2: want"),
+    ("0 1 2 3 0 0 0 1\n1 2 3 4\n", "poses.txt:2: want"),
+    ("0 nan 2 3 0 0 0 1\n", "poses.txt:1: want"),
+    ("0 1 2 3 0 0 0 2\n", "poses.txt:1: the quaternion qx qy qz qw has a length of 2"),
+    ("1 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n", "two poses of one time"),
+    ("1 0 0 0\n0 1 0 0\n0 0 1 0\n", "the last matrix has 3 rows instead of 4"),
+    ("2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n", "poses.txt:1: not the matrix of a pose"),
+])  # fmt: skip
+def test_wrong_poses_are_one_line(tmp_path: Path, text: str, said: str):
+    write_png(tmp_path / "s" / "color_0.png", COLOR)
+    write_png(tmp_path / "s" / "depth_0.png", DEPTH)
+    (tmp_path / "s" / "poses.txt").write_text(text)
+    (broken,) = discover_scenes(tmp_path, (RgbdScene,))
+    assert said in broken.problem and "\n" not in broken.problem
+
+
 def test_sun_rotates_its_bits(tmp_path: Path):
     write_png(tmp_path / "s" / "image" / "x.png", COLOR)
     codes = (DEPTH << np.uint16(3)) | (DEPTH >> np.uint16(13))

@@ -47,9 +47,10 @@ class View:
         ----------
         max_step : within a surface, pixels of disparity
         """
-        values, around = np.nan_to_num(self.disparity), np.ones((2 * _UNCERTAIN + 1, 2 * _UNCERTAIN + 1), np.uint8)
-        steps = cv2.morphologyEx(values, cv2.MORPH_GRADIENT, around)
-        certain: NDArray[np.bool_] = self.reached & (steps <= max_step)
+        steps = cv2.morphologyEx(np.nan_to_num(self.disparity), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+        edges = ~self.reached | (steps > max_step)
+        size = 2 * _UNCERTAIN - 1  # the gradient reaches one pixel farther
+        certain: NDArray[np.bool_] = cv2.dilate(edges.astype(np.uint8), np.ones((size, size), np.uint8)) == 0
         return certain
 
 

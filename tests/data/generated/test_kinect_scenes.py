@@ -116,10 +116,28 @@ def test_sequences(kind):
     assert len(frames) == 4
     for first, second in itertools.pairwise(frames):
         moved = (first.truth != second.truth).mean()
-        assert moved == 0 if kind == "static" else 0.01 < moved < 0.3
+        low, high = {"static": (-1, 0), "moving": (0.01, 0.3), "camera": (0.9, 1)}[kind]
+        assert low < moved <= high
         assert np.mean(first.color != second.color) > 0.5
         both = first.measured & second.measured
-        assert np.nanstd((first.disparity - second.disparity)[both & (first.truth == second.truth)]) > 0.3
+        if kind != "camera":
+            assert np.nanstd((first.disparity - second.disparity)[both & (first.truth == second.truth)]) > 0.3
+
+
+def test_a_moving_camera_sees_the_same_points_from_its_poses():
+    first, *_, last = make_kinect_sequence("camera", 6, 1, 200, 150, 30)
+    assert first.pose is not None and last.pose is not None and first.intrinsics is not None
+    points = first.intrinsics.points(first.depth_true(), np.isfinite(first.truth))
+    motion = np.linalg.inv(last.pose) @ first.pose
+    x, y, z = motion[:3, :3] @ points.T + motion[:3, 3:]
+    columns = np.rint(first.intrinsics.fx * x / z + first.intrinsics.cx).astype(int)
+    rows = np.rint(first.intrinsics.fy * y / z + first.intrinsics.cy).astype(int)
+    inside = (columns >= 0) & (columns < 200) & (rows >= 0) & (rows < 150)
+    off = np.abs(43.5 / z - last.truth[rows.clip(0, 149), columns.clip(0, 199)])[inside]
+    assert np.median(off) < 0.05
+    assert (off < 0.5).mean() > 0.85  # the others are hidden
+    moved = np.hypot(columns - np.tile(np.arange(200), 150), rows - np.repeat(np.arange(150), 200))
+    assert np.median(moved) > 3
 
 
 def test_bad_arguments():

@@ -243,8 +243,7 @@ def make_kinect_sequence(
     frames : how many
     seed : chooses the scene, discs and noise; specular discs stay where they are
     width, height, max_disparity : pixels
-    speed : pixels per frame that the board moves to the right, or that the nearest surface does to the left where
-        the camera moves
+    speed : pixels per frame that the board moves to the right, or that the camera moves the nearest one to the left
     fattening, noise : as in :func:`simulate_kinect`
 
     Raises

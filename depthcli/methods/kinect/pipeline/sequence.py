@@ -90,19 +90,25 @@ class Sequence(SequencePipeline, Dsrm):
         clock.start("unreliable")
         measurement = Measurement.of(frame, self.jump, self.row_band, self.column_band, state.noise)
         clock.start("motion")
-        motion, state, still = self.followed(frame, measurement, state)
+        motion, view, still = self.followed(frame, measurement, state)
         clock.start("model")
         if state.age + 1 >= self.max_age or 1 - still.mean() > self.max_changed:
             return self.start(frame)
+        previous, carried = state.disparity, state.layers
+        if view is not None:
+            still &= view.certain(self.jump * state.noise)
+            # A surface that was seen before needs no shadow to be believed.
+            measurement = replace(measurement, limit=np.where(still, np.float32(np.inf), measurement.limit))
+            previous, carried = view.disparity, tuple(self._moved_layer(each, view, state.noise) for each in carried)
         layers = []
-        for layer in state.layers:
+        for layer in carried:
             labels, own = carried_labels(layer, still, frame.color, measurement, self.jump * state.noise)
             surfaces = self.model(measurement.reliable, labels, state.noise, layer.surfaces)
             layers.append(Layer(labels, surfaces, own))
         clock.start("refinement")
         refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
         _blend(
-            refined.disparity, refined.scale, refined.status, state.disparity, still,
+            refined.disparity, refined.scale, refined.status, previous, still,
             np.float32(self.drift * state.noise),
         )  # fmt: skip
         refined = refined.filled(frame, state.noise)
@@ -121,10 +127,10 @@ class Sequence(SequencePipeline, Dsrm):
 
     def followed(
         self, frame: RgbdFrame, measurement: Measurement, state: SequenceState
-    ) -> tuple[str, SequenceState, NDArray[np.bool_]]:
-        """Return ``still``, ``pose`` or ``estimated``, the state in the view of the next frame, and its still pixels.
+    ) -> tuple[str, View | None, NDArray[np.bool_]]:
+        """Return ``still``, ``pose`` or ``estimated``, the previous frame's view, and the pixels that agree with it.
 
-        The state is returned as it is where the camera has not moved, or where fewer pixels would agree if it had.
+        The view is None where the camera has not moved, or where fewer pixels would agree if it had.
         """
         still = self._still(frame, measurement, state.color, state.disparity)
         agreed = float(still.mean())
@@ -137,14 +143,12 @@ class Sequence(SequencePipeline, Dsrm):
         else:
             motion = estimated_motion(state.color, frame.color, state.disparity, camera, frame.fb)
         if motion is None or displacement(motion, state.disparity, camera, frame.fb) < _MIN_MOTION:
-            return "still", state, still
+            return "still", None, still
         view = view_after(motion, state.color, state.disparity, camera, frame.fb, self.jump * state.noise)
         moved = self._still(frame, measurement, view.color, view.disparity) & view.reached
         if moved.sum() <= (agreed + (0 if by_pose else _MIN_GAIN)) * max(view.reached.sum(), 1):
-            return "still", state, still
-        layers = tuple(self._moved_layer(layer, view, state.noise) for layer in state.layers)
-        moved_state = replace(state, layers=layers, color=view.color, disparity=view.disparity)
-        return "pose" if by_pose else "estimated", moved_state, moved & view.certain(self.jump * state.noise)
+            return "still", None, still
+        return "pose" if by_pose else "estimated", view, moved
 
     def _still(
         self, frame: RgbdFrame, measurement: Measurement, color: NDArray[np.uint8], disparity: NDArray[np.float32]
