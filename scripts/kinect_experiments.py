@@ -6,11 +6,14 @@
 DATA holds the Middlebury sets and the folders ``rgbd_*``. ``simulated``: Kinect-like measurements of every
 scene with a true disparity (``depthcli sample --kinect``), mean absolute error in pixels of disparity in gaps, at
 mismatched edges and on measured pixels; ``ablations``: the parts of dsrm, in the same figures; ``real``: 10 % of the
-known pixels of real frames taken out in blocks of 20 to 40 pixels, mean absolute error there, mm; ``view``: the left
-image warped into the right view by the refined depth, PSNR where both see; ``speed``: seconds at 640 x 480, paired with
-``cv2.inpaint`` (Telea) in the same process; ``sequence``: generated sequences, along them and frame by frame;
-``soak``: seconds and memory along one sequence of ``--frames``; ``upsampling``: depth maps of a quarter of the color
-image's width and height with noise of .3 px, mean absolute error in pixels of disparity, all, near steps and elsewhere.
+known pixels of real frames taken out in blocks of 20 to 40 pixels, and bands of 6 pixels on the near or the far side of
+depth edges, mean absolute error there, mm, with and without the color image; ``variants``: simulated sensors that
+differ in what a Kinect does, the settings chosen on one half of sensors and scenes, on the other half not; ``view``:
+the left image warped into the right view by the refined depth, PSNR where both see; ``speed``: seconds at 640 x 480,
+paired with ``cv2.inpaint`` (Telea) in the same process; ``sequence``: generated sequences, along them and frame by
+frame; ``soak``: seconds and memory along one sequence of ``--frames``; ``upsampling``: depth maps of a quarter of the
+color image's width and height with noise of .3 px, mean absolute error in pixels of disparity, all, near steps and
+elsewhere.
 """
 
 from __future__ import annotations
@@ -36,12 +39,8 @@ from depthcli.core.cameras.triangulation import depth_of_disparity, disparity_of
 from depthcli.core.config_file import load_config
 from depthcli.core.frames import RgbdFrame, color8
 from depthcli.data.formats.images import read_image
-from depthcli.data.generated.arrays.kinect_scenes import (
-    SEQUENCE_KINDS,
-    KinectSample,
-    make_kinect_sequence,
-    simulate_kinect,
-)
+from depthcli.data.generated.arrays.depth_sensor import KinectSample, Sensor, simulate_kinect
+from depthcli.data.generated.arrays.kinect_scenes import SEQUENCE_KINDS, make_kinect_sequence
 from depthcli.data.scenes.rgbd import RgbdScene
 from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import discover_scenes
@@ -57,6 +56,31 @@ ABLATIONS: dict[str, list[str]] = {
     "no depth guidance": ["segmentation.depth_guidance=0"],
     "no Huber weights": ["model.huber=null"],
     "one layer": ["segmentation.coarser=[]"],
+}
+CHOSEN_ON = ("Teddy", "Cones", "Art", "Baby1", "Lampshade1", "Cloth3")
+VARIANTS: dict[str, dict[str, Sensor]] = {
+    "tuning": {
+        "a Kinect": Sensor(),
+        "shadow partly covered": Sensor(covered=True, fattening=4),
+        "widened on the right": Sensor(sides="right", fattening=5),
+        "widened by 8, correlated noise": Sensor(fattening=8, correlation=1.0),
+        "time of flight": Sensor(fattening=0, shadows="none", mixed=1, noise=0.2, correlation=0.7),
+        "color moved by (2, -1)": Sensor(fattening=2, color_shift=(2, -1)),
+        "projector on the left, steps of 1/8": Sensor(shadows="right", fattening=3, step=0.125),
+        "baseline .67, correlated noise": Sensor(baseline=0.67, fattening=3, noise=0.5, correlation=1.5, discs=16),
+    },
+    "validation": {
+        "widened by 2": Sensor(fattening=2, noise=0.2),
+        "shadow covered by 6, steps of 1/8": Sensor(covered=True, fattening=6, step=0.125),
+        "widened on the left": Sensor(sides="left", fattening=4),
+        "not widened": Sensor(fattening=0, noise=0.4),
+        "time of flight, mixed by 2": Sensor(fattening=2, shadows="none", mixed=2, discs=14),
+        "color moved by (-3, 1)": Sensor(fattening=4, color_shift=(-3, 1), correlation=1.0),
+        "projector on the left, baseline 1.3": Sensor(shadows="right", fattening=6, baseline=1.3),
+        "baseline 1.4, far range missing": Sensor(
+            baseline=1.4, fattening=4, noise=0.4, correlation=0.8, step=0.25, farthest=0.25
+        ),
+    },
 }
 Refine = Callable[[RgbdFrame], Any]
 
@@ -104,41 +128,90 @@ def simulated(data: Path, methods: dict[str, Refine | None], fattening: int, tit
     print(Table(f"{title}, fattening {fattening} px: MAE, px, of estimated pixels", header, tuple(rows)).markdown())
 
 
+def variants(data: Path, methods: dict[str, Refine | None]) -> None:
+    """Print a row a sensor: MAE, px, in gaps / at wrong edges, means over scenes; and the means of both halves."""
+    header = ("sensor", *methods)
+    for half, sensors in VARIANTS.items():
+        rows, sums = [], {name: [0.0, 0.0] for name in methods}
+        chosen = [s for folder in SETS for s in scenes(data, folder) if (s.name in CHOSEN_ON) == (half == "tuning")]
+        images = [(color8(read_image(scene.left)), scene.truth().disparity) for scene in chosen]
+        for title, sensor in sensors.items():
+            found: dict[str, list[list[float]]] = {name: [[], []] for name in methods}
+            for seed, (color, truth) in enumerate(images):
+                made = simulate_kinect(color, truth, seed, sensor=sensor)
+                for name, run in methods.items():
+                    error = np.abs(refined(name, run, made.frame()) - made.truth)
+                    for kept, mask in zip(found[name], (made.gap, made.mismatch), strict=True):
+                        kept.append(_mean(error[mask & np.isfinite(error)].tolist()))
+            means = {name: [_mean(kept) for kept in both] for name, both in found.items()}
+            rows.append((title, *(f"{gap:.2f} / {edge:.2f}" for gap, edge in means.values())))
+            for name, both in means.items():
+                sums[name] = [total + value / len(sensors) for total, value in zip(sums[name], both, strict=True)]
+        rows.append(("mean", *(f"{gap:.2f} / {edge:.2f}" for gap, edge in sums.values())))
+        print(Table(f"Simulated sensors, {half}: MAE, px, gaps / wrong edges", header, tuple(rows)).markdown())
+
+
 def real(data: Path, methods: dict[str, Refine | None]) -> None:
-    """Print a row a frame: MAE in blocks that were taken out, mm, mean of several random patterns of blocks."""
-    scenes = [
-        scene
-        for folder in sorted(data.glob("rgbd_*"))
-        for scene in discover_scenes(folder, (RgbdScene,), "sun-rgbd" if folder.name == "rgbd_sun" else None)
-        if isinstance(scene, RgbdScene)
-    ]
-    rows = []
-    for number_, scene in enumerate(scenes):
-        if scene.folder.parent.name == "rgbd_tum":
-            scene = RgbdScene(**{**vars(scene), "depth_scale": 5000.0})
-        frame = scene.load()
-        errors: dict[str, list[float]] = {name: [] for name in methods}
-        for pattern in range(PATTERNS):
-            holes = _blocks(np.isfinite(frame.depth), PATTERNS * number_ + pattern)
-            depth = np.where(holes, np.float32(np.nan), frame.depth)
-            holed = RgbdFrame(frame.color, depth, frame.fb, frame.intrinsics)
-            for name, run in methods.items():
-                values = holed.depth if run is None else run(holed).depth.values
-                error = 1000 * np.abs(values[holes] - frame.depth[holes])
-                errors[name].append(_mean(error[np.isfinite(error)].tolist()))
-        cells = [Number(_mean(errors[name]), 1) for name in methods]
-        rows.append((f"{scene.folder.parent.name}/{scene.name}", *cells))
-    print(
-        Table(
-            f"Blocks of 20 to 40 px taken out of real frames: MAE, mm, mean of {PATTERNS} patterns",
-            ("frame", *methods),
-            tuple(rows),
-        ).markdown()
-    )
+    """Print tables of MAE, mm, at pixels that were taken out of real frames: blocks, bands, blocks without color."""
+    frames = _real_frames(data)
+    blocks = f"Blocks of 20 to 40 px taken out of real frames: MAE, mm, mean of {PATTERNS} patterns"
+    bands = "Bands of 6 px on the near and on the far side of depth edges taken out: MAE, mm, mean of both"
+    for title, patterns, taken, color in (
+        (blocks, PATTERNS, _blocks, True),
+        (bands, 2, _bands, True),
+        (f"{blocks}, no color images", PATTERNS, _blocks, False),
+    ):
+        rows, ratios = [], {name: [] for name in methods}  # type: dict[str, list[float]]
+        for number, (scene, frame) in enumerate(frames):
+            errors: dict[str, list[float]] = {name: [] for name in methods}
+            for pattern in range(patterns):
+                holes = taken(frame, PATTERNS * number + pattern if patterns > 2 else pattern)
+                depth = np.where(holes, np.float32(np.nan), frame.depth)
+                holed = RgbdFrame(frame.color, depth, frame.fb, frame.intrinsics)
+                if not color:
+                    holed = RgbdFrame.without_color(depth, frame.fb, frame.intrinsics)
+                for name, run in methods.items():
+                    values = holed.depth if run is None else run(holed).depth.values
+                    error = 1000 * np.abs(values[holes] - frame.depth[holes])
+                    errors[name].append(_mean(error[np.isfinite(error)].tolist()))
+            means = {name: _mean(errors[name]) for name in methods}
+            rows.append((scene, *(Number(value, 1) for value in means.values())))
+            for name, value in means.items() if means.get("nearest", 0) > 1 else ():  # a board alone is a plane
+                ratios[name].append(value / means["nearest"])
+        if ratios.get("nearest"):
+            rows.append(("mean of ratios to nearest", *(Number(_mean(ratios[name]), 3) for name in methods)))
+            rows.append(("largest ratio", *(Number(max(ratios[name]), 2) for name in methods)))
+        print(Table(title, ("frame", *methods), tuple(rows)).markdown())
 
 
-def _blocks(known: NDArray[np.bool_], seed: int) -> NDArray[np.bool_]:
+def _real_frames(data: Path) -> list[tuple[str, RgbdFrame]]:
+    frames = []
+    for folder in sorted([*data.glob("rgbd_*"), data / "kinect_v1_raw"]):
+        for scene in discover_scenes(folder, (RgbdScene,), "sun-rgbd" if folder.name == "rgbd_sun" else None):
+            if isinstance(scene, RgbdScene):
+                if folder.name == "rgbd_tum":
+                    scene = replace(scene, depth_scale=5000.0)
+                frames.append((f"{scene.folder.parent.name}/{scene.name}", scene.load()))
+    return frames
+
+
+def _bands(frame: RgbdFrame, side: int) -> NDArray[np.bool_]:
+    """Return known pixels within 6 pixels of a step of over a pixel, on its near (0) or far (1) side."""
+    out = np.zeros(frame.shape, bool)
+    for values, taken in ((frame.disparity, out), (frame.disparity.T, out.T)):
+        step = np.diff(values, axis=1)
+        with np.errstate(invalid="ignore"):
+            rising, falling = (step > 1, step < -1) if side == 0 else (step < -1, step > 1)
+        last = values.shape[1] - 1
+        for k in range(min(6, last)):
+            taken[:, 1 + k :] |= rising[:, : last - k]
+            taken[:, : last - k] |= falling[:, k:]
+    return out & np.isfinite(frame.depth)
+
+
+def _blocks(frame: RgbdFrame, seed: int) -> NDArray[np.bool_]:
     """Return known pixels in random blocks, 10 % of all known ones."""
+    known = np.isfinite(frame.depth)
     rng = np.random.Generator(np.random.PCG64([seed, 0xB10C]))
     taken = np.zeros_like(known)
     wanted = 0.1 * np.count_nonzero(known)
@@ -287,9 +360,8 @@ def upsampling(data: Path, methods: dict[str, Refine | None], factor: int = 4) -
     """Print a row a method: MAE of depth maps ``factor`` times smaller than color, mean of the half-size scenes."""
     band = factor // 4  # a sample's edge is off by so much on average
     narrow = [f"row_band={band}", f"column_band={band}"]
-    methods = methods | {
-        f"{name} {' '.join(narrow)}": preset(name, narrow) for name in ("dsrm", "fast") if name in methods
-    }
+    if "fast" in methods:
+        methods = methods | {f"fast {' '.join(narrow)}": preset("fast", narrow)}
     rows: dict[str, list[list[float]]] = {}
     for scene in scenes(data, "middlebury_half"):
         height, width = (side // factor * factor for side in scene.truth().disparity.shape)
@@ -323,7 +395,7 @@ def _mean(values: list[float]) -> float:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parts = ("simulated", "ablations", "real", "view", "speed", "sequence", "soak", "upsampling")
+    parts = ("simulated", "variants", "ablations", "real", "view", "speed", "sequence", "soak", "upsampling")
     _env.add_list(parser, "--only", parts, choices=parts)
     parser.add_argument("--fattening", type=int, default=4)
     parser.add_argument("--frames", type=int, default=300, help="of the soak")
@@ -333,6 +405,8 @@ def main() -> int:
     methods: dict[str, Refine | None] = {"raw": None, **{name: preset(name) for name in options.presets}}
     if "simulated" in options.only:
         simulated(options.data, methods, options.fattening, "Simulated Kinect")
+    if "variants" in options.only:
+        variants(options.data, {name: run for name, run in methods.items() if run is not None})
     if "ablations" in options.only:
         parts_of = {name: preset("dsrm", settings) for name, settings in ABLATIONS.items()}
         simulated(options.data, dict(parts_of), options.fattening, "Parts of dsrm")

@@ -48,11 +48,14 @@ def rgbd_frame(
     where: str,
 ) -> RgbdFrame:
     """Return color and depth of one size; InputError as for :func:`depthcli.refine_depth`, begun with ``where``."""
-    image = as_color8(color, f"{where}color")
-    shape = image.shape[0], image.shape[1]
     measured = as_depth(depth, f"{where}depth", config.depth_scale or MILLIMETERS)
+    image = None if color is None else as_color8(color, f"{where}color")
+    shape = measured.shape if image is None else (image.shape[0], image.shape[1])
     check_memory(config.pipeline.peak_bytes(shape), available_memory(), f"{shape[1]} x {shape[0]} pixels")
     camera = None if config.intrinsics is None else Intrinsics(*config.intrinsics)
+    if image is None:
+        camera = camera or depth_camera[0]
+        return RgbdFrame.without_color(measured, fb or sensor_fb(camera), camera)
     with naming(f"{where}depth"):
         found = registered(measured, shape, camera, *depth_camera)
     if found.note:

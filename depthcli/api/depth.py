@@ -35,7 +35,7 @@ Image = NDArray[Any]
 
 @overload
 def refine_depth(
-    color: Image,
+    color: Image | None,
     depth: Image,
     preset: str | Path | RefineKinectConfig = "accurate",
     overrides: Overrides | None = None,
@@ -59,7 +59,7 @@ def refine_depth(
 ) -> list[RefinedDepth]: ...
 @worded
 def refine_depth(
-    color: Image | Sequence[Image],
+    color: Image | Sequence[Image | None] | None,
     depth: Image | Sequence[Image],
     preset: str | Path | RefineKinectConfig = "accurate",
     overrides: Overrides | None = None,
@@ -73,7 +73,8 @@ def refine_depth(
 
     Parameters
     ----------
-    color : (H, W, 3) RGB or (H, W) grey, as for :func:`depthcli.stereo`; or a list of the frames of a sequence
+    color : (H, W, 3) RGB or (H, W) grey, as for :func:`depthcli.stereo`; None: there is depth alone, whose gaps are
+        filled and noise removed by geometry; or a list of the frames of a sequence
     depth : (H, W), registered to the color image: floats are meters, integers ``depth_scale`` codes a meter; what is
         not a positive number is unknown. A smaller one of the same aspect ratio is scaled. Or a list of as many
     preset : name of a preset of ``depthcli refine-kinect``, path of a YAML file, or a config. ``"sequence"`` carries
@@ -110,8 +111,10 @@ def refine_depth(
     """
     config = load_config(RefineKinectConfig, preset, overrides, **fields)
     cameras = depth_camera(depth_intrinsics, depth_to_color)
+    if color is None and isinstance(depth, list | tuple):
+        color = [None] * len(depth)
     many = isinstance(color, list | tuple), isinstance(depth, list | tuple)
-    if many == (False, False):
+    if color is None or many == (False, False):
         frame = rgbd_frame(config, color, depth, fb, cameras, "")
         with computing():
             return refined_frame(config, frame, config.pipeline, Clock(), config.depth_scale or MILLIMETERS)

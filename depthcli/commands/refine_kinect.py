@@ -114,7 +114,7 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
 
     def memory_of(self, config: RefineKinectConfig, scene: Scene) -> int | None:
         first = _first_frame(scene)
-        return None if first is None else config.pipeline.peak_bytes(first.color_size())
+        return None if first is None else config.pipeline.peak_bytes(first.frame_size())
 
     def columns(self) -> tuple[Column, ...]:
 

@@ -49,7 +49,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
 
     def memory_of(self, config: TransparentConfig, scene: RgbdScene) -> int:
         """Return an estimate of the peak memory after the sparse depth is known, bytes."""
-        return config.pipeline.peak_bytes(scene.color_size())
+        return config.pipeline.peak_bytes(scene.frame_size())
 
     def columns(self) -> tuple[Column, ...]:
 

@@ -147,6 +147,7 @@ class RgbdFrame:
     intrinsics : the color camera's, or None where they are not known
     interpolated : the sensor's map is smaller than ``color``, and ``depth`` interpolated between its samples
     pose : (4, 4) float64, from the camera's coordinates to the world's, meters; or None where it is not known
+    has_color : False where there is no color image, and ``color`` is grey everywhere
     """
 
     color: NDArray[np.uint8]
@@ -155,6 +156,7 @@ class RgbdFrame:
     intrinsics: Intrinsics | None = None
     interpolated: bool = False
     pose: NDArray[np.float64] | None = None
+    has_color: bool = True
 
     def __post_init__(self) -> None:
         if self.color.ndim != 3 or self.color.shape[2] != 3 or self.color.dtype != np.uint8:
@@ -166,6 +168,11 @@ class RgbdFrame:
     def shape(self) -> tuple[int, int]:
         """Height and width, pixels."""
         return self.color.shape[0], self.color.shape[1]
+
+    @classmethod
+    def without_color(cls, depth: NDArray[np.float32], fb: float, intrinsics: Intrinsics | None) -> RgbdFrame:
+        """Return the frame of a depth map alone."""
+        return cls(np.full((*depth.shape, 3), 128, np.uint8), depth, fb, intrinsics, has_color=False)
 
     @cached_property
     def disparity(self) -> NDArray[np.float32]:

@@ -178,7 +178,7 @@ def test_nyu_v2(tmp_path: Path):
     np.testing.assert_array_equal(frame.depth[2:], DEPTH[2:] + 1)
     assert np.isnan(first.load().depth[:2]).all()
     np.testing.assert_array_equal(second.truth().depth, DEPTH + 1)
-    assert second.color_size() == (HEIGHT, WIDTH)
+    assert second.frame_size() == (HEIGHT, WIDTH)
     assert frame.intrinsics is not None
     assert frame.intrinsics.fx == 518.8579
     check("nyu-v2", tmp_path)

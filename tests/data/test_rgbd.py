@@ -191,14 +191,21 @@ def test_sun_rotates_its_bits(tmp_path: Path):
     assert (scene.load().depth[1:] == 2).all()
 
 
-@pytest.mark.parametrize(("file", "said"), [("color.png", "no color"), ("depth.png", "no depth")])
-def test_half_a_frame_is_a_row_with_its_reason(tmp_path: Path, file: str, said: str):
+def test_half_a_frame_is_a_row_with_its_reason(tmp_path: Path):
     write_png(tmp_path / "a" / "color.png", COLOR)
-    write_png(tmp_path / "a" / "depth.png", DEPTH)
-    (tmp_path / "a" / file).unlink()
     (scene,) = find(tmp_path)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match="no depth"):
         scene.load()
+
+
+def test_depth_alone_is_a_frame_without_color(tmp_path: Path):
+    write_png(tmp_path / "a" / "depth.png", DEPTH)
+    (scene,) = find(tmp_path)
+    frame = scene.load()
+    assert not frame.has_color and (frame.color == 128).all() and frame.shape == DEPTH.shape
+    assert scene.frame_size() == DEPTH.shape and set(scene.input_files) == {"depth"}
+    with pytest.raises(InputError, match="no color image"):
+        scene.load_sparse()
 
 
 def test_frames_that_cannot_be_used(tmp_path: Path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import math
 
@@ -37,17 +38,42 @@ def edge_distance(disparity, jump, gap_tolerance):
     return np.array(rows), np.array(columns).T
 
 
-def max_disparity_in_gaps(disparity, jump, tolerance):
+def max_disparity_in_gaps(disparity, jump, tolerance, scale, covered, behind):
+    """Of shadows on the left of near surfaces."""
     limit = np.full(disparity.shape, np.inf)
     for y, row in enumerate(disparity):
         known = np.flatnonzero(~np.isnan(row))
         for a, b in itertools.pairwise(known):
-            gap = b - a - 1
-            near, far = max(row[a], row[b]), min(row[a], row[b])
-            if gap and near - far > jump:
-                on_far_side = gap <= near - far + tolerance
-                limit[y, a + 1 : b] = (max(near - gap, far) if on_far_side else near - gap) + tolerance
+            width = b - a - 1 + covered
+            near, far = row[b], row[a]
+            if b - a > 1 and near - far > jump and (behind or abs(width - scale * (near - far)) <= 4):
+                largest = near - width / scale
+                limit[y, a + 1 : b] = (max(largest, far) if largest >= far - tolerance else largest) + tolerance
     return limit
+
+
+def cheapest_paths(lab, segments, limit, values, cost):
+    """Cost of the cheapest path to every unknown pixel, by Dijkstra, and the value at its start."""
+    height, width = values.shape
+    known = ~np.isnan(values)
+    total, start = np.where(known, cost.astype(float), np.inf), np.where(known, values, np.nan)
+    queue = [(total[y, x], y, x) for y, x in np.argwhere(known)]
+    heapq.heapify(queue)
+    while queue:
+        so_far, y, x = heapq.heappop(queue)
+        if so_far > total[y, x]:
+            continue
+        for v, u in itertools.product((y - 1, y, y + 1), (x - 1, x, x + 1)):
+            if (v, u) == (y, x) or not (0 <= v < height and 0 <= u < width) or known[v, u]:
+                continue
+            path = so_far + (1 if v == y or u == x else 1.4)
+            path += 0.2 * np.abs(lab[y, x].astype(int) - lab[v, u].astype(int)).sum()
+            path += 5 * np.count_nonzero(segments[:, y, x] != segments[:, v, u])
+            path += 1000 * (start[y, x] > limit[v, u])
+            if path < total[v, u] - 1e-6:
+                total[v, u], start[v, u] = path, start[y, x]
+                heapq.heappush(queue, (path, v, u))
+    return total, start
 
 
 def region_merging(image, levels, complexities, guidance, min_size):

@@ -22,8 +22,8 @@ _INTRINSICS = (518.8579, 519.4696, 325.5824, 253.7362)  # fx, fy, cx, cy of the 
 class NyuScene(RgbdScene):
     """One frame of the file, by its place there; the truth is the depth that the set's authors filled in."""
 
-    def color_size(self) -> tuple[int, int]:
-        """Return (height, width) of the color image."""
+    def frame_size(self) -> tuple[int, int]:
+        """Return (height, width)."""
         _, width, height = self._array(_COLORS, 3).shape
         return height, width
 
@@ -32,10 +32,10 @@ class NyuScene(RgbdScene):
         self.check()
         return RgbdTruth(self._plane(_FILLED))
 
-    def _color(self) -> NDArray[np.uint8]:
+    def _color(self, path: Path) -> NDArray[np.uint8]:
         stored = self._array(_COLORS, 3)
         if stored.shape[0] != 3 or stored.dtype != np.uint8:
-            raise InputError(f"{self.color}: {_COLORS}: want colors of 8 bit, got {stored.dtype} of {stored.shape}")
+            raise InputError(f"{self.depth}: {_COLORS}: want colors of 8 bit, got {stored.dtype} of {stored.shape}")
         return np.ascontiguousarray(stored.transpose(2, 1, 0))
 
     def _depth(self, path: Path) -> NDArray[np.float32]:
@@ -47,9 +47,9 @@ class NyuScene(RgbdScene):
 
     def _array(self, name: str, axes: int) -> NDArray[Any]:
         """Entry of an array, whose axes are those of MATLAB in reverse."""
-        stored = read_hdf5(self.color, name, self.number)
+        stored = read_hdf5(self.depth, name, self.number)
         if stored.ndim != axes:
-            raise InputError(f"{self.color}: {name}: want entries of {axes} axes, got {stored.shape}")
+            raise InputError(f"{self.depth}: {name}: want entries of {axes} axes, got {stored.shape}")
         return stored
 
 

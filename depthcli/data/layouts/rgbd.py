@@ -23,10 +23,10 @@ class Rgbd(Layout):
 
     kind = RgbdScene
     wants = (
-        "`color.*`, `depth.*`; where known `depth_true.*`, `mask_<name>.*` (255 = evaluate), `sparse.*` (a second "
-        "depth map, known at some pixels) with `sparse_confidence.*`, `meta.json` "
-        "(`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, cy; "
-        "`fb`: focal length x baseline, pixels x meters; of depth that is not registered to the color image, "
+        "`color.*`, `depth.*`, or the latter alone for `refine-kinect`; where known `depth_true.*`, "
+        "`mask_<name>.*` (255 = evaluate), `sparse.*` (a second depth map, known at some pixels) with "
+        "`sparse_confidence.*`, `meta.json` (`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, "
+        "cy; `fb`: focal length x baseline, pixels x meters; of depth that is not registered to the color image, "
         "`depth_intrinsics`: fx, fy, cx, cy, and `depth_to_color`: `rotation` 3 x 3, `translation` in meters)"
     )
 
@@ -42,14 +42,13 @@ def frames_of(layout: Layout, folder: Folder, **more: Any) -> list[Scene]:
         return []
     if depth is None and folder.starting("disparity", IMAGE_SUFFIXES):  # of kinect-raw
         return []
-    missing = "color" if color is None else "depth" if depth is None else ""
-    problem = f"{folder.path}: only half of a frame, no {missing}.*" if missing else ""
-    color, depth = color or folder.path / "color.png", depth or folder.path / "depth.png"
+    problem = f"{folder.path}: only half of a frame, no depth.*" if depth is None else ""
+    depth = depth or folder.path / "depth.png"
     sparse = {role: folder.one(role, DEPTH_SUFFIXES) for role in ("sparse", "sparse_confidence")}
     return [frame(layout, folder, color, depth, problem=problem, **sparse, **more)]
 
 
-def frame(layout: Layout, folder: Folder, color: Path, depth: Path, **more: Any) -> Scene:
+def frame(layout: Layout, folder: Folder, color: Path | None, depth: Path, **more: Any) -> Scene:
     """Return the scene of one frame, with the facts of the folder's meta.json; ``more`` are fields of the scene."""
     meta = folder.meta
     number = more.get("name", folder.name).rpartition("/")[2]

@@ -55,6 +55,6 @@ class RgbIrScene(RgbdScene):
         rig = read_color_infrared_rig(self.calibration, (frame.shape[1], frame.shape[0]), (width, height))
         if not isinstance(rig, float):
             return RgbIrFrame(frame.color, infrared, frame.depth, rig)
-        check_same_size(self.infrared, infrared.shape, self.color, frame.shape, "; a rectified pair has one size")
+        check_same_size(self.infrared, infrared.shape, self.image, frame.shape, "; a rectified pair has one size")
         check_fb(self.calibration, rig, frame.depth)
         return RgbIrFrame(frame.color, infrared, frame.depth, None, rig)

@@ -45,7 +45,7 @@ class RgbdScene(Scene):
 
     Attributes
     ----------
-    color, depth : image files
+    color, depth : image files; color is None where there is depth alone
     depth_scale : codes a meter of integer depth files
     rotated : the codes' bits are rotated left by 3 (SUN RGB-D)
     raw : ``depth`` holds raw codes of a first-generation Kinect, in the depth camera's frame
@@ -65,11 +65,11 @@ class RgbdScene(Scene):
 
     options: ClassVar[tuple[Option, ...]] = (
         Option("color", Path, "Color image, instead of --input.", "FILE", group="Input"),
-        Option("depth", Path, "Depth map registered to it.", "FILE", group="Input"),
+        Option("depth", Path, "Depth map, registered to --color if given.", "FILE", group="Input"),
         Option("depth_scale", float, "Codes a meter of the depth files.", "CODES", sets="depth_scale", group="Input"),
     )
 
-    color: Path
+    color: Path | None
     depth: Path
     depth_scale: float = 1000.0
     rotated: bool = False
@@ -90,16 +90,19 @@ class RgbdScene(Scene):
 
     @classmethod
     def single(cls, values: Mapping[str, Any]) -> Self | None:
-        """Return the frame of ``--color`` and ``--depth``."""
-        if not together(values, "color", "depth"):
+        """Return the frame of ``--color`` and ``--depth``, or of the latter alone."""
+        color: Path | None = values.get("color")
+        depth: Path | None = values.get("depth")
+        if depth is None:
+            together(values, "color", "depth")
             return None
-        color, depth = values["color"], values["depth"]
-        return cls(name=name_of(color, _GENERIC_NAMES), folder=color.parent, color=color, depth=depth)
+        image = color or depth
+        return cls(name=name_of(image, _GENERIC_NAMES), folder=image.parent, color=color, depth=depth)
 
     @property
     def input_files(self) -> dict[str, Path]:
         """``color``, ``depth`` and what is known of the cameras."""
-        files = {"color": self.color, "depth": self.depth}
+        files = {"depth": self.depth} if self.color is None else {"color": self.color, "depth": self.depth}
         if self.hidden is not None:
             files["hidden"] = self.hidden
         if self.calibration is not None:
@@ -114,42 +117,61 @@ class RgbdScene(Scene):
         """True where the true depth is known."""
         return self.depth_true is not None
 
-    def color_size(self) -> tuple[int, int]:
-        """Return (height, width) of the color image by its header alone; InputError where it cannot be read."""
+    def frame_size(self) -> tuple[int, int]:
+        """Return (height, width) of the frame by an image's header alone; InputError where it cannot be read."""
         from depthcli.data.formats.headers import image_size
 
-        size = image_size(self.color)
+        size = image_size(self.image)
         return size.height, size.width
 
     def load(self) -> RgbdFrame:
-        """Return color and depth of one size, depth in meters and registered to the color.
+        """Return color and depth of one size, depth in meters and registered to the color, or depth alone.
 
         Raises
         ------
         InputError
             Files that cannot be used, or without a known depth; sizes that differ while the cameras are not known.
         """
-        import numpy as np
-
         from depthcli.core.cameras.camera import Intrinsics
         from depthcli.core.cameras.kinect import sensor_fb
         from depthcli.core.frames import RgbdFrame
-        from depthcli.data.formats.depth import check_fb
 
         self.check()
-        color = self._color()
         intrinsics = None if self.intrinsics is None else Intrinsics(*self.intrinsics)
         interpolated = False
+        if self.color is None:
+            intrinsics = intrinsics or (None if self.depth_intrinsics is None else Intrinsics(*self.depth_intrinsics))
+            depth = self._without_hidden(self._depth(self.depth))
+            frame = RgbdFrame.without_color(depth, self.fb or sensor_fb(intrinsics), intrinsics)
+            return self._checked(frame)
+        color = self._color(self.color)
         if self.raw:
             color, depth, intrinsics = self._registered_raw(color)
         else:
             depth, interpolated = self._registered(color, intrinsics)
-        if not np.isfinite(depth).any():
+        frame = RgbdFrame(color, depth, self.fb or sensor_fb(intrinsics), intrinsics, interpolated, self._pose())
+        return self._checked(frame)
+
+    def _pose(self) -> NDArray[np.float64] | None:
+        import numpy as np
+
+        return None if self.pose is None else np.array(self.pose).reshape(4, 4)
+
+    def _checked(self, frame: RgbdFrame) -> RgbdFrame:
+        import numpy as np
+
+        from depthcli.data.formats.depth import check_fb
+
+        if not np.isfinite(frame.depth).any():
             raise InputError(f"{self.depth}: no pixel has a depth")
         if self.fb:
-            check_fb(self.folder / "meta.json", self.fb, depth)
-        pose = None if self.pose is None else np.array(self.pose).reshape(4, 4)
-        return RgbdFrame(color, depth, self.fb or sensor_fb(intrinsics), intrinsics, interpolated, pose)
+            check_fb(self.folder / "meta.json", self.fb, frame.depth)
+        return frame
+
+    @property
+    def image(self) -> Path:
+        """The image whose size the frame has: the color image, or else the depth map."""
+        return self.color or self.depth
 
     def load_sparse(self) -> SparseFrame:
         """Return the frame with its second, sparse depth.
@@ -165,6 +187,8 @@ class RgbdScene(Scene):
         from depthcli.data.formats.disparity import read_plane
 
         frame = self.load()
+        if self.color is None:
+            raise InputError(f"{self.depth}: no color image beside it, which transparent objects need")
         if self.sparse is None:
             raise InputError(f"{self.folder}: {self.name} has no sparse depth (sparse.*)")
         sparse, confidence = self._depth(self.sparse), None
@@ -174,7 +198,7 @@ class RgbdScene(Scene):
             confidence = (plane / top).astype(np.float32)
         for file, values in ((self.sparse, sparse), (self.sparse_confidence, confidence)):
             if file is not None and values is not None:
-                check_same_size(file, values.shape, self.color, frame.shape)
+                check_same_size(file, values.shape, self.image, frame.shape)
         if not np.isfinite(sparse).any():
             raise InputError(f"{self.sparse}: no pixel has a depth")
         return SparseFrame(
@@ -205,11 +229,11 @@ class RgbdScene(Scene):
             check_fb(self.folder / "meta.json", self.fb, depth)
         return RgbdTruth(depth, masks, self.fb)
 
-    def _color(self) -> NDArray[np.uint8]:
+    def _color(self, path: Path) -> NDArray[np.uint8]:
         from depthcli.core.frames import color8
         from depthcli.data.formats.images import read_image
 
-        return color8(read_image(self.color))
+        return color8(read_image(path))
 
     def _depth(self, path: Path) -> NDArray[np.float32]:
         from depthcli.data.formats.depth import MILLIMETERS, read_depth

@@ -5,19 +5,21 @@ standard deviation. Start at ``pipeline``: one file per pipeline, its steps in o
 sensor's disparity, in pixels, which is proportional to inverse depth; ``disparity`` has what they begin and end with:
 the measured disparity, its noise, the way back to depth.
 
-A sensor shows near surfaces too wide and throws *shadows*, gaps on the far side of a step (``shadows``).
+A sensor shows near surfaces too wide and throws *shadows*, gaps on the far side of a step. Where they lie and how wide
+they are is measured in each frame (``shadows``); without a color image nothing is said of outlines.
 
 | pipeline | steps, in order (module: decision) |
 |---|---|
 | ``plane_votes``, the most accurate | 1. ``correct_probability`` and ``hidden_openings``: which measurements are \
-correct. 2. Planes through windows of these (``algorithms.plane_fitting.window_planes``). 3. ``shadows``: which \
-surfaces a gap allows. 4. ``candidates`` for the other pixels, by votes of the planes. 5. ``candidate_choice``: which \
-candidate |
-| ``dsrm``, of the thesis (depth-guided segments, robust model) | 1. ``depth_edges``: which measurements are \
+correct. 2. Planes through windows of these (``algorithms.plane_fitting.window_planes``). 3. ``shadow_limits`` and \
+``gap_filling``: which surfaces a gap allows, and the likeliest one. 4. ``candidates`` for the other pixels, by \
+votes of the planes. 5. ``candidate_choice``: which candidate |
+| ``dsrm``, of the thesis (depth-guided segments, robust model) | 1. ``correct_probability``: which measurements are \
 unreliable. 2. Segments, from fine to coarse (``algorithms.segmentation``). 3. ``model``: a surface for each segment. \
-4. ``segment_surfaces``: which neighbor a segment without one joins, and the detail that surfaces leave out. 5. \
-``layers``: median of the segmentations, and which measurements it replaces |
+4. ``segment_surfaces``: which neighbor a segment without one joins, and the detail that surfaces leave out. \
+5. ``layers``: median of the segmentations, and which measurements it replaces. 6. ``gap_filling`` along paths |
 | ``sequence`` | as ``dsrm``, but segments and surfaces are carried from frame to frame |
-| ``shadow_smoother``, at video rate | 1. ``depth_edges`` and ``shadows``: confidence of each pixel. 2. Smoothing |
+| ``shadow_smoother``, at video rate | 1. ``depth_edges``, ``shadows`` and ``gap_filling``: a value and its confidence \
+for each pixel. 2. Smoothing |
 | the others | filters of libraries, for comparison |
 """

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.shadows import SLOPE_FADE
+from depthcli.methods.kinect.shadow_limits import SLOPE_FADE
 
 # Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 LEVELS = ((1, 5), (4, 36), (12, 108))
@@ -56,12 +56,15 @@ class ShadowPrior:
     limit, limit_factor : votes for disparities above ``limit``, pixels, are multiplied by ``limit_factor``
     background, extra_share : disparity of the surface behind a shadow, pixels, NaN = none, which gets in addition
         the share ``extra_share`` of all votes
+    path, path_share : the same for the surface at the start of the cheapest path into a gap
     """
 
     limit: NDArray[np.float32]
     limit_factor: NDArray[np.float32]
     background: NDArray[np.float32]
     extra_share: NDArray[np.float32]
+    path: NDArray[np.float32]
+    path_share: NDArray[np.float32]
 
 
 def color_similarity(sigma: float) -> NDArray[np.float32]:
@@ -114,6 +117,7 @@ def cast_votes(
     _vote(
         pixels, scale, lab, tuple(v.planes for v in voters), tuple(v.lab for v in voters),
         tuple(v.weight for v in voters), prior.limit, prior.limit_factor, prior.background, prior.extra_share,
+        prior.path, prior.path_share,
         color_similarity(sigma_color), space, np.float32(low), np.float32(unit), bins, values, shares,
     )  # fmt: skip
     return values, shares
@@ -158,8 +162,8 @@ def _gather(  # type: ignore[no-untyped-def]
 
 @parallel_jit
 def _vote(  # type: ignore[no-untyped-def]
-    pixels, scale, lab, planes, colors, weight, limit, limit_factor, background, extra_share, similarity, space, low,
-    unit, bins, values, shares,
+    pixels, scale, lab, planes, colors, weight, limit, limit_factor, background, extra_share, path, path_share,
+    similarity, space, low, unit, bins, values, shares,
 ):  # fmt: skip
     for block in prange((len(pixels) + 255) // 256):
         votes = np.zeros((bins, 2), np.float32)  # mass, and mass x value
@@ -181,12 +185,15 @@ def _vote(  # type: ignore[no-untyped-def]
             total = np.float32(0)
             for k in range(extent[0], extent[1] + 1):
                 total += votes[k, 0]
-            if not np.isnan(background[y, x]):
-                k = int((background[y, x] - low) * per_unit)
+            cast = total
+            for d, share in ((background[y, x], extra_share[y, x]), (path[y, x], path_share[y, x])):
+                if np.isnan(d):
+                    continue
+                k = int((d - low) * per_unit)
                 if 1 <= k < bins - 1:
-                    w = max(extra_share[y, x] * total, np.float32(1e-9))
+                    w = max(share * cast, np.float32(1e-9))
                     votes[k, 0] += w
-                    votes[k, 1] += w * background[y, x]
+                    votes[k, 1] += w * d
                     total += w
                     extent[0] = min(extent[0], k)
                     extent[1] = max(extent[1], k)

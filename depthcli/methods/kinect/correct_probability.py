@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE
+from depthcli.methods.kinect.shadows import WIDTH_TOLERANCE, Shadows
 
 # Values that the preset refine-kinect accurate was published with; nothing in the repository varies them.
 MIN_OFFSET, MAX_OFFSET = -6, 14
@@ -28,7 +28,9 @@ _MIXED_PIXEL_SHARE = 0.75  # of the pixels on an outline that belong to the near
 _MIN_RUN_PROBABILITY = 0.6  # largest probability in a run of pixels nearer than the pixels beside it is at least this
 
 
-def correct_probability(lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float) -> NDArray[np.float32]:
+def correct_probability(
+    lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float, shadows: Shadows
+) -> NDArray[np.float32]:
     """Compute the probability that a measured value belongs to the surface that the color image shows there.
 
     Parameters
@@ -36,20 +38,21 @@ def correct_probability(lab: NDArray[np.uint8], disparity: NDArray[np.float32], 
     lab : (H, W, 3) uint8, CIE Lab as OpenCV scales it
     disparity : (H, W) float32, pixels, NaN = unknown
     jump : a larger step between consecutive known pixels of a row or column is a depth edge, pixels
+    shadows : of :func:`depthcli.methods.kinect.shadows.measure_shadows`
 
     Returns
     -------
     (H, W) float32 in [0, 1]; 1 far from all edges, and where nothing was measured
     """
-    across = _along_rows(lab, disparity, jump, _GAP_EDGE_PROBABILITY)
+    across = _along_rows(lab, disparity, jump, _GAP_EDGE_PROBABILITY, shadows)
     upright = np.ascontiguousarray(lab.transpose(1, 0, 2)), np.ascontiguousarray(disparity.T)
     # No sensor's shadows run along columns: a gap there says nothing of surfaces behind its rims.
-    result: NDArray[np.float32] = across * _along_rows(*upright, jump, 0.0).T
+    result: NDArray[np.float32] = across * _along_rows(*upright, jump, 0.0, Shadows()).T
     return result
 
 
 def _along_rows(
-    lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float, gap_probability: float
+    lab: NDArray[np.uint8], disparity: NDArray[np.float32], jump: float, gap_probability: float, shadows: Shadows
 ) -> NDArray[np.float32]:
     offsets = outline_offsets(lab, disparity, jump)
     # The pixel on the outline mixes both colors and has half of the contrast on its inner side: it still belongs to
@@ -59,7 +62,9 @@ def _along_rows(
     inside = inside.astype(np.float32)
     # Probability that a measurement is wrong, by its distance from the edge: on the near side, on the far side.
     near, far = np.float32(1) - inside[:, -MIN_OFFSET:], np.ascontiguousarray(inside[:, -MIN_OFFSET::-1])
-    _probability(disparity, np.float32(jump), near, far, np.float32(gap_probability), result)
+    widths = np.array([(side.scale, side.covered) for side in (shadows.left, shadows.right)], np.float32)
+    shadowed = np.array([side.confidence > 0 for side in (shadows.left, shadows.right)])
+    _probability(disparity, np.float32(jump), near, far, np.float32(gap_probability), widths, shadowed, result)
     return result
 
 
@@ -123,7 +128,7 @@ def _contrast_profiles(lab, disparity, jump, sums, counts):  # type: ignore[no-u
 
 
 @parallel_jit
-def _probability(disparity, jump, near, far, gap_probability, out):  # type: ignore[no-untyped-def]
+def _probability(disparity, jump, near, far, gap_probability, widths, shadowed, out):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     for y in prange(height):
         d, q = disparity[y], out[y]
@@ -135,12 +140,14 @@ def _probability(disparity, jump, near, far, gap_probability, out):  # type: ign
             gap = x - last - 1
             if last >= 0 and _is_edge(d, last, x, jump):
                 step = d[x] - d[last]
+                side = 0 if step > 0 else 1
+                shadow = (np.float32(gap) + widths[side, 1]) / widths[side, 0]
+                fits = gap <= 2 or (shadowed[side] and shadow <= abs(step) + np.float32(WIDTH_TOLERANCE))
+                probability = np.float32(1 if fits else _WIDE_GAP_PROBABILITY)
                 if step > 0:
-                    probability = np.float32(1 if gap <= step + WIDTH_TOLERANCE else _WIDE_GAP_PROBABILITY)
                     _lower(d, q, x, 1, 0, jump, near[0], probability)
                     _lower(d, q, last, -1, gap + 1, jump, far[0], probability)
                 else:
-                    probability = np.float32(1 if gap <= 2 else _WIDE_GAP_PROBABILITY)
                     _lower(d, q, last, -1, 0, jump, near[1], probability)
                     _lower(d, q, x, 1, gap + 1, jump, far[1], probability)
             elif gap > 1:

@@ -13,6 +13,7 @@ from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import Clock, RefinedDepth
 
 _NOISE_SAMPLES = 60_000  # second differences along either axis: as many give the median within a percent
+_NOISE_REACH = 3  # pixels between values of a second difference: noise that neighbors share shows there
 _MAX_NOISE = 3.0  # standard deviations: a measurement that moves by more was wrong, not noisy
 _MIN_RELATIVE_DISPARITY = np.float32(1e-3)  # of a value, over the smallest measured disparity; below it is none
 
@@ -39,9 +40,15 @@ def noise_level(disparity: NDArray[np.float32], floor: float = 0.1) -> float:
     """
     every = max(1, disparity.size // _NOISE_SAMPLES)
     lines = disparity[::every], disparity[:, ::every].T
-    bends, steps = (np.concatenate([np.abs(np.diff(a, n)).ravel() for a in lines]) for n in (2, 1))
-    bend, step = bends[~np.isnan(bends)], steps[steps > 0]
-    middle = float(np.median(bend)) if bend.size else 0.0
+    near, wide = (
+        np.concatenate([np.abs(a[:, 2 * k :] - 2 * a[:, k:-k] + a[:, : -2 * k]).ravel() for a in lines])
+        for k in (1, _NOISE_REACH)
+    )
+    steps = np.concatenate([np.abs(np.diff(a)).ravel() for a in lines])
+    step = steps[steps > 0]
+    middle = float(np.median(near[~np.isnan(near)]) if not np.isnan(near).all() else 0)
+    if not np.isnan(wide).all():
+        middle = max(middle, float(np.median(wide[~np.isnan(wide)])))
     rounded = float(np.median(step)) / 12**0.5 if step.size and middle == 0 else 0.0
     return max(MAD_TO_SIGMA * middle / 6**0.5, rounded, floor)
 

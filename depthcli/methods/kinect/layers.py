@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +14,15 @@ from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthMap, DepthStatus
 from depthcli.core.result import RefinedDepth
 from depthcli.kernels.jit import jit, parallel_jit, prange
-from depthcli.methods.kinect.depth_edges import edge_distance
+from depthcli.methods.kinect.correct_probability import correct_probability
 from depthcli.methods.kinect.disparity import deviation_of_depth, measured_disparity, noise_level
+from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 from depthcli.methods.kinect.model import SurfaceModel
 from depthcli.methods.kinect.segment_surfaces import add_detail, join_segments
-from depthcli.methods.kinect.shadows import max_disparity_in_gaps
+from depthcli.methods.kinect.shadow_limits import max_disparity_in_gaps
+from depthcli.methods.kinect.shadows import Shadows, Side, shadows_of
 
-CORE_DISTANCE = 6
-"""Distance from a depth edge above which an unreliable pixel is probably correct, pixels; thin objects have no others.
-
-Value of the shipped presets; nothing in the repository varies it."""
+_CORE_PROBABILITY = 0.6  # of an unreliable pixel that is more probably correct than its neighbors: of thin objects
 _MIN_CORE_PIXELS = 5  # of a segment, for a surface to be fitted to them; value of the shipped presets, not varied
 
 _KEPT, _FILLED, _CORRECTED = int(DepthStatus.KEPT), int(DepthStatus.GAP_FILLED), int(DepthStatus.CORRECTED)
@@ -38,9 +37,10 @@ class Measurement:
     ----------
     disparity : (H, W) float32, pixels, NaN = unknown
     reliable : (H, W) float32, the same without unreliable pixels
-    core : (H, W) bool, unreliable pixels more than ``CORE_DISTANCE`` inside the near side of a depth edge
+    core : (H, W) bool, the more probable ones of the unreliable pixels; thin objects have no others
     limit : (H, W) float32, largest disparity that fits the gap, inf where the gap is no shadow
     noise : standard deviation of the disparity, pixels
+    shadows : of the frame
     """
 
     disparity: NDArray[np.float32]
@@ -48,17 +48,26 @@ class Measurement:
     core: NDArray[np.bool_]
     limit: NDArray[np.float32]
     noise: float
+    shadows: Shadows = field(default_factory=Shadows)
 
     @classmethod
     def of(
-        cls, frame: RgbdFrame, jump: float, row_band: int, column_band: int, noise: float | None = None
+        cls,
+        frame: RgbdFrame,
+        lab: NDArray[np.uint8],
+        jump: float,
+        min_probability: float,
+        where: bool | Side,
+        noise: float | None = None,
     ) -> Measurement:
         """Classify the pixels of a frame.
 
         Parameters
         ----------
+        lab : (H, W, 3) uint8, CIE Lab as OpenCV scales it
         jump : larger steps are depth edges, multiples of the noise
-        row_band, column_band : unreliable pixels lie at most so many pixels into the near side of an edge; 0: none
+        min_probability : measurements that are correct with less probability are unreliable; 0: none
+        where : shadows lie, see :func:`depthcli.methods.kinect.shadows.shadows_of`
         noise : pixels; None: estimated
 
         Raises
@@ -68,14 +77,20 @@ class Measurement:
         """
         disparity = measured_disparity(frame)
         noise = noise_level(disparity) if noise is None else noise
-        distance = edge_distance(disparity, jump * noise)
-        unreliable = distance.inside(row_band, column_band)
+        step = jump * noise
+        shadows = shadows_of(disparity, step, where)
+        unreliable = core = np.zeros(disparity.shape, bool)
+        if min_probability and frame.has_color:  # without colors nothing shows true outlines
+            probability = correct_probability(lab, disparity, step, shadows)
+            unreliable = ~np.isnan(disparity) & (probability < min_probability)
+            core = unreliable & (probability > _CORE_PROBABILITY)
         return cls(
             disparity=disparity,
             reliable=np.where(unreliable, np.float32(np.nan), disparity),
-            core=unreliable & (distance.row > CORE_DISTANCE) & (distance.column > 1),
-            limit=max_disparity_in_gaps(disparity, jump * noise),
+            core=core,
+            limit=max_disparity_in_gaps(disparity, step, shadows.likely()),
             noise=noise,
+            shadows=shadows,
         )
 
 
@@ -152,6 +167,18 @@ class RefinedDisparity:
     disparity: NDArray[np.float32]
     scale: NDArray[np.float32]
     status: NDArray[np.uint8]
+
+    def joined(self, lab: NDArray[np.uint8], layers: list[Layer], measurement: Measurement) -> RefinedDisparity:
+        """Fill gaps along paths from known pixels; what differs from the layers' own value there is that uncertain."""
+        known = ~np.isnan(measurement.disparity)
+        values = np.where(known, self.disparity, np.float32(np.nan))
+        cost = np.where(np.isnan(measurement.reliable), np.float32(UNRELIABLE_COST), np.float32(0))
+        segments = np.stack([layer.labels for layer in layers])
+        filled, inside = fill_gaps(values, lab, segments, measurement.limit, cost, measurement.noise)
+        off = np.abs(filled - self.disparity)
+        scale = np.fmax(np.fmax(self.scale, off), np.float32(measurement.noise))
+        status = np.where(inside, np.uint8(_FILLED), np.uint8(_FALLBACK))
+        return RefinedDisparity(filled, np.where(known, self.scale, scale), np.where(known, self.status, status))
 
     def filled(self, frame: RgbdFrame, noise: float) -> RefinedDisparity:
         """Fill pixels that no surface reaches by a joint bilateral filter; their scale is ``noise``, pixels."""

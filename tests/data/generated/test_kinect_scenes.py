@@ -7,12 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
+from depthcli.data.generated.arrays.depth_sensor import simulate_kinect
 from depthcli.data.generated.arrays.kinect_scenes import (
     SCENE_KINDS,
     SEQUENCE_KINDS,
     make_kinect_scene,
     make_kinect_sequence,
-    simulate_kinect,
 )
 
 GREY = np.full((60, 120, 3), 128, np.uint8)

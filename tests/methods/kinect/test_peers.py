@@ -10,7 +10,8 @@ from depthcli.algorithms.joint_bilateral import joint_bilateral_fill
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence, simulate_kinect
+from depthcli.data.generated.arrays.depth_sensor import simulate_kinect
+from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence
 from depthcli.methods.kinect.disparity import nearest_fill
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother, weighted_smoothing
 from depthcli.methods.kinect.pipeline.guided import Guided
@@ -19,7 +20,8 @@ from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
 from depthcli.methods.kinect.pipeline.realsense import Realsense
 from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
-from depthcli.methods.kinect.shadows import shadow_background
+from depthcli.methods.kinect.shadow_limits import shadow_background
+from depthcli.methods.kinect.shadows import Shadow, Shadows
 
 METHODS = [
     FastGlobalSmoother(), Guided(), Inpaint(), Inpaint(algorithm="navier-stokes"), JointBilateralFill(), NearestFill(),
@@ -158,7 +160,8 @@ def test_background_of_a_shadow_is_the_value_on_its_left():
     truth[:, 40:60] = 20
     sample = simulate_kinect(np.zeros((9, 90, 3), np.uint8), truth, 0, noise=0.0, discs=0)
     level = np.zeros_like(sample.disparity)
-    background, _ = shadow_background(sample.disparity, WindowPlanes(sample.disparity, level, level, level), 1.0, 0.0)
+    planes = WindowPlanes(sample.disparity, level, level, level)
+    background, _ = shadow_background(sample.disparity, planes, 1.0, Shadows(Shadow(1.0)))
     np.testing.assert_array_equal(background[sample.occluded], 10)
 
 

@@ -10,14 +10,16 @@ import pytest
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
-from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, simulate_kinect
+from depthcli.data.generated.arrays.depth_sensor import simulate_kinect
+from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene
 from depthcli.methods.kinect.candidates import LEVELS, ShadowPrior, Voters, cast_votes
 from depthcli.methods.kinect.correct_probability import MIN_OFFSET, correct_probability, outline_offsets
 from depthcli.methods.kinect.hidden_openings import hidden_openings
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
 from depthcli.methods.kinect.pipeline.joint_bilateral import JointBilateralFill
 from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
-from depthcli.methods.kinect.shadows import shadow_background, shadow_confidence, shadow_limits
+from depthcli.methods.kinect.shadow_limits import shadow_background, shadow_limits
+from depthcli.methods.kinect.shadows import Shadow, Shadows, measure_shadows
 from tests.naive import kinect_votes as naive
 
 
@@ -82,7 +84,10 @@ def test_votes_agree_with_the_reference():
     voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
     sigma = np.full(shape, 2 * 1.1**24, np.float32)  # one of those that there are tables for
     pixels = np.argwhere(rng.random(shape) < 0.01).astype(np.int32)
-    values, shares = cast_votes(pixels, lab, voters, ShadowPrior(limit, beyond, rim, bonus), 0.3, 4, 40.0, sigma)
+    path = np.full(shape, np.nan, np.float32)
+    path[:, ::2] = 21.7
+    prior = ShadowPrior(limit, beyond, rim, bonus, path, np.full(shape, 0.2, np.float32))
+    values, shares = cast_votes(pixels, lab, voters, prior, 0.3, 4, 40.0, sigma)
     voting = planes.value[(trust > 0) & ~np.isnan(planes.value)]
     unit = 0.3 * 5 / 3
     low = float(voting.min()) - 8 * unit
@@ -91,11 +96,12 @@ def test_votes_agree_with_the_reference():
     for n, pixel in enumerate(pixels):
         parts = (planes.value, planes.slope_x, planes.slope_y)
         mass, moment = naive.histogram(pixel, lab, parts, trust, limit, beyond, low, unit, bins, 40.0, 2 * 1.1**24)
-        if not np.isnan(rim[tuple(pixel)]):
-            k = int((rim[tuple(pixel)] - low) / unit)
-            extra = 0.3 * mass.sum()
-            mass[k] += extra
-            moment[k] += extra * rim[tuple(pixel)]
+        cast = mass.sum()
+        for value, share in ((rim[tuple(pixel)], 0.3), (path[tuple(pixel)], 0.2)):
+            if not np.isnan(value):
+                k = int((value - low) / unit)
+                mass[k] += share * cast
+                moment[k] += share * cast * value
         expected = naive.modes(mass, moment, 4)
         mine = [(v, s) for v, s in zip(values[n], shares[n], strict=True) if not np.isnan(v)]
         agree += len(mine) == len(expected) and np.allclose(mine, expected, atol=0.02)
@@ -112,7 +118,7 @@ def test_without_voters_there_are_no_candidates():
         np.array([[0, 0]], np.int32),
         lab,
         voters,
-        ShadowPrior(nothing, nothing, nothing, nothing),
+        ShadowPrior(*[nothing] * 6),
         0.3,
         3,
         9.0,
@@ -135,7 +141,7 @@ def test_outline_offsets_are_the_simulated_fattening(fattening):
 @pytest.mark.slow
 def test_correct_probability_separates_right_from_wrong_measurements():
     sample = sample_of(size=(400, 300))
-    right = correct_probability(lab_of(sample.color), sample.disparity, 1.5)
+    right = correct_probability(lab_of(sample.color), sample.disparity, 1.5, measure_shadows(sample.disparity, 1.5))
     known = sample.measured | sample.mismatch
     assert sample.mismatch[known & (right < 0.2)].mean() > 0.75
     assert sample.mismatch[known & (right > 0.9)].mean() < 0.05
@@ -144,15 +150,39 @@ def test_correct_probability_separates_right_from_wrong_measurements():
 def test_a_frame_without_edges_or_without_depth_has_no_unreliable_pixels():
     lab = np.full((20, 60, 3), 100, np.uint8)
     flat = np.full((20, 60), 12, np.float32)
-    assert (correct_probability(lab, flat, 1.0) == 1).all()
-    assert (correct_probability(lab, np.full_like(flat, np.nan), 1.0) == 1).all()
-    assert shadow_confidence(flat, 1.0) == 0
+    assert (correct_probability(lab, flat, 1.0, Shadows()) == 1).all()
+    assert (correct_probability(lab, np.full_like(flat, np.nan), 1.0, Shadows()) == 1).all()
+    assert measure_shadows(flat, 1.0) == Shadows()
+    assert measure_shadows(np.full_like(flat, np.nan), 1.0) == Shadows()
 
 
-def test_simulated_shadows_have_high_confidence_and_mirrored_ones_none():
+def test_shadows_are_measured_on_both_sides():
     sample = sample_of(size=(400, 300), discs=0)
-    assert shadow_confidence(sample.disparity, 1.5) > 0.8
-    assert shadow_confidence(np.ascontiguousarray(sample.disparity[:, ::-1]), 1.5) == 0
+    found = measure_shadows(sample.disparity, 1.5)
+    assert found.left.confidence > 0.7 and found.left.scale == 1 and found.left.covered == 0
+    assert found.right.confidence < 0.25
+    mirrored = measure_shadows(np.ascontiguousarray(sample.disparity[:, ::-1]), 1.5)
+    assert (mirrored.right, mirrored.left) == (found.left, found.right)
+
+
+@pytest.mark.parametrize(("baseline", "covered"), [(0.5, False), (0.7, False), (1.4, False), (1.0, True)])
+def test_the_width_of_shadows_is_measured(baseline, covered):
+    sample = sample_of(size=(400, 300), discs=0, baseline=baseline, covered=covered)
+    shadow = measure_shadows(sample.disparity, 1.5).left
+    assert shadow.confidence > 0.4
+    step = np.median(np.diff(sample.truth)[np.diff(sample.truth) > 2])
+    expected = baseline * step - (4 if covered else 0)
+    assert shadow.scale * step - shadow.covered == pytest.approx(expected, abs=2.0)
+
+
+def test_holes_are_more_probable_the_more_gaps_are_no_shadows():
+    sample = sample_of(size=(400, 300), discs=0)
+    holed = sample.disparity.copy()
+    for y in range(10, 280, 40):
+        for x in range(10, 380, 45):
+            holed[y : y + 25, x : x + 30] = np.nan
+    assert measure_shadows(sample.disparity, 1.5).p_hole < 0.2
+    assert measure_shadows(holed, 1.5).p_hole > 0.7
 
 
 def test_limits_and_rims_of_shadows():
@@ -160,8 +190,8 @@ def test_limits_and_rims_of_shadows():
     truth[:, 60:90] = 22.0
     sample = simulate_kinect(np.full((30, 120, 3), 90, np.uint8), truth, 0, noise=0.0, discs=0)
     planes = window_planes(sample.disparity, np.ones_like(truth), 0.1)
-    limit, beyond = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, 1.0)
-    rim, bonus = shadow_background(sample.disparity, planes, 1.0, 1.0)
+    limit, beyond = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, Shadows(Shadow(1.0)))
+    rim, bonus = shadow_background(sample.disparity, planes, 1.0, Shadows(Shadow(1.0)))
     found = list(naive.shadows(sample.disparity, 1.0))
     assert len(found) == 30 and all(is_shadow for *_, is_shadow in found)
     for y, first, end, _ in found:
@@ -170,8 +200,26 @@ def test_limits_and_rims_of_shadows():
         assert (bonus[y, first:end] > 0.5).all() and (beyond[y, first:end] < 0.05).all()
     gaps = np.isnan(sample.disparity)
     assert np.isinf(limit[~gaps]).all() and (beyond[~gaps] == 1).all()
-    unconfident = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, 0.0)[1]
+    unconfident = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, Shadows())[1]
     assert (unconfident == 1).all()
+    mirrored = [np.ascontiguousarray(m[:, ::-1]) for m in (lab_of(sample.color), sample.disparity)]
+    right = Shadows(right=Shadow(1.0))
+    turned = window_planes(mirrored[1], np.ones_like(truth), 0.1)
+    np.testing.assert_allclose(shadow_limits(*mirrored, turned, 1.0, 0.3, right)[0][:, ::-1], limit, rtol=1e-5)
+    np.testing.assert_allclose(shadow_background(mirrored[1], turned, 1.0, right)[0][:, ::-1], rim, atol=1e-4)
+
+
+def test_shadows_of_another_baseline_have_other_limits():
+    truth = np.full((30, 160), 10.0, np.float32)
+    truth[:, 90:130] = 22.0
+    sample = simulate_kinect(np.full((30, 160, 3), 90, np.uint8), truth, 0, noise=0.0, discs=0, baseline=2.0)
+    planes = window_planes(sample.disparity, np.ones_like(truth), 0.1)
+    shadows = Shadows(Shadow(1.0, scale=2.0))
+    limit, factor = shadow_limits(lab_of(sample.color), sample.disparity, planes, 1.0, 0.3, shadows)
+    gap = np.isnan(sample.disparity[15])
+    assert gap.sum() == 24
+    np.testing.assert_allclose(limit[15, gap], 22 - np.arange(24, 0, -1) / 2 + 0.3, rtol=1e-5)
+    assert (factor[15, gap] < 0.05).all()
 
 
 def test_an_opening_closed_by_the_sensor_is_found_by_its_color():

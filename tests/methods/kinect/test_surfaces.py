@@ -8,7 +8,8 @@ import pytest
 from depthcli.algorithms.plane_fitting.polynomials import Surfaces
 from depthcli.methods.kinect.model.polynomial import Polynomial
 from depthcli.methods.kinect.segment_surfaces import add_detail, join_segments
-from depthcli.methods.kinect.shadows import max_disparity_in_gaps
+from depthcli.methods.kinect.shadow_limits import max_disparity_in_gaps
+from depthcli.methods.kinect.shadows import Shadow, Shadows
 from tests.algorithms.test_statistical_region_merging import blocks
 from tests.naive import kinect as naive
 
@@ -35,8 +36,14 @@ def one_segment(values):
 @pytest.mark.parametrize("unknown", [0.0, 0.3, 1.0])
 def test_max_disparity_in_gaps(shape, unknown):
     disparity = noisy(*shape, unknown=unknown)
-    found = max_disparity_in_gaps(disparity, 1.5, 2.5)
-    np.testing.assert_allclose(found, naive.max_disparity_in_gaps(disparity, 1.5, 2.5), rtol=1e-6)
+    for shadow, p_hole in ((Shadow(1.0), 0.0), (Shadow(0.5, scale=0.7, covered=2.0), 0.0), (Shadow(1.0), 0.9)):
+        for right in (False, True):
+            shadows = Shadows(right=shadow, p_hole=p_hole) if right else Shadows(shadow, p_hole=p_hole)
+            turn = np.s_[:, ::-1] if right else np.s_[:, :]
+            found = max_disparity_in_gaps(np.ascontiguousarray(disparity[turn]), 1.5, shadows, 2.5)[turn]
+            expected = naive.max_disparity_in_gaps(disparity, 1.5, 2.5, shadow.scale, shadow.covered, p_hole < 0.5)
+            np.testing.assert_allclose(found, expected, rtol=1e-5)
+    assert np.isinf(max_disparity_in_gaps(disparity, 1.5, Shadows(), 2.5)).all()
 
 
 @pytest.mark.parametrize("seed", range(4))

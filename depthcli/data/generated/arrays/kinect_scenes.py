@@ -1,27 +1,19 @@
-"""What a Kinect-like sensor measures of a scene whose disparity is known, and scenes to show it.
-
-The sensor looks through the color camera's pixels. Its two systematic faults are those of all triangulating
-sensors: surfaces in front look wider than they are, since a matching window that sees both takes the
-better textured or nearer one (mismatch), and the far side of every left edge lies in the projector's shadow (gap).
-"""
+"""Scenes for a Kinect-like sensor, single and in sequences."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from dataclasses import replace
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from depthcli.core.cameras.camera import Intrinsics, typical_intrinsics
-from depthcli.core.cameras.triangulation import depth_of_disparity
-from depthcli.core.frames import RgbdFrame
+from depthcli.core.cameras.camera import typical_intrinsics
 from depthcli.data.generated.arrays import textures
 from depthcli.data.generated.arrays.boards import Canvas, Disparity, moved
 from depthcli.data.generated.arrays.camera_path import Shot, along_boards
+from depthcli.data.generated.arrays.depth_sensor import KinectSample, discs, simulate_kinect
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
-
-Mask = NDArray[np.bool_]
 
 SceneKind = Literal["planes", "foreground", "curved", "camouflage"]
 SCENE_KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
@@ -29,161 +21,6 @@ SequenceKind = Literal["static", "moving", "camera"]
 SEQUENCE_KINDS: tuple[SequenceKind, ...] = get_args(SequenceKind)
 
 _COLOR_NOISE = 2.0  # grey levels, of every frame of a sequence
-
-
-@dataclass(frozen=True)
-class KinectSample:
-    """A simulated frame and what is known about it. Every mask is (H, W) bool and keeps to pixels with known truth.
-
-    Attributes
-    ----------
-    color : (H, W, 3) uint8 RGB
-    disparity : (H, W) float32, what the sensor measured; pixels, NaN = unknown
-    truth : (H, W) float32 true disparity; pixels, NaN = unknown
-    occluded : in the shadow of something nearer, without a measurement
-    specular : in a disc without a measurement, and not in shadow
-    mismatch : measured, but the value of the surface in front
-    measured : measured rightly, up to noise
-    intrinsics : of the camera, or None where it has none
-    pose : (4, 4) float64, from the camera's coordinates to the world's, meters; or None where the camera has none
-    """
-
-    color: NDArray[np.uint8]
-    disparity: Disparity
-    truth: Disparity
-    occluded: Mask
-    specular: Mask
-    mismatch: Mask
-    measured: Mask
-    intrinsics: Intrinsics | None = None
-    pose: NDArray[np.float64] | None = None
-
-    @property
-    def gap(self) -> Mask:
-        """Pixels without a measurement whose truth is known."""
-        return self.occluded | self.specular
-
-    def frame(self, fb: float = RgbdFrame.fb) -> RgbdFrame:
-        """The measurement as a frame in meters; ``fb`` in pixel meters."""
-        return RgbdFrame(self.color, depth_of_disparity(self.disparity, fb), fb, self.intrinsics, pose=self.pose)
-
-    def depth_true(self, fb: float = RgbdFrame.fb) -> NDArray[np.float32]:
-        """(H, W) float32, meters, NaN = unknown."""
-        return depth_of_disparity(self.truth, fb)
-
-
-def simulate_kinect(
-    color: NDArray[np.uint8],
-    truth: NDArray[np.floating[Any]],
-    seed: int = 0,
-    *,
-    fattening: int = 4,
-    noise: float = 0.3,
-    discs: int = 8,
-    disc_radius: tuple[float, float] = (8.0, 22.0),
-    jump: float = 1.0,
-) -> KinectSample:
-    """Return a Kinect-like measurement of a scene.
-
-    At every step of more than ``jump`` between neighbors of a row, the nearer surface's edge value is written over
-    ``fattening`` pixels of the farther one. Then what lies in shadow is taken out: left of every such edge, as many
-    pixels as the disparity jumps (a pixel x whose ``x - d`` is not left of every nearer pixel's on its right), and
-    some random discs. What is left gets Gaussian noise. Where the truth is unknown nothing is measured.
-
-    Parameters
-    ----------
-    color : (H, W, 3) uint8 RGB
-    truth : (H, W) float, pixels of disparity, NaN or infinite = unknown
-    seed : of discs and noise
-    fattening : pixels
-    noise : standard deviation, pixels of disparity
-    discs : how many specular spots
-    disc_radius : smallest and largest radius, pixels
-    jump : pixels of disparity; smaller steps are slopes
-
-    Raises
-    ------
-    ValueError
-        For sizes that differ, nothing known, or negative amounts.
-    """
-    if color.shape[:2] != truth.shape or truth.ndim != 2:
-        raise ValueError(f"color {color.shape} and truth {truth.shape} differ in size")
-    if fattening < 0 or noise < 0 or discs < 0 or jump <= 0 or not 0 <= disc_radius[0] <= disc_radius[1]:
-        raise ValueError("want fattening, noise, discs >= 0, jump > 0 and a range of radii")
-    known = np.isfinite(truth)
-    if not known.any():
-        raise ValueError("no pixel has a true disparity")
-    surface = _behind(np.where(known, truth, np.nan).astype(np.float32))
-    fattened = _fattened(surface, fattening, jump)
-    shadow = _shadow(fattened, jump)
-    rng = np.random.Generator(np.random.PCG64([seed, 0x4B1]))
-    spots = _discs(rng, (truth.shape[0], truth.shape[1]), discs, disc_radius)
-    values = fattened + noise * rng.standard_normal(truth.shape, np.float32)
-    wrong = np.abs(fattened - surface) > jump
-    missing = shadow | spots
-    return KinectSample(
-        color=color,
-        disparity=np.where(known & ~missing, values, np.nan).astype(np.float32),
-        truth=np.where(known, truth, np.nan).astype(np.float32),
-        occluded=known & shadow,
-        specular=known & spots & ~shadow,
-        mismatch=known & wrong & ~missing,
-        measured=known & ~wrong & ~missing,
-    )
-
-
-def _behind(truth: Disparity) -> Disparity:
-    """Unknown runs of each row take the smaller of the values at their ends; rows without any, the row above's."""
-    left, right = truth.copy(), truth.copy()
-    for x in range(1, truth.shape[1]):
-        left[:, x] = np.where(np.isnan(left[:, x]), left[:, x - 1], left[:, x])
-        right[:, -x - 1] = np.where(np.isnan(right[:, -x - 1]), right[:, -x], right[:, -x - 1])
-    filled: Disparity = np.fmin(left, right)
-    empty = np.isnan(filled[:, 0])
-    if empty.any():
-        given = np.flatnonzero(~empty)
-        filled = filled[given[np.abs(np.arange(len(filled))[:, None] - given).argmin(axis=1)]]
-    return filled
-
-
-def _fattened(surface: Disparity, width: int, jump: float) -> Disparity:
-    """Surfaces in front, spread over ``width`` pixels on both sides along the rows."""
-    step = np.diff(surface, axis=1)
-    faces_left, faces_right = np.full_like(surface, -np.inf), np.full_like(surface, -np.inf)
-    faces_left[:, 1:] = np.where(step > jump, surface[:, 1:], -np.inf)
-    faces_right[:, :-1] = np.where(step < -jump, surface[:, :-1], -np.inf)
-    result = surface.copy()
-    for k in range(1, min(width, surface.shape[1] - 1) + 1):
-        np.maximum(result[:, :-k], faces_left[:, k:], out=result[:, :-k])
-        np.maximum(result[:, k:], faces_right[:, :-k], out=result[:, k:])
-    return result
-
-
-def _shadow(fattened: Disparity, jump: float) -> Mask:
-    """Pixels whose projected position ``x - d`` is hidden behind a surface to their right, nearer by over ``jump``."""
-    position = np.arange(fattened.shape[1], dtype=np.float32) - fattened
-    shadow = np.zeros(fattened.shape, bool)
-    front = position[:, -1].copy()
-    front_value = fattened[:, -1].copy()
-    for x in range(fattened.shape[1] - 2, -1, -1):
-        shadow[:, x] = (position[:, x] >= front) & (front_value - fattened[:, x] > jump)
-        ahead = position[:, x] < front
-        front = np.where(ahead, position[:, x], front)
-        front_value = np.where(ahead, fattened[:, x], front_value)
-    return shadow
-
-
-def _discs(rng: np.random.Generator, shape: tuple[int, int], count: int, radius: tuple[float, float]) -> Mask:
-    rows, columns = np.mgrid[: shape[0], : shape[1]]
-    spots = np.zeros(shape, bool)
-    for _ in range(count):
-        y, x, r = rng.uniform(0, shape[0]), rng.uniform(0, shape[1]), rng.uniform(*radius)
-        spots |= (rows - y) ** 2 + (columns - x) ** 2 <= r * r
-    return spots
-
-
-# ---------------------------------------------------------------------------------------------------------
-# Scenes from nothing
 
 
 def make_kinect_scene(
@@ -257,7 +94,7 @@ def make_kinect_sequence(
         raise ValueError(f"want at least one frame, got {frames}")
     rng = np.random.Generator(np.random.PCG64([seed, 0x5E0]))
     shots = _shots(kind, rng, frames, seed, width, height, max_disparity, speed)
-    spots = _discs(rng, (height, width), 8, (8.0, 22.0))
+    spots = discs(rng, (height, width), 8, (8.0, 22.0))
     samples = []
     for color, truth, pose in shots:
         grain = _COLOR_NOISE * rng.standard_normal(color.shape, np.float32)

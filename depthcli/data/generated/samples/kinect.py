@@ -47,11 +47,8 @@ class KinectSampleKind(Sample):
 
     def make(self, values: Mapping[str, Any], scene: SampleScene, folder: Path) -> dict[str, Any]:
         """Write color, measured and true depth, masks and meta.json."""
-        from depthcli.data.generated.arrays.kinect_scenes import (
-            make_kinect_scene,
-            make_kinect_sequence,
-            simulate_kinect,
-        )
+        from depthcli.data.generated.arrays.depth_sensor import simulate_kinect
+        from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene, make_kinect_sequence
 
         scene.check()
         seed, fattening = scene.settings["seed"], values["fattening"]

@@ -20,6 +20,7 @@ from depthcli.methods.kinect.layers import Layer, Measurement, RefinedDisparity,
 from depthcli.methods.kinect.model import Model
 from depthcli.methods.kinect.model.polynomial import Polynomial
 from depthcli.methods.kinect.pipeline import KinectPipeline
+from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side
 
 
 class Dsrm(KinectPipeline):
@@ -37,12 +38,10 @@ class Dsrm(KinectPipeline):
     )
     model: Model = Field(default_factory=Polynomial, description="what is fitted to the inverse depth of a segment")
     jump: float = Field(5.0, gt=0, le=1000, description="a larger step is a depth edge, multiples of the noise")
-    row_band: int = Field(
-        8, ge=0, le=64, description="unreliable pixels along the row on the near side of a depth edge, or beside a gap"
+    min_probability: float = Field(
+        0.8, ge=0, lt=1, description="measurements that are right with less probability are unreliable; 0: none"
     )
-    column_band: int = Field(
-        2, ge=0, le=64, description="unreliable pixels along the column on the near side of a depth edge"
-    )
+    shadows: bool | Side = Field(True, description=SHADOW_SIDES)
     min_known: int = Field(30, ge=1, description="number of known pixels of a segment that a model needs")
     min_share: float = Field(0.05, ge=0, le=1, description="share of a segment that has to be known for a model")
     join: bool = Field(True, description="segments without a model join one that has one; false: bilateral filling")
@@ -67,16 +66,18 @@ class Dsrm(KinectPipeline):
         """Return the result and the state of a sequence: measurement, layers (none ``in_turn``), disparity."""
         clock = Clock()
         clock.start("unreliable")
-        measurement = Measurement.of(frame, self.jump, self.row_band, self.column_band)
+        lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
+        measurement = Measurement.of(frame, lab, self.jump, self.min_probability, self.shadows)
         clock.start("segmentation")
         labels = self.segmentation.layers(frame.color, measurement.reliable)
-        lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
         layers: list[Layer] = []
         if self.combination == "median":
             clock.start("model")
             layers = [self._fit(measurement, layer, lab) for layer in labels]
             clock.start("refinement")
             refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
+            clock.start("gaps")
+            refined = refined.joined(lab, layers, measurement)
         else:
             clock.start("refinement")
             refined = self._in_turn(measurement, labels, lab)
@@ -86,6 +87,7 @@ class Dsrm(KinectPipeline):
         if self.details:
             result.pictures |= {f"segments_{k}": segment_picture(layer) for k, layer in enumerate(labels)}
         result.seconds = clock.seconds
+        result.figures = measurement.shadows.figures()
         return result, measurement, layers, refined.disparity
 
     def _fit(self, measurement: Measurement, labels: NDArray[np.int32], lab: NDArray[np.uint8]) -> Layer:

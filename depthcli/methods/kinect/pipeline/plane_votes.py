@@ -15,9 +15,11 @@ from depthcli.methods.kinect.candidate_choice import AGREEMENT, choose_candidate
 from depthcli.methods.kinect.candidates import LEVELS, ShadowPrior, Voters, cast_votes
 from depthcli.methods.kinect.correct_probability import correct_probability
 from depthcli.methods.kinect.disparity import measured_disparity, nearest_fill, noise_level, refined_depth
+from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 from depthcli.methods.kinect.hidden_openings import hidden_openings
 from depthcli.methods.kinect.pipeline import KinectPipeline
-from depthcli.methods.kinect.shadows import GAP_FACTOR, shadow_background, shadow_confidence, shadow_limits
+from depthcli.methods.kinect.shadow_limits import GAP_FACTOR, shadow_background, shadow_limits
+from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side, shadows_of
 
 
 class PlaneVotes(KinectPipeline):
@@ -47,7 +49,10 @@ class PlaneVotes(KinectPipeline):
         lt=1,
         description="largest probability of measurements where colors show a hidden opening; null: not looked for",
     )
-    shadows: bool = Field(True, description="use that a shadow is as wide as the depth step beside it, in disparity")
+    shadows: bool | Side = Field(True, description=SHADOW_SIDES)
+    path_share: float = Field(
+        0.3, ge=0, le=10, description="votes for the surface at the start of the cheapest path into a gap, share of all"
+    )
     candidates: int = Field(4, ge=1, le=8, description="largest number of candidate surfaces per pixel")
     sigma_color: float = Field(11.0, gt=0, le=500, description="L1 difference in 8-bit Lab over which votes fade")
     sigma_shadow: float = Field(20.0, gt=0, le=30, description="distance over which votes fade in shadows, pixels")
@@ -68,23 +73,32 @@ class PlaneVotes(KinectPipeline):
         lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB), np.uint8)
         noise = noise_level(measured)
         jump = self.jump * noise
-        p_correct = correct_probability(lab, measured, jump)
-        in_shadows = shadow_confidence(measured, jump) if self.shadows else 0.0
+        shadows = shadows_of(measured, jump, self.shadows)
+        p_correct = np.ones_like(measured)
+        if frame.has_color:  # else nothing shows true outlines
+            p_correct = correct_probability(lab, measured, jump, shadows)
+        in_shadows = max(shadows.left.confidence, shadows.right.confidence)
         unreliable = ~known | (p_correct < self.min_probability)
         trust = np.where(known & (p_correct > self.min_vote_probability), p_correct, np.float32(0))
 
         refined = measured
         clock.start("planes")
         planes = window_planes(measured, trust, noise)
-        limit, limit_factor = shadow_limits(lab, measured, planes, jump, 3 * noise, in_shadows)
+        limit, limit_factor = shadow_limits(lab, measured, planes, jump, 3 * noise, shadows)
         distance = cv2.distanceTransform((trust == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
         local = self.sigma_space + self.sigma_growth * distance
         shadowed = np.where(known, in_shadows, np.clip(np.log(limit_factor) / np.log(GAP_FACTOR), 0, 1))
         sigma_space = (local ** (1 - shadowed) * self.sigma_shadow**shadowed).astype(np.float32)
+        clock.start("paths")
+        trusted = np.where(trust > 0, measured, np.float32(np.nan))
+        possible = np.where(limit_factor < 0.1, limit, np.float32(np.inf))
+        cost = np.where(unreliable, np.float32(UNRELIABLE_COST), np.float32(0))
+        path, _ = fill_gaps(trusted, lab, np.empty((0, *measured.shape), np.int32), possible, cost, noise)
+        path_share = np.where(known, np.float32(0), np.float32(self.path_share))
         for step in range(self.passes):
             clock.start("votes")
             voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
-            if step == 0 and self.opening_probability is not None:
+            if step == 0 and frame.has_color and self.opening_probability is not None:
                 clock.start("openings")
                 opened = hidden_openings(lab, planes, voters[1], known & ~unreliable, jump, self.sigma_color)
                 p_correct = np.where(opened, np.minimum(p_correct, np.float32(self.opening_probability)), p_correct)
@@ -94,9 +108,9 @@ class PlaneVotes(KinectPipeline):
             grid = 1 if step == self.passes - 1 else 2
             every = np.s_[::grid, ::grid]
             pixels = np.argwhere(unreliable[every]).astype(np.int32)
-            background, extra_share = shadow_background(measured, planes, jump, in_shadows)
+            background, extra_share = shadow_background(measured, planes, jump, shadows)
             extra_share = np.where(known, extra_share * (1 - p_correct), extra_share).astype(np.float32)
-            prior = ShadowPrior(limit, limit_factor, background, extra_share)
+            prior = ShadowPrior(limit, limit_factor, background, extra_share, path, path_share)
             votes = cast_votes(grid * pixels, lab, voters, prior, noise, self.candidates, self.sigma_color, sigma_space)
             clock.start("choice")
             chosen = np.full_like(measured, np.nan)
@@ -115,7 +129,9 @@ class PlaneVotes(KinectPipeline):
         fallback = np.isnan(planes.value)
         values = nearest_fill(planes.value)
         sigma = np.maximum(planes.scale, np.float32(noise / (2 * RADIUS + 1)))
-        return refined_depth(frame, values, sigma.astype(np.float32), noise, clock, fallback)
+        result = refined_depth(frame, values, sigma.astype(np.float32), noise, clock, fallback)
+        result.figures = shadows.figures()
+        return result
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
         """Estimate as for a frame of unreliable pixels only: candidates, messages and weights."""

@@ -88,7 +88,8 @@ class Sequence(SequencePipeline, Dsrm):
             )
         clock = Clock()
         clock.start("unreliable")
-        measurement = Measurement.of(frame, self.jump, self.row_band, self.column_band, state.noise)
+        lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
+        measurement = Measurement.of(frame, lab, self.jump, self.min_probability, self.shadows, state.noise)
         clock.start("motion")
         motion, view, still = self.followed(frame, measurement, state)
         clock.start("model")
@@ -107,6 +108,7 @@ class Sequence(SequencePipeline, Dsrm):
             layers.append(Layer(labels, surfaces, own))
         clock.start("refinement")
         refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
+        refined = refined.joined(lab, layers, measurement)
         _blend(
             refined.disparity, refined.scale, refined.status, previous, still,
             np.float32(self.drift * state.noise),
@@ -115,6 +117,7 @@ class Sequence(SequencePipeline, Dsrm):
         clock.start("result")
         result = refined.to_depth(frame)
         result.seconds, result.words["motion"] = clock.seconds, motion
+        result.figures = measurement.shadows.figures()
         return result, SequenceState(
             tuple(layers), frame.color, refined.disparity, state.noise, state.age + 1, frame.pose
         )

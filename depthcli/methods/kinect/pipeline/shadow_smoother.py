@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes
@@ -12,21 +14,23 @@ from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.kinect.depth_edges import edge_distance
 from depthcli.methods.kinect.disparity import measured_disparity, noise_level, refined_depth
+from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 from depthcli.methods.kinect.pipeline import KinectPipeline
 from depthcli.methods.kinect.pipeline.fast_global_smoother import weighted_smoothing
-from depthcli.methods.kinect.shadows import shadow_background, shadow_confidence
+from depthcli.methods.kinect.shadow_limits import shadow_background
+from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side, shadows_of
 
 
 class ShadowSmoother(KinectPipeline):
-    """``FGS(c d) / FGS(c)`` with low confidence on the near side of depth edges, and shadows filled from their left.
+    """``FGS(c d) / FGS(c)`` with low confidence on the near side of depth edges, and gaps filled before.
 
-    Wrong measurements lie on the near side of depth edges, and a shadow falls on the surface on its left. In frames
-    whose gaps are not as wide as shadows it is a plain smoother.
+    Wrong measurements lie on the near side of depth edges. A shadow falls on the far surface beside it; other gaps
+    begin with the value at the start of the cheapest path into them (``kinect.gap_filling``).
     """
 
     bytes_per_pixel: ClassVar[int] = 100
 
-    smoothness: float = Field(60.0, gt=0, description="lambda of the smoother")
+    smoothness: float = Field(40.0, gt=0, description="lambda of the smoother")
     sigma_color: float = Field(4.0, gt=0, description="contrast that stops the smoothing, grey levels")
     row_band: int = Field(
         8, ge=0, le=64, description="unreliable pixels along the row on the near side of a depth edge"
@@ -38,6 +42,8 @@ class ShadowSmoother(KinectPipeline):
         0.003, ge=0, le=1, description="confidence of the unreliable pixels beside depth edges"
     )
     shadow_confidence: float = Field(0.5, ge=0, le=1, description="confidence of values that continue into a shadow")
+    shadows: bool | Side = Field(True, description=SHADOW_SIDES)
+    gap_confidence: float = Field(0.5, ge=0, le=1, description="confidence of values that continue into other gaps")
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
     max_change: float = Field(2.0, ge=0, description="largest change of a reliable measurement, multiples of the noise")
 
@@ -49,18 +55,38 @@ class ShadowSmoother(KinectPipeline):
         jump = self.jump * noise
         known = ~np.isnan(measured)
         confidence = known.astype(np.float32)
-        band = edge_distance(measured, jump).inside(self.row_band, self.column_band)
+        shadows = shadows_of(measured, jump, self.shadows).likely()
+        # Where most gaps are holes, a wide one says nothing of surfaces that have grown over it.
+        tolerance = 2.5 if shadows.p_hole < 0.5 else np.inf
+        band = np.zeros(measured.shape, bool)
+        if frame.has_color:  # without colors nothing shows true outlines
+            band = edge_distance(measured, jump, tolerance).inside(self.row_band, self.column_band)
         confidence[known & band] = self.edge_confidence
         level = np.zeros_like(measured)
-        rims, _ = shadow_background(measured, WindowPlanes(measured, level, level, level), jump, 0.0)
+        rims, _ = shadow_background(measured, WindowPlanes(measured, level, level, level), jump, shadows)
         shadow = ~known & ~np.isnan(rims)
-        confidence[shadow] = self.shadow_confidence * shadow_confidence(measured, jump)
-        clock.start("smoothing")
-        values = weighted_smoothing(
-            frame.color, np.where(known, measured, rims), confidence, self.smoothness, self.sigma_color
+        lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB), np.uint8)
+        cost = np.where(band, np.float32(UNRELIABLE_COST), np.float32(0))
+        joined, _ = fill_gaps(
+            measured, lab, np.empty((0, *measured.shape), np.int32), np.full_like(measured, np.inf), cost, None
         )
+        start = np.where(known, measured, np.where(shadow, rims, joined))
+        confidence[~known] = self.gap_confidence
+        confidence[shadow] = self.shadow_confidence
+        clock.start("smoothing")
+        guide = frame.color if frame.has_color else _grey_levels(start)
+        values = weighted_smoothing(guide, start, confidence, self.smoothness, self.sigma_color)
         # Without a color edge the smoother crosses depth edges: reliable measurements stay.
         crossed = known & ~band & (np.abs(values - measured) > self.max_change * noise)
         values[crossed] = measured[crossed]
         sigma = np.where(known & ~band, noise, np.nan).astype(np.float32)
-        return refined_depth(frame, values, sigma, noise, clock)
+        result = refined_depth(frame, values, sigma, noise, clock)
+        result.figures = shadows.figures()
+        return result
+
+
+def _grey_levels(disparity: NDArray[np.float32]) -> NDArray[np.uint8]:
+    # (H, W, 3): without a color image the depth's own edges stop the smoothing.
+    low, high = float(disparity.min()), float(disparity.max())
+    levels = np.rint((disparity - low) * np.float32(255 / max(high - low, 1e-6))).astype(np.uint8)
+    return np.repeat(levels[..., None], 3, axis=2)

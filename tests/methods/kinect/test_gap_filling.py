@@ -1,0 +1,132 @@
+"""Gaps filled along the cheapest paths."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.core.frames import RgbdFrame
+from depthcli.data.generated.arrays.depth_sensor import simulate_kinect
+from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene
+from depthcli.methods.kinect.gap_filling import fill_gaps
+from depthcli.methods.kinect.pipeline.dsrm import Dsrm
+from depthcli.methods.kinect.pipeline.nearest import NearestFill
+from depthcli.methods.kinect.pipeline.plane_votes import PlaneVotes
+from depthcli.methods.kinect.pipeline.shadow_smoother import ShadowSmoother
+from tests.naive import kinect as naive
+
+
+def some(shape, seed, unknown=0.7):
+    rng = np.random.default_rng(seed)
+    values = np.rint(10 + 20 * rng.random(shape)).astype(np.float32)
+    values[cv2.GaussianBlur(rng.random(shape), (0, 0), 2) > np.quantile(rng.random(shape), 0.5)] = np.nan
+    values[rng.random(shape) < unknown] = np.nan
+    lab = cv2.GaussianBlur(rng.integers(0, 256, (*shape, 3)).astype(np.uint8), (0, 0), 3)
+    segments = (np.mgrid[: shape[0], : shape[1]][1] // 9)[None].astype(np.int32)
+    limit = np.where(rng.random(shape) < 0.3, 20, np.inf).astype(np.float32)
+    return values, lab, segments, limit, (5 * rng.random(shape)).astype(np.float32)
+
+
+@pytest.mark.parametrize("shape", [(1, 30), (30, 1), (17, 23), (40, 50)])
+@pytest.mark.parametrize("seed", range(3))
+def test_values_are_those_at_the_start_of_the_cheapest_path(shape, seed):
+    values, lab, segments, limit, cost = some(shape, seed)
+    if np.isnan(values).all():
+        values[0, 0] = 5
+    filled, _ = fill_gaps(values, lab, segments, limit, cost, None)
+    _, expected = naive.cheapest_paths(lab, segments, limit, values, cost)
+    assert (filled == expected).mean() > 0.95  # the sweeps miss paths that wind
+    known = ~np.isnan(values)
+    np.testing.assert_array_equal(filled[known], values[known])
+
+
+def test_planes_continue_and_fade():
+    columns = np.mgrid[:40, :80][1].astype(np.float32)
+    values = 20 + 0.2 * columns
+    values[5:35, 30:60] = np.nan
+    grey, nothing = np.full((40, 80, 3), 90, np.uint8), np.zeros_like(values)
+    none = np.empty((0, *values.shape), np.int32)
+    filled, inside = fill_gaps(values, grey, none, nothing + np.inf, nothing, 0.1)
+    truth = 20 + 0.2 * columns
+    assert np.abs(filled - truth).max() < 1.2
+    assert np.abs(filled - truth).mean() < 0.1 * np.nanstd(truth)
+    np.testing.assert_allclose(filled[6, 40:50], truth[6, 40:50], atol=0.05)
+    assert not inside.any()
+    _, inside = fill_gaps(values, grey, np.zeros((1, 40, 80), np.int32), nothing + np.inf, nothing, 0.1)
+    np.testing.assert_array_equal(inside, np.isnan(values))
+
+
+def test_color_edges_limits_and_costs_decide_between_surfaces():
+    values = np.full((20, 60), 10, np.float32)
+    values[:, 30:] = 30
+    values[:, 15:45] = np.nan
+    lab = np.full((20, 60, 3), 100, np.uint8)
+    lab[:, 22:] = 180
+    none, free = np.empty((0, 20, 60), np.int32), np.full((20, 60), np.inf, np.float32)
+    level = np.zeros((20, 60), np.float32)
+    by_color = fill_gaps(values, lab, none, free, level, None)[0]
+    assert (by_color[:, :22] == 10).all() and (by_color[:, 22:] == 30).all()
+    limited = fill_gaps(values, lab, none, np.where(np.isnan(values), 12, free).astype(np.float32), level, None)[0]
+    assert (limited[:, :45] == 10).all()
+    grey = np.full((20, 60, 3), 100, np.uint8)
+    far_first = np.where(values == 30, np.float32(12), np.float32(0))
+    shares = [
+        (fill_gaps(values, grey, none, free, cost, None)[0][:, 15:45] == 10).mean() for cost in (level, far_first)
+    ]
+    assert shares[0] == pytest.approx(0.5, abs=0.04) and shares[1] == pytest.approx(0.7, abs=0.04)
+
+
+def test_nothing_known_and_nothing_unknown():
+    nothing = np.full((5, 6), np.nan, np.float32)
+    args = np.zeros((5, 6, 3), np.uint8), np.zeros((1, 5, 6), np.int32), nothing, np.zeros((5, 6), np.float32), 0.1
+    assert np.isnan(fill_gaps(nothing, *args)[0]).all()
+    full = np.ones((5, 6), np.float32)
+    np.testing.assert_array_equal(fill_gaps(full, *args)[0], full)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pipeline", [PlaneVotes(), Dsrm(), ShadowSmoother()], ids=["accurate", "dsrm", "fast"])
+@pytest.mark.parametrize("kind", ["planes", "foreground", "curved"])
+def test_holes_in_a_frame_without_shadows_are_filled_better_than_by_the_nearest_value(pipeline, kind):
+    color, truth = make_kinect_scene(kind, 3, 320, 240, 40)
+    rng = np.random.default_rng(0)
+    measured = truth + 0.2 * rng.standard_normal(truth.shape, np.float32)
+    holes = np.zeros(truth.shape, bool)
+    for _ in range(20):
+        y, x = rng.integers(0, 210), rng.integers(0, 285)
+        holes[y : y + 30, x : x + 35] = True
+    depth = (43.5 / np.where(holes, np.nan, measured)).astype(np.float32)
+    frame = RgbdFrame(color, depth)
+    error, nearest = (np.abs(43.5 / m(frame).depth.values - truth)[holes].mean() for m in (pipeline, NearestFill()))
+    assert error < (1.2 if isinstance(pipeline, ShadowSmoother) else 0.8) * nearest
+
+
+@pytest.mark.slow
+def test_depth_alone_keeps_outlines_fills_gaps_and_removes_noise():
+    _, truth = make_kinect_scene("planes", 3, 320, 240, 40)
+    rng = np.random.default_rng(0)
+    measured = truth + 0.3 * rng.standard_normal(truth.shape, np.float32)
+    holes = np.zeros(truth.shape, bool)
+    for _ in range(12):
+        y, x = rng.integers(0, 210), rng.integers(0, 285)
+        holes[y : y + 25, x : x + 25] = True
+    frame = RgbdFrame.without_color((43.5 / np.where(holes, np.nan, measured)).astype(np.float32), 43.5, None)
+    refined = PlaneVotes()(frame)
+    error, before = (np.abs(43.5 / depth - truth) for depth in (refined.depth.values, frame.depth))
+    nearest = np.abs(43.5 / NearestFill()(frame).depth.values - truth)[holes].mean()
+    assert refined.depth.density == 1
+    assert error[~holes].mean() < 0.5 * before[~holes].mean()
+    assert error[holes].mean() < 0.8 * nearest
+
+
+def test_where_shadows_lie_can_be_set():
+    sample = simulate_kinect(*make_kinect_scene("foreground", 1, 320, 240, 40), 0, shadows="right")
+    frame = sample.frame()
+    errors = {}
+    for where in (True, "right", "left", False):
+        result = Dsrm(shadows=where)(frame)
+        errors[where] = np.abs(43.5 / result.depth.values - sample.truth)[sample.occluded].mean()
+        assert set(result.figures) == {"shadows_left", "shadows_right", "shadow_width_left", "shadow_width_right"}
+    assert errors["right"] == pytest.approx(errors[True], rel=0.2)
+    assert errors[True] < 0.7 * errors["left"] and errors[True] < 0.7 * errors[False]
