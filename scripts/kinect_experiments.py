@@ -132,7 +132,8 @@ def variants(data: Path, methods: dict[str, Refine | None]) -> None:
     """Print a row a sensor: MAE, px, in gaps / at wrong edges, means over scenes; and the means of both halves."""
     header = ("sensor", *methods)
     for half, sensors in VARIANTS.items():
-        rows, sums = [], {name: [0.0, 0.0] for name in methods}
+        rows = []
+        sums: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in methods}
         chosen = [s for folder in SETS for s in scenes(data, folder) if (s.name in CHOSEN_ON) == (half == "tuning")]
         images = [(color8(read_image(scene.left)), scene.truth().disparity) for scene in chosen]
         for title, sensor in sensors.items():
@@ -146,8 +147,9 @@ def variants(data: Path, methods: dict[str, Refine | None]) -> None:
             means = {name: [_mean(kept) for kept in both] for name, both in found.items()}
             rows.append((title, *(f"{gap:.2f} / {edge:.2f}" for gap, edge in means.values())))
             for name, both in means.items():
-                sums[name] = [total + value / len(sensors) for total, value in zip(sums[name], both, strict=True)]
-        rows.append(("mean", *(f"{gap:.2f} / {edge:.2f}" for gap, edge in sums.values())))
+                for total, value in zip(sums[name], both, strict=True):
+                    total.append(value)
+        rows.append(("mean", *(f"{_mean(gaps):.2f} / {_mean(edges):.2f}" for gaps, edges in sums.values())))
         print(Table(f"Simulated sensors, {half}: MAE, px, gaps / wrong edges", header, tuple(rows)).markdown())
 
 

@@ -124,7 +124,7 @@ def _limits(  # type: ignore[no-untyped-def]
         for last, x in gaps_of(d, True):
             gap = np.float32(x - last - 1)
             step = d[x] - d[last] if last >= 0 else np.float32(0)
-            if step < -jump or (step <= jump and not holes):
+            if step <= jump and not holes:
                 continue
             shadow = step > jump and abs(gap + covered - scale * step) <= np.float32(WIDTH_TOLERANCE)
             factor = factors[0] if shadow else factors[1]

@@ -29,10 +29,11 @@ _PRIOR_CHANCE = 0.1  # that a gap is as wide as a shadow by chance
 _SCALES = 2.0 ** np.linspace(-2, 0.5, 21)  # of shadows: pixels of width a pixel of step
 _COVERED = np.arange(9.0)  # pixels of a shadow that the near surface may cover
 _LIKELY = 0.4  # confidence from which a side's gaps are taken for shadows
+_MIN_OF_BEST = 0.4  # confidence of a side, as a share of the other side's, below which it has none by chance
 _MIN_GAIN = 1.2  # by which more gaps must agree with another width than with that of their step
 _MAX_GAPS = 2000  # more do not change the estimate
 _STEP_WEIGHT = 2.0  # of a pixel in a gap beside a step that is no shadow, beside one in a hole of one surface
-_EQUAL_RATIO = 4.0  # of the pixels in gaps that are no shadows to those in shadows, at which holes are as probable
+_EQUAL_RATIO = 8.0  # of the pixels in gaps that are no shadows to those in shadows, at which holes are as probable
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,9 @@ class Shadows:
     def sides(self) -> Iterator[tuple[Shadow, bool, bool]]:
         """Yield each side that has shadows, whether it is the right one, and whether holes are judged by it."""
         holes_right = self.right.confidence > self.left.confidence
+        least = _MIN_OF_BEST * max(self.left.confidence, self.right.confidence)
         for shadow, right in ((self.left, False), (self.right, True)):
-            if shadow.confidence > 0:
+            if shadow.confidence > 0 and shadow.confidence >= least:
                 yield shadow, right, right == holes_right
 
 

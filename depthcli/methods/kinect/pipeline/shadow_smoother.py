@@ -43,7 +43,7 @@ class ShadowSmoother(KinectPipeline):
     )
     shadow_confidence: float = Field(0.5, ge=0, le=1, description="confidence of values that continue into a shadow")
     shadows: bool | Side = Field(True, description=SHADOW_SIDES)
-    gap_confidence: float = Field(0.5, ge=0, le=1, description="confidence of values that continue into other gaps")
+    gap_confidence: float = Field(1.0, ge=0, le=1, description="confidence of values that continue into other gaps")
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
     max_change: float = Field(2.0, ge=0, description="largest change of a reliable measurement, multiples of the noise")
 
