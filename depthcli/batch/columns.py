@@ -67,8 +67,7 @@ DEPTH = (
            "0 to 1", pattern="gap_filled|fallback|carried|empty|smoothed"),
     Column("frames, frames_failed", "frames of a sequence that were refined, and that failed",
            pattern="frames(_failed)?"),
-    Column("motion", "of the camera, assumed for the frames in order: still, moved by its pose, or as estimated; new: "
-           "nothing was carried from the frame before"),
+    Column("motion", "of the camera, frame by frame: still, by its pose, estimated, or new (nothing was carried over)"),
     Column("labelled", "share of pixels that the CRF chose a depth for", "0 to 1"),
     Column("samples", "measurements that the model was fitted to"),
     Column("noise", "noise of the measurements, estimated", "m"),

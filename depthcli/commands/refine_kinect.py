@@ -52,9 +52,8 @@ class RefineKinectCommand(ConfigCommand["RefineKinectConfig", Scene]):
             *super().options,
             ply,
             Option("intrinsics", str, "Of the color camera, pixels: fx,fy,cx,cy.", "NUMBERS", group="Input"),
-            Option("depth_intrinsics", str, "Of the depth camera, if its map is not registered.", "NUMBERS",
-                   group="Input"),
-            Option("mask", str, "Pixels of clouds: all, measured, or confident:0.8.", "WHICH", group="Output"),
+            Option("depth_intrinsics", str, "Of the depth camera, if not registered.", "NUMS", group="Input"),
+            Option("mask", str, "Pixels of clouds: all, measured, confident:0.8.", "WHICH", group="Output"),
             Option("near", float, "Nearest depth of point clouds.", "METERS", group="Output"),
             Option("far", float, "Farthest depth of point clouds.", "METERS", group="Output"),
         )  # fmt: skip
