@@ -51,9 +51,8 @@ def shadow_limits(
     limit_factor = np.ones(disparity.shape, np.float32)
     for shadow, right, holes in shadows.sides():
         colors, values, value, slope = _turned(right, lab, disparity, planes.value, planes.slope_x)
-        in_shadow, in_gap, in_hole = (f**shadow.confidence for f in (SHADOW_FACTOR, GAP_FACTOR, HOLE_FACTOR))
-        in_gap, in_hole = (shadows.p_hole + (1 - shadows.p_hole) * f for f in (in_gap, in_hole))
-        factors = np.array([in_shadow, in_gap, in_hole], np.float32)
+        hidden = shadow.confidence * (1 - shadows.p_hole)
+        factors = np.array([SHADOW_FACTOR**shadow.confidence, GAP_FACTOR**hidden, HOLE_FACTOR**hidden], np.float32)
         out, out_factor = _turned_views(right, limit, limit_factor)
         _limits(
             colors, values, value, -slope if right else slope, np.float32(jump), np.float32(tolerance), factors,

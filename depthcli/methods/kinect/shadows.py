@@ -33,7 +33,8 @@ _MIN_OF_BEST = 0.4  # confidence of a side, as a share of the other side's, belo
 _MIN_GAIN = 1.2  # by which more gaps must agree with another width than with that of their step
 _MAX_GAPS = 2000  # more do not change the estimate
 _STEP_WEIGHT = 2.0  # of a pixel in a gap beside a step that is no shadow, beside one in a hole of one surface
-_EQUAL_RATIO = 8.0  # of the pixels in gaps that are no shadows to those in shadows, at which holes are as probable
+_STEEPNESS = 6  # exponent of the ratio in the odds of holes
+_EQUAL_RATIO = 6.5  # of the pixels in gaps that are no shadows to those in shadows, at which holes are as probable
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def measure_shadows(disparity: NDArray[np.float32], jump: float) -> Shadows:
         shadow_pixels += float(width[fits].sum()) - chance * float(width.sum())
         found.append(shadow)
     ratio = others / max(shadow_pixels, 1.0)
-    return Shadows(found[0], found[1], ratio**2 / (ratio**2 + _EQUAL_RATIO**2))
+    return Shadows(found[0], found[1], 1 / (1 + (_EQUAL_RATIO / max(ratio, 0.1)) ** _STEEPNESS))
 
 
 def _shadow(gaps: NDArray[np.float32], prior: float) -> tuple[Shadow, float]:
