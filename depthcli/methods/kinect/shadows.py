@@ -131,7 +131,8 @@ def measure_shadows(disparity: NDArray[np.float32], jump: float) -> Shadows:
         shadow_pixels += float(width[fits].sum()) - chance * float(width.sum())
         found.append(shadow)
     ratio = others / max(shadow_pixels, 1.0)
-    return Shadows(found[0], found[1], 1 / (1 + (_EQUAL_RATIO / max(ratio, 0.1)) ** _STEEPNESS))
+    odds = (ratio / _EQUAL_RATIO) ** _STEEPNESS
+    return Shadows(found[0], found[1], odds / (1 + odds))
 
 
 def _shadow(gaps: NDArray[np.float32], prior: float) -> tuple[Shadow, float]:
