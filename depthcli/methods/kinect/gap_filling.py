@@ -23,8 +23,8 @@ _SWEEPS = 4
 def fill_gaps(
     values: NDArray[np.float32],
     lab: NDArray[np.uint8],
-    segments: NDArray[np.int32],
-    limit: NDArray[np.float32],
+    segments: NDArray[np.int32] | None,
+    limit: NDArray[np.float32] | None,
     cost: NDArray[np.float32],
     noise: float | None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -37,8 +37,8 @@ def fill_gaps(
     ----------
     values : (H, W) float32, pixels, NaN = unknown
     lab : (H, W, 3) uint8, CIE Lab as OpenCV scales it
-    segments : (n, H, W) int32, layers of segments, may be none
-    limit : (H, W) float32, largest possible disparity, pixels; inf where there is none
+    segments : (n, H, W) int32, layers of segments, or None
+    limit : (H, W) float32, largest possible disparity, pixels; inf where there is none, None: nowhere
     cost : (H, W) float32 >= 0, of paths that start at a known pixel; less reliable ones cost more
     noise : of the values, pixels; None: level surfaces, which takes less time
 
@@ -53,6 +53,8 @@ def fill_gaps(
     filled = values.copy()
     if not unknown.size or unknown.size == values.size:
         return filled, inside
+    segments = np.empty((0, *values.shape), np.int32) if segments is None else segments
+    limit = np.full_like(values, np.inf) if limit is None else limit
     start = np.where(known, np.arange(values.size, dtype=np.int32).reshape(values.shape), np.int32(-1))
     total = np.where(known, cost, np.float32(np.inf)).astype(np.float32)
     y, x = np.divmod(unknown, values.shape[1])

@@ -80,8 +80,7 @@ class Dsrm(KinectPipeline):
             refined = refined.joined(lab, layers, measurement)
         else:
             clock.start("refinement")
-            refined = self._in_turn(measurement, labels, lab)
-        refined = refined.filled(frame, measurement.noise)
+            refined = self._in_turn(measurement, labels, lab).filled(frame, measurement.noise)
         clock.start("result")
         result = refined.to_depth(frame)
         if self.details:

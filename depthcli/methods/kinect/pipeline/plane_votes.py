@@ -93,7 +93,7 @@ class PlaneVotes(KinectPipeline):
         trusted = np.where(trust > 0, measured, np.float32(np.nan))
         possible = np.where(limit_factor < 0.1, limit, np.float32(np.inf))
         cost = np.where(unreliable, np.float32(UNRELIABLE_COST), np.float32(0))
-        path, _ = fill_gaps(trusted, lab, np.empty((0, *measured.shape), np.int32), possible, cost, noise)
+        path, _ = fill_gaps(trusted, lab, None, possible, cost, noise)
         path_share = np.where(known, np.float32(0), np.float32(self.path_share))
         for step in range(self.passes):
             clock.start("votes")

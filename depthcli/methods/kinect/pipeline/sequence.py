@@ -113,7 +113,6 @@ class Sequence(SequencePipeline, Dsrm):
             refined.disparity, refined.scale, refined.status, previous, still,
             np.float32(self.drift * state.noise),
         )  # fmt: skip
-        refined = refined.filled(frame, state.noise)
         clock.start("result")
         result = refined.to_depth(frame)
         result.seconds, result.words["motion"] = clock.seconds, motion

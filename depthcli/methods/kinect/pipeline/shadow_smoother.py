@@ -67,9 +67,7 @@ class ShadowSmoother(KinectPipeline):
         shadow = ~known & ~np.isnan(rims)
         lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB), np.uint8)
         cost = np.where(band, np.float32(UNRELIABLE_COST), np.float32(0))
-        joined, _ = fill_gaps(
-            measured, lab, np.empty((0, *measured.shape), np.int32), np.full_like(measured, np.inf), cost, None
-        )
+        joined, _ = fill_gaps(measured, lab, None, None, cost, None)
         start = np.where(known, measured, np.where(shadow, rims, joined))
         confidence[~known] = self.gap_confidence
         confidence[shadow] = self.shadow_confidence
