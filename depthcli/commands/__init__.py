@@ -22,6 +22,7 @@ What ``compute`` does:
 ``depth``                 read a run's disparity map and its calibration; triangulate; write depth, and points
 ``rectify``               load the views; match key points; warp by the calibration or the points; write both views,
                           calib.txt and the search range
+``extract``               read the times of a recording's messages; match them; write images, calibration and poses
 ``sample``                draw a scene of known truth; write images, truth and masks
 ========================  ============================================================================================
 
@@ -79,7 +80,7 @@ _GROUPS = {
         "fuse-maps",
         "register-confidence",
     ),
-    "Prepare and convert": ("sample", "rectify", "depth"),
+    "Prepare and convert": ("sample", "extract", "rectify", "depth"),
     "Evaluate and report": ("evaluate", "sweep", "export", "merge"),
     "Inspect and set up": ("help", "presets", "devices", "warmup"),
 }

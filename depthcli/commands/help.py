@@ -88,8 +88,9 @@ def _columns() -> Page:
         "report.csv of confidence, fuse maps": _rows(report.GIVEN_MAPS),
         "report.csv of register-confidence": _rows(report.REGISTRATION),
         "report.csv of sample": _rows(report.SAMPLES),
+        "report.csv of extract": _rows(report.RECORDINGS),
         "planes.csv, segment_labels.csv, keypoints.csv": _rows(report.SEGMENTS),
-        "Printed by devices, warmup, --dry-run": _rows(report.LISTS),
+        "Printed by devices, warmup, --list-topics, --dry-run": _rows(report.LISTS),
     }
 
 

@@ -32,18 +32,21 @@ class Poses:
     times: tuple[float, ...]
     matrices: tuple[NDArray[np.float64], ...]
 
-    def at(self, time: float) -> Pose | None:
-        """Return the pose at a time, interpolated between the two beside it; None where one is over 20 ms away."""
+    def at(self, time: float, max_delay: float = _MAX_DELAY) -> Pose | None:
+        """Return the pose at a time, interpolated between the two beside it; None where none is near.
+
+        Of two poses of which one is more than ``max_delay`` (seconds) away, the nearer one counts as it is.
+        """
         after = bisect.bisect_left(self.times, time)
         if after < len(self.times) and self.times[after] == time:
             return _flat(self.matrices[after])
         if 0 < after < len(self.times):
             start, end = self.times[after - 1], self.times[after]
-            if max(time - start, end - time) <= _MAX_DELAY:
+            if max(time - start, end - time) <= max_delay:
                 return _flat(_between(self.matrices[after - 1], self.matrices[after], (time - start) / (end - start)))
         near = [k for k in (after - 1, after) if 0 <= k < len(self.times)]
         nearest = min(near, key=lambda k: abs(self.times[k] - time), default=None)
-        if nearest is None or abs(self.times[nearest] - time) > _MAX_DELAY:
+        if nearest is None or abs(self.times[nearest] - time) > max_delay:
             return None
         return _flat(self.matrices[nearest])
 
