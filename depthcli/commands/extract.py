@@ -1,4 +1,4 @@
-"""Turn recordings (ROS bags, MCAP) into folders of frames.
+"""Turn recordings (ROS bags, MCAP) into image folders.
 
 Images whose times agree become the folders that the other commands read, with calibration and poses where the
 recording has them.
@@ -76,7 +76,7 @@ class ExtractCommand(BatchCommand[ExtractOptions, RecordingScene]):
 
     page = "how_to/recordings"
     examples = (
-        "depthcli extract drive.bag -o out --left-topic /l/image --right-topic /r/image",
+        "depthcli extract drive.bag -o out --left-topic /left --right-topic /right",
         "depthcli extract room.mcap -o frames --pose-topic /odom --every 5",
     )
 
