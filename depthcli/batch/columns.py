@@ -148,10 +148,17 @@ LISTS = (
     Column("type", "of the messages of a topic"),
     Column("messages", "number of messages of a topic"),
     Column("rate", "messages a second, over the whole recording", "Hz"),
+    Column(
+        "frames, without",
+        "frames whose clouds were joined, and those that lack a cloud or a pose",
+        pattern="frames|without",
+    ),
+    Column("points, voxels", "points of all frames, and of the cloud they became", pattern="points|voxels"),
+    Column("extent", "of a cloud, along x, y and z", "m", pattern="extent|size"),
     Column("bandwidth", "measured speed of copies in its memory", "GB/s"),
     Column("driver", "version of the driver"),
     Column("kernel", "compiled function"),
     Column("arguments", "types that it is compiled for"),
     Column("done", "scenes of a run that are done"),
 )
-"""Columns of the tables of ``devices``, ``warmup``, ``--list-topics`` and ``--dry-run``, beside those of a report."""
+"""Columns of ``devices``, ``warmup``, ``--list-topics``, ``cloud`` and ``--dry-run``, beside those of a report."""

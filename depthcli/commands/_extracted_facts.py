@@ -148,12 +148,13 @@ def _place(found: Survey, role: str, other: str) -> NDArray[np.float64] | None:
     return found.transforms.fixed(*frames) if all(frames) and frames[0] != frames[1] else None
 
 
-def write_poses(found: Survey, topics: FrameTopics, frames: list[Frame], folder: Path) -> tuple[int, list[str]]:
-    """Write ``poses.txt``, where the camera of the first topic was; return for how many frames, and warnings."""
+def poses_of(
+    found: Survey, topics: FrameTopics, frames: list[Frame]
+) -> tuple[dict[int, NDArray[np.float64]], list[str]]:
+    """Return number of a frame -> where the camera of the first topic was, of those where it is known; and warnings."""
     import numpy as np
 
-    from depthcli.data.formats.files import write_text
-    from depthcli.data.formats.ros_poses import MAX_DELAY, pose_line
+    from depthcli.data.formats.ros_poses import MAX_DELAY
 
     role, name = next(iter(topics.images.items()))
     stream, notes, inside = found.streams[role], list[str](), np.eye(4)
@@ -170,18 +171,26 @@ def write_poses(found: Survey, topics: FrameTopics, frames: list[Frame], folder:
         turn = stream.info.rotation
         if np.abs(turn - np.eye(3)).max() > _MIN_TURN:  # rectified images are those of a camera that is turned by R
             inside = inside @ np.block([[turn.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
-    lines = []
+    poses = {}
     for frame in frames:
         time = frame.time / 1e9
         place = found.track.at(time) if found.track is not None else found.transforms.at(stream.frame, time)
         if place is not None:
-            lines.append(pose_line(frame.number, place @ inside))
-    if lines:
-        write_text(folder / "poses.txt", "# frame tx ty tz qx qy qz qw\n" + "".join(lines))
-    if len(lines) < len(frames):
+            poses[frame.number] = place @ inside
+    if len(poses) < len(frames):
         near = f"{MAX_DELAY * 1000:g} ms"
-        notes.append(f"{len(frames) - len(lines)} of {len(frames)} frames have no pose of {topics.pose} within {near}")
-    return len(lines), notes
+        notes.append(f"{len(frames) - len(poses)} of {len(frames)} frames have no pose of {topics.pose} within {near}")
+    return poses, notes
+
+
+def write_poses(poses: dict[int, NDArray[np.float64]], folder: Path) -> None:
+    """Write ``poses.txt``, number of a frame and its pose, unless there is none."""
+    from depthcli.data.formats.files import write_text
+    from depthcli.data.formats.ros_poses import pose_line
+
+    if poses:
+        lines = [pose_line(number, matrix) for number, matrix in poses.items()]
+        write_text(folder / "poses.txt", "# frame tx ty tz qx qy qz qw\n" + "".join(lines))
 
 
 def write_times(frames: list[Frame], folder: Path) -> None:
@@ -195,11 +204,10 @@ def write_times(frames: list[Frame], folder: Path) -> None:
     write_text(folder / "times.csv", "\n".join(lines) + "\n")
 
 
-def write_meta(meta: dict[str, Any], topics: FrameTopics, source: str, folders: list[Path]) -> None:
-    """Write ``meta.json`` into each folder."""
+def write_meta(meta: dict[str, Any], topics: FrameTopics, source: str, folder: Path) -> None:
+    """Write ``meta.json`` into ``folder``."""
     from depthcli.data.formats.files import write_text
 
     of = ", ".join(topics.images.values())
     text = json.dumps({"source": f"extracted by depthcli from {source}: {of}", **meta}, indent=1) + "\n"
-    for folder in folders:
-        write_text(folder / "meta.json", text)
+    write_text(folder / "meta.json", text)

@@ -179,7 +179,7 @@ def write_images(
 
 
 def _file(topics: FrameTopics, role: str, number: str, suffix: str) -> str:
-    return f"{number}/{role}{suffix}" if list(topics.images) == ["depth"] else f"{role}/{number}{suffix}"
+    return f"{number}/{role}{suffix}" if topics.is_depth_alone else f"{role}/{number}{suffix}"
 
 
 def _drop(files: dict[str, Path], folder: Path) -> None:

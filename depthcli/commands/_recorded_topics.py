@@ -45,6 +45,11 @@ class FrameTopics:
         """True for the two views of a pair."""
         return "left" in self.images
 
+    @property
+    def is_depth_alone(self) -> bool:
+        """True for depth maps without color."""
+        return list(self.images) == ["depth"]
+
 
 def check_roles(given: Mapping[str, str | None]) -> None:
     """Raise ConfigError where the topics that are named, by role, make no frames."""

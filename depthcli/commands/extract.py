@@ -161,11 +161,16 @@ class ExtractCommand(BatchCommand[ExtractOptions, RecordingScene]):
         scale = config["depth_scale"] or (1 / found.depth_unit if found.depth_unit else None)
         if "depth" in topics.images and scale is not None:
             calibration.meta["depth_scale"] = float(f"{scale:.6g}")
-        depth_alone = list(topics.images) == ["depth"]
-        places = [folder / f"{f.number:0{written.digits}}" for f in written.frames] if depth_alone else [folder]
-        facts.write_meta(calibration.meta, topics, scene.path.name, places)
+        poses, notes = facts.poses_of(found, topics, written.frames) if topics.pose else ({}, [])
+        if topics.is_depth_alone:  # every frame is a folder, with all that is known of it
+            for frame in written.frames:
+                pose = {"pose": poses[frame.number].round(12).tolist()} if frame.number in poses else {}
+                place = folder / f"{frame.number:0{written.digits}}"
+                facts.write_meta(calibration.meta | pose, topics, scene.path.name, place)
+        else:
+            facts.write_meta(calibration.meta, topics, scene.path.name, folder)
+            facts.write_poses(poses, folder)
         facts.write_times(written.frames, folder)
-        n_poses, notes = facts.write_poses(found, topics, written.frames, folder) if topics.pose else (0, [])
         height, width = next(iter(written.shapes.values()))
         offsets = [abs(frame.offset) / 1e6 for frame in written.frames] if len(topics.images) > 1 else []
         row: Row = {
@@ -178,7 +183,7 @@ class ExtractCommand(BatchCommand[ExtractOptions, RecordingScene]):
             "median_offset": round(statistics.median(offsets), 6) if offsets else None,
             "max_offset": round(max(offsets), 6) if offsets else None,
             "tolerance": tolerance if offsets else None,
-            "poses": n_poses,
+            "poses": len(poses),
             "calibration": calibration.kept,
         }
         more = found.n_damaged - len(found.problems)

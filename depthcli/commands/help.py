@@ -90,7 +90,7 @@ def _columns() -> Page:
         "report.csv of sample": _rows(report.SAMPLES),
         "report.csv of extract": _rows(report.RECORDINGS),
         "planes.csv, segment_labels.csv, keypoints.csv": _rows(report.SEGMENTS),
-        "Printed by devices, warmup, --list-topics, --dry-run": _rows(report.LISTS),
+        "Printed by devices, warmup, --list-topics, cloud, --dry-run": _rows(report.LISTS),
     }
 
 

@@ -273,6 +273,18 @@ def test_poses_are_those_of_the_camera(tmp_path: Path, kind: str, source: str):
     assert report(tmp_path / "out")["poses"] == 4
 
 
+def test_poses_of_depth_alone(tmp_path: Path):
+    ros = Messages("bag")
+    poses = [
+        Record("/where", START + k * 100 * MS, ros.pose_stamped(START + k * 100 * MS, (k, 0, 0))) for k in range(4)
+    ]
+    bag = write_recording(tmp_path / "rec.bag", [*color_and_depth("bag", 0), *poses])
+    topics = ("--depth-topic", "/camera/depth/image", "--pose-topic", "/where")
+    assert run("extract", bag, "-o", tmp_path / "out", *topics, "-q") == 0
+    found = [scene.pose for scene in discover_scenes(tmp_path / "out") if isinstance(scene, RgbdScene)]
+    assert [pose and pose[3] for pose in found] == [0, 1, 2, 3]
+
+
 def test_frames_without_a_pose_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     ros = Messages("bag")
     pose = Record("/where", START, ros.pose_stamped(START, (1, 2, 3)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Intrinsics
 from depthcli.core.errors import InputError
 from depthcli.data.formats.disparity import read_plane
-from depthcli.data.formats.files import shown, warn, write_bytes
+from depthcli.data.formats.files import read_bytes, shown, warn, write_bytes
 from depthcli.data.formats.images import write_png
 
 MILLIMETERS = 1000.0
@@ -26,6 +27,9 @@ _ROOM = (0.2, 20.0)  # median depths that are plausible for a room, meters
 
 MIN_DEPTH, MAX_DEPTH = 0.01, 100.0
 """Median depths that are plausible at all, meters: from a macro lens to a street."""
+
+_AXES, _CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
+_VERTEX = np.dtype([(name, "<f4") for name in _AXES] + [(name, "u1") for name in _CHANNELS])
 
 # Codes per meter of common files: millimeters, TUM RGB-D, eighths and tenths of millimeters, KITTI, centimeters.
 _COMMON_SCALES = (1000.0, 5000.0, 8000.0, 10_000.0, 256.0, 100.0)
@@ -188,12 +192,36 @@ def write_ply(
 
 def write_points(path: Path | str, points: NDArray[np.float32], color: NDArray[np.uint8]) -> None:
     """Write points (N, 3) with colors (N, 3) RGB as PLY, binary little endian; OutputError where that cannot be."""
-    axes, channels = "xyz", ("red", "green", "blue")
-    vertices = np.empty(len(points), [(name, "<f4") for name in axes] + [(name, "u1") for name in channels])
-    for names, values in ((axes, points), (channels, color)):
+    vertices = np.empty(len(points), _VERTEX)
+    for names, values in ((_AXES, points), (_CHANNELS, color)):
         for k, name in enumerate(names):
             vertices[name] = values[:, k]
+    write_bytes(path, _ply_header(len(points)).encode("ascii") + vertices.tobytes())
+
+
+def _ply_header(count: int) -> str:
     types = {"f": "float", "u": "uchar"}
-    properties = [f"property {types[vertices.dtype[name].kind]} {name}" for name in vertices.dtype.names or ()]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *properties, "end_header", ""]
-    write_bytes(path, "\n".join(header).encode("ascii") + vertices.tobytes())
+    properties = [f"property {types[_VERTEX[name].kind]} {name}" for name in (*_AXES, *_CHANNELS)]
+    return "\n".join(
+        ["ply", "format binary_little_endian 1.0", f"element vertex {count}", *properties, "end_header", ""]
+    )
+
+
+def read_points(path: Path | str) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Read points (N, 3) and colors (N, 3) RGB of a PLY file as :func:`write_points` writes it.
+
+    Raises
+    ------
+    InputError
+        Not readable, truncated, or another kind of PLY; one line that names the file.
+    """
+    data = read_bytes(path)
+    head, mark, body = data.partition(b"end_header\n")
+    count = re.search(rb"^element vertex (\d{1,12})$", head, re.MULTILINE)
+    if not mark or count is None or head + mark != _ply_header(int(count[1])).encode("ascii"):
+        raise InputError(f"{shown(path)}: no point cloud of depthcli (binary PLY with x, y, z, red, green, blue)")
+    if len(body) != int(count[1]) * _VERTEX.itemsize:
+        raise InputError(f"{shown(path)}: damaged: {len(body)} bytes, want {int(count[1]) * _VERTEX.itemsize}")
+    vertices = np.frombuffer(body, _VERTEX)
+    points, color = (np.stack([vertices[name] for name in names], axis=1) for names in (_AXES, _CHANNELS))
+    return points, color

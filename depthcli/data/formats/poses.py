@@ -105,6 +105,13 @@ def read_poses(path: Path) -> Poses:
     return Poses((), tuple(matrices))
 
 
+def pose_of(matrix: NDArray[np.float64]) -> Pose:
+    """Return a (4, 4) matrix as a pose; InputError where it is none."""
+    if not is_rotation(matrix[:3, :3]) or not np.allclose(matrix[3], (0, 0, 0, 1)):
+        raise InputError("not the matrix of a pose: want a rotation, a translation in meters, and 0 0 0 1 below")
+    return _flat(matrix)
+
+
 def _time(row: tuple[float, NDArray[np.float64]]) -> float:
     return row[0]
 

@@ -15,7 +15,8 @@ from depthcli.core.plugins import Plugin
 from depthcli.core.registry import Registry, registered_name
 from depthcli.core.yaml_source import short
 from depthcli.data.formats.files import naming, read_bytes
-from depthcli.data.formats.plain_text import json_object
+from depthcli.data.formats.plain_text import json_object, numbers
+from depthcli.data.formats.poses import Pose, pose_of
 from depthcli.data.scenes import Scene
 
 _MAX_POSITIVE, _MAX_WHOLE = 1e6, 1 << 20  # numbers of meta.json; no image is as wide
@@ -117,6 +118,14 @@ class Meta:
         if top is not None and top <= low:
             raise self.error("max_disparity", f"a number above {low}")
         return {"min_disparity": low, "max_disparity": top}
+
+    def pose(self) -> Pose | None:
+        """Return the matrix from the camera's coordinates to the world's below the key ``pose``."""
+        value = self.fields.get("pose")
+        if value is None:
+            return None
+        with naming(self.path):
+            return pose_of(numbers(value, "pose", (4, 4)))
 
     def error(self, key: str, wanted: str) -> InputError:
         """Return the error that says that the field ``key`` must be ``wanted``."""

@@ -26,8 +26,9 @@ class Rgbd(Layout):
         "`color.*`, `depth.*`, or the latter alone for `refine-kinect`; where known `depth_true.*`, "
         "`mask_<name>.*` (255 = evaluate), `sparse.*` (a second depth map, known at some pixels) with "
         "`sparse_confidence.*`, `meta.json` (`depth_scale`: codes a meter, 1000 unless said; `intrinsics`: fx, fy, cx, "
-        "cy; `fb`: focal length x baseline, pixels x meters; of depth that is not registered to the color image, "
-        "`depth_intrinsics`: fx, fy, cx, cy, and `depth_to_color`: `rotation` 3 x 3, `translation` in meters)"
+        "cy; `fb`: focal length x baseline, pixels x meters; `pose`: 4 x 4, from the camera to the world, meters; of "
+        "depth that is not registered to the color image, `depth_intrinsics`: fx, fy, cx, cy, and `depth_to_color`: "
+        "`rotation` 3 x 3, `translation` in meters)"
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -60,6 +61,7 @@ def frame(layout: Layout, folder: Folder, color: Path | None, depth: Path, **mor
         "masks": {n.removesuffix(end): file for n, file in masks.items() if n.endswith(end)},
         **cameras(meta),
         "fb": meta.positive("fb"),
+        "pose": meta.pose(),
         "protocol": meta.text("protocol", "depth"),
     }
     return layout.scene(folder, color=color, depth=depth, **values | ({"depth_scale": scale} if scale else {}) | more)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 from depthcli.core.errors import InputError
+from depthcli.data.formats.files import warn
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.formats.map_format import map_suffixes
+from depthcli.data.formats.poses import Pose, read_poses
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import StereoScene
 
+_NUMBER = re.compile(r"(\d{1,18})$")
 # Folders of the left and the right view that are recognized.
 _VIEWS = (
     ("left", "right"), ("Left", "Right"), ("l", "r"), ("L", "R"), ("image_left", "image_right"),
@@ -25,7 +29,7 @@ class Views(Layout):
     kind = StereoScene
     wants = (
         "`left/NAME.*`, `right/NAME.*` (also `image_left`, `cam0`, `cam0/data`); where known `disp_left/NAME.*`, and "
-        "`calib.txt`, `meta.json` of all pairs"
+        "`calib.txt`, `meta.json` of all pairs, `poses.txt` by the numbers at the ends of their names"
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -43,7 +47,10 @@ def pair_scenes(
 ) -> list[Scene]:
     """Return a scene for every name of either view; the folder's meta.json and calib.txt are those of all."""
     scenes = []
-    for name in sorted({**left, **right}):
+    names = sorted({**left, **right})
+    numbers = {name: int(found[1]) for name in names if (found := _NUMBER.search(name))}
+    poses = _poses(folder, list(numbers.values()))
+    for name in names:
         one, other = left.get(name), right.get(name)
         problem = ""
         if one is None or other is None:
@@ -59,10 +66,22 @@ def pair_scenes(
                 disparity_left=truth.get(name),
                 disparity_scale=folder.meta.positive("disp_scale"),
                 calibration=folder.one("calib", (".txt",)),
+                pose=poses.get(numbers.get(name, -1)),
                 **folder.meta.disparities(),
             )
         )
     return scenes
+
+
+def _poses(folder: Folder, numbers: list[int]) -> dict[int, Pose | None]:
+    """Poses by number; matching goes without, so that a file of another kind is no more than a warning."""
+    if not folder.has("poses.txt"):
+        return {}
+    try:
+        return read_poses(folder.path / "poses.txt").of_frames(numbers)
+    except InputError as error:
+        warn(f"{error}; the poses are not used")
+        return {}
 
 
 def view_images(place: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:

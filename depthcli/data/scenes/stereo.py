@@ -73,6 +73,7 @@ class StereoScene(Scene):
     calibration : file that says how disparities become depth, or None
     cameras : numbers of the pair's cameras in a calibration of several (KITTI)
     geometry : how disparities become depth, where the data set says so in another way; or None
+    pose : (4, 4), row by row, from the left camera's coordinates to the world's, meters; or None
     sequence : the first, the middle and the last frame of the sequence that this one belongs to, in order; empty for a
         single pair; see :func:`with_sequences`
     """
@@ -105,6 +106,7 @@ class StereoScene(Scene):
     calibration: Path | None = None
     cameras: tuple[int, int] = (2, 3)
     geometry: PairGeometry | None = None
+    pose: tuple[float, ...] | None = None
     sequence: tuple[StereoScene, ...] = ()
 
     @classmethod
