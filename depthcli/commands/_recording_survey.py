@@ -104,7 +104,7 @@ def survey(recording: Recording, topics: FrameTopics) -> Survey:
                 try:
                     read(message)
                 except InputError as error:
-                    found.damaged(str(error))
+                    found.damaged(f"{message.topic}: {error}")
     except InputError as error:
         found.damaged(f"the recording is used up to where it is {error}")
     if any(stamp == 0 for stream in found.streams.values() for stamp in stream.stamps):
@@ -124,30 +124,24 @@ def _read_stamp(recording: Recording, stream: Stream, message: Message) -> None:
 def _read_info(recording: Recording, stream: Stream, message: Message) -> None:
     from depthcli.data.formats.ros_cameras import camera_info
 
-    try:
-        info = recording.read(message, camera_info)
-    except InputError as error:
-        raise InputError(f"{message.topic}: {error}") from error
+    info = recording.read(message, camera_info)
     if stream.info is None:
         stream.info = info
     elif not info.same_camera(stream.info):
-        raise InputError(f"{message.topic}: the camera changes; the first one counts")
+        raise InputError("the camera changes; the first one counts")
 
 
 def _read_poses(recording: Recording, found: Survey, message: Message) -> None:
     from depthcli.data.formats.ros_poses import Track, poses_in
 
     kind = message.kind.rpartition("/")[2]
-    try:
-        poses = recording.read(message, partial(poses_in, kind=kind))
-    except InputError as error:
-        raise InputError(f"{message.topic}: {error}") from error
+    poses = recording.read(message, partial(poses_in, kind=kind))
     if kind.lower() == "tfmessage":
         found.transforms.add(poses)
         return
     found.track = found.track or Track(poses[0].parent)
     if poses[0].parent != found.track.parent:
-        raise InputError(f"{message.topic}: poses in {poses[0].parent!r}, those before are in {found.track.parent!r}")
+        raise InputError(f"poses in {poses[0].parent!r}, those before are in {found.track.parent!r}")
     found.tracked = poses[0].child
     found.track.times += [pose.time for pose in poses]
     found.track.matrices += [pose.matrix for pose in poses]
@@ -180,7 +174,7 @@ def _constant_reader(name: str, recording: Recording, found: Survey) -> Callable
 def _positive(recording: Recording, message: Message) -> float:
     value = recording.read(message, lambda option: float(option.data))
     if not 0 < value < 1e6:
-        raise InputError(f"{message.topic}: want a positive number (got {value:g})")
+        raise InputError(f"want a positive number (got {value:g})")
     return float(f"{value:.6g}")  # of 32 bit
 
 

@@ -96,6 +96,48 @@ def test_clouds_of_refined_frames(frames: Path, tmp_path: Path):
         assert np.quantile(np.abs(points @ WALL - 2), 0.9) < 0.05
 
 
+def view_of_wall(place: np.ndarray) -> np.ndarray:
+    """(H, W) uint8: a textured wall as a camera at ``place`` sees it."""
+    noise = cv2.GaussianBlur(np.random.default_rng(1).random((512, 512)).astype(np.float32), (0, 0), 1.5)
+    noise = (noise - noise.min()) / np.ptp(noise) * 255
+    depth = depth_of_wall(place)
+    points = CAMERA.points(depth, np.isfinite(depth)).astype(np.float64) @ place[:3, :3].T + place[:3, 3]
+    u, v = (((points[:, k] * 60 + 256).reshape(depth.shape)).astype(np.float32) for k in (0, 1))
+    return cv2.remap(noise, u, v, cv2.INTER_LINEAR).round().astype(np.uint8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+def test_a_recording_of_two_views_and_poses_becomes_one_cloud(tmp_path: Path, kind: str):
+    pytest.importorskip("rosbags", reason="no rosbags, which reads recordings")
+    from scipy.spatial.transform import Rotation
+
+    from tests.recordings import START, Messages, Record, write_recording
+
+    ros, records, baseline = Messages(kind), [], np.eye(4)
+    baseline[0, 3] = 0.2
+    for k in range(4):
+        time = START + k * 10**8
+        for side, place, shift in (("left", pose(k), 0.0), ("right", pose(k) @ baseline, -12.0)):
+            image = ros.image(view_of_wall(place), "mono8", time, side)
+            projection = np.hstack([CAMERA.matrix, [[shift], [0], [0]]])
+            info = ros.info(SIZE, CAMERA.matrix, projection, frame=side)
+            records += [Record(f"/{side}/image_rect", time, image), Record(f"/{side}/camera_info", time, info)]
+        turn = Rotation.from_matrix(pose(k)[:3, :3]).as_quat().tolist()
+        records.append(Record("/pose", time, ros.pose_stamped(time, pose(k)[:3, 3].tolist(), turn)))
+    bag = write_recording(tmp_path / f"drive.{kind}", records)
+    for line in (
+        ("extract", bag, "-o", tmp_path / "frames", "--pose-topic", "/pose"),
+        ("stereo", "fast", "-i", tmp_path / "frames", "-o", tmp_path / "run", "--max-disparity", "16"),
+        ("depth", tmp_path / "run", "-o", tmp_path / "depth", "--ply"),
+        ("cloud", tmp_path / "depth", "-i", tmp_path / "frames", "-o", tmp_path / "cloud.ply", "--voxel", "0.05"),
+    ):
+        assert run(*line, "-q") == 0
+    points, _ = read_points(tmp_path / "cloud.ply")
+    assert len(points) > 500
+    assert np.quantile(np.abs(points @ WALL - 2), 0.8) < 0.05  # a tenth of a pixel of disparity is 0.03 m
+
+
 def test_what_is_missing_is_said_and_the_rest_is_done(
     frames: Path, clouds: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -65,13 +65,15 @@ class Recording:
 
     @property
     def topics(self) -> dict[str, Topic]:
-        """The topics by name, sorted."""
-        seconds = max(self._reader.duration / _NANOSECONDS, 0.0)
+        """The topics by name, sorted; InputError where their list is damaged."""
         found: dict[str, Topic] = {}
-        for connection in sorted(self._reader.connections, key=lambda each: str(each.topic)):
-            count = connection.msgcount + (found[connection.topic].count if connection.topic in found else 0)
-            rate = (count - 1) / seconds if seconds and count > 1 else 0.0
-            found[connection.topic] = Topic(connection.topic, _short(connection.msgtype), count, rate)
+        with _library_errors("damaged"):
+            seconds = max(float(self._reader.duration) / _NANOSECONDS, 0.0)
+            for connection in sorted(self._reader.connections, key=lambda each: str(each.topic)):
+                name, count = str(connection.topic), int(connection.msgcount)
+                count += found[name].count if name in found else 0
+                rate = (count - 1) / seconds if seconds and count > 1 else 0.0
+                found[name] = Topic(name, _short(str(connection.msgtype)), count, rate)
         return found
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
@@ -91,7 +93,7 @@ class Recording:
 
     def decode(self, message: Message) -> Any:
         """Return a message as an object with the fields of its type; InputError where its bytes are no such message."""
-        with _library_errors(f"{message.topic}: a damaged message"):
+        with _library_errors("a damaged message"):
             if message.kind not in self._decoders:
                 self._decoders[message.kind] = self._decoder(message.kind)
             return self._decoders[message.kind](message.data)
@@ -226,4 +228,6 @@ def _library_errors(what: str, hint: str = "") -> Iterator[None]:
         raise
     except Exception as error:
         reason = one_line(str(error))[:_MAX_REASON] or type(error).__name__
+        if isinstance(error, KeyError):  # such as MCAP with the schemas of other programs: ros1msg, protobuf
+            reason = f"{reason} is not known to rosbags"
         raise InputError(f"{what} ({reason}){hint}") from error

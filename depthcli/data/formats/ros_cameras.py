@@ -19,6 +19,7 @@ from depthcli.data.formats.rigs import read_rig
 _MAX_FOCAL_DIFFERENCE = 1e-3  # relative, of the focal lengths of a rectified pair
 _MAX_ROW_DIFFERENCE = 0.5  # of the principal points' rows of a rectified pair, pixels
 _MAX_BASELINE = 20.0  # meters, as for files of calibrations
+_MAX_NUMBER = 1e9  # of a calibration, pixels or coefficients
 _CLOSE = 1e-6  # relative difference of numbers that are the same but for rounding
 
 
@@ -81,8 +82,8 @@ def camera_info(message: Any) -> CameraInfo:
     for name, shape in (("K", (3, 3)), ("R", (3, 3)), ("P", (3, 4)), ("D", (-1,))):
         values = np.asarray(getattr(message, name, None) if hasattr(message, name) else getattr(message, name.lower()))
         parts[name] = values.astype(np.float64).reshape(shape)
-        if not np.isfinite(parts[name]).all():
-            raise InputError(f"{name} of camera_info is not finite")
+        if not np.all(np.abs(parts[name]) < _MAX_NUMBER):
+            raise InputError(f"{name} of camera_info holds numbers that are not finite, or too large")
     size = (int(message.width), int(message.height))
     if max(int(message.binning_x), int(message.binning_y)) > 1:
         raise InputError("camera_info of binned images; record them at full size")

@@ -20,6 +20,7 @@ MAX_DELAY = 0.1
 
 _MAX_DEPTH = 64  # transforms from a frame to the root of its tree
 _MAX_NORM_ERROR = 0.01  # of a quaternion
+_MAX_PLACE = 1e9  # meters
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,10 @@ def _matrix(place: Any, turn: Any) -> NDArray[np.float64]:
     quaternion = np.array([turn.x, turn.y, turn.z, turn.w], np.float64)
     matrix = np.eye(4)
     matrix[:3, 3] = (place.x, place.y, place.z)
-    if not np.isfinite(matrix).all() or not abs(float(np.linalg.norm(quaternion)) - 1) <= _MAX_NORM_ERROR:
+    if (
+        not np.all(np.abs(matrix[:3, 3]) < _MAX_PLACE)
+        or not abs(float(np.linalg.norm(quaternion)) - 1) <= _MAX_NORM_ERROR
+    ):
         raise InputError(f"no pose: position {matrix[:3, 3].tolist()}, quaternion {quaternion.tolist()}")
     matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     return matrix
