@@ -97,7 +97,11 @@ def _of_color_and_depth(
     import numpy as np
 
     result = Calibration("meta.json" if infos else "none")
-    if missing:
+    if "color" in infos and "depth" in missing:
+        if not _is_one_frame(found):
+            name = topics.images["depth"]
+            result.notes.append(f"no camera_info of {name}: the depth is taken to be registered to the color image")
+    elif missing:
         result.notes.append(_no_info(topics, missing))
     cameras = {role: info.intrinsics(is_rectified(topics.images[role])) for role, info in infos.items()}
     for role, info in infos.items():

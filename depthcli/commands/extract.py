@@ -217,7 +217,7 @@ def _list_topics(scenes: Sequence[RecordingScene], values: Values, reporter: Rep
             lines.append((scene.name, each.name, each.kind, str(each.count), f"{each.rate:.1f} Hz"))
     if values["json"]:
         reporter.data(to_json(rows))
-    elif rows:
+    elif rows and not values["quiet"]:
         reporter.data(aligned(lines))
     return SOME_FAILED if failed else 0
 
