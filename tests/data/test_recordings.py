@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 import struct
 from pathlib import Path
 from typing import Any
@@ -298,7 +300,19 @@ def test_what_is_no_recording_is_refused(tmp_path: Path):
     for path, wanted in (
         (tmp_path / "a.txt", "no recording; want .bag"),
         (tmp_path, "no recordings in it"),
-        (tmp_path / "none.bag", "no such file"),
+        (tmp_path / "none.bag", "no such file or folder"),
     ):
         with pytest.raises(InputError, match=wanted):
             open_recording(find_recordings(path)[0]).__enter__()
+
+
+def test_bags_without_definitions_have_those_of_ros(tmp_path: Path):
+    """As bags of ROS 2 before Iron are."""
+    ros = Messages("db3")
+    path = write_recording(tmp_path / "one.db3", [Record("/a", START, ros.image(GREY8, "mono8"))])
+    (file,) = path.glob("*.db3")
+    with contextlib.closing(sqlite3.connect(file)) as database, database:
+        assert database.execute("DELETE FROM message_definitions").rowcount > 0
+    with open_recording(path) as recording:
+        (message,) = recording.messages({"/a"})
+        np.testing.assert_array_equal(recording.read(message, image_of), GREY8)

@@ -194,6 +194,8 @@ def recording_files(path: Path) -> list[Path]:
 
 def find_recordings(path: Path) -> list[Path]:
     """Return the recordings that a path stands for: itself, or those in a folder, sorted; InputError for none."""
+    if not os.path.lexists(path):
+        raise InputError(f"{path}: no such file or folder")
     if not os.path.isdir(path) or os.path.lexists(path / _METADATA):
         recording_files(path)
         return [path]
