@@ -233,3 +233,20 @@ def carried_labels(labels, own, still, color, reliable, limit, value_at, scale, 
                 if total < cost[y, x]:
                     cost[y, x], labels[y, x], own[y, x] = total, labels[v, u], own[v, u]
     return labels, own
+
+
+def smoothed_gaps(filled, known, lab, limit, strides, max_contrast):
+    """Medians of 3 x 3 pixels at each of the strides; those of another color, or outside, count as the center."""
+    result = filled.copy()
+    height, width = filled.shape
+    for stride in strides:
+        source = result.copy()
+        for y, x in zip(*np.nonzero(~known), strict=True):
+            samples = []
+            for v in (y - stride, y, y + stride):
+                for u in (x - stride, x, x + stride):
+                    inside = 0 <= v < height and 0 <= u < width
+                    alike = inside and np.abs(lab[v, u].astype(int) - lab[y, x]).sum() <= max_contrast
+                    samples.append(source[v, u] if alike else source[y, x])
+            result[y, x] = np.median(samples)
+    return np.where(result > limit, filled, result)

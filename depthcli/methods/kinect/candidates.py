@@ -48,23 +48,23 @@ class Voters:
 
 
 @dataclass(frozen=True)
-class ShadowPrior:
-    """Influence of the projector's shadows on the votes; all (H, W) float32.
+class ExtraVotes:
+    """What votes beside the planes around: shadows, and surfaces continued into gaps; all (H, W) float32.
 
     Attributes
     ----------
     limit, limit_factor : votes for disparities above ``limit``, pixels, are multiplied by ``limit_factor``
     background, extra_share : disparity of the surface behind a shadow, pixels, NaN = none, which gets in addition
         the share ``extra_share`` of all votes
-    path, path_share : the same for the surface at the start of the cheapest path into a gap
+    continued, continued_share : (n, H, W) the same for n surfaces continued into gaps, which get one share each
     """
 
     limit: NDArray[np.float32]
     limit_factor: NDArray[np.float32]
     background: NDArray[np.float32]
     extra_share: NDArray[np.float32]
-    path: NDArray[np.float32]
-    path_share: NDArray[np.float32]
+    continued: NDArray[np.float32]
+    continued_share: NDArray[np.float32]
 
 
 def color_similarity(sigma: float) -> NDArray[np.float32]:
@@ -76,7 +76,7 @@ def cast_votes(
     pixels: NDArray[np.int32],
     lab: NDArray[np.uint8],
     voters: list[Voters],
-    prior: ShadowPrior,
+    prior: ExtraVotes,
     noise: float,
     candidates: int,
     sigma_color: float,
@@ -117,7 +117,7 @@ def cast_votes(
     _vote(
         pixels, scale, lab, tuple(v.planes for v in voters), tuple(v.lab for v in voters),
         tuple(v.weight for v in voters), prior.limit, prior.limit_factor, prior.background, prior.extra_share,
-        prior.path, prior.path_share,
+        prior.continued, prior.continued_share,
         color_similarity(sigma_color), space, np.float32(low), np.float32(unit), bins, values, shares,
     )  # fmt: skip
     return values, shares
@@ -162,8 +162,8 @@ def _gather(  # type: ignore[no-untyped-def]
 
 @parallel_jit
 def _vote(  # type: ignore[no-untyped-def]
-    pixels, scale, lab, planes, colors, weight, limit, limit_factor, background, extra_share, path, path_share,
-    similarity, space, low, unit, bins, values, shares,
+    pixels, scale, lab, planes, colors, weight, limit, limit_factor, background, extra_share, continued,
+    continued_share, similarity, space, low, unit, bins, values, shares,
 ):  # fmt: skip
     for block in prange((len(pixels) + 255) // 256):
         votes = np.zeros((bins, 2), np.float32)  # mass, and mass x value
@@ -186,7 +186,9 @@ def _vote(  # type: ignore[no-untyped-def]
             for k in range(extent[0], extent[1] + 1):
                 total += votes[k, 0]
             cast = total
-            for d, share in ((background[y, x], extra_share[y, x]), (path[y, x], path_share[y, x])):
+            for n_extra in range(1 + len(continued)):
+                d = background[y, x] if n_extra == 0 else continued[n_extra - 1, y, x]
+                share = extra_share[y, x] if n_extra == 0 else continued_share[y, x]
                 if np.isnan(d):
                     continue
                 k = int((d - low) * per_unit)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.plane_fitting.window_planes import WindowPlanes, window_planes
-from depthcli.kernels.jit import jit
+from depthcli.kernels.jit import jit, parallel_jit, prange
 from depthcli.methods.kinect.shadow_limits import SLOPE_FADE
 
 UNRELIABLE_COST = 15.0
@@ -18,6 +18,13 @@ _COLOR_COST = 0.2  # of a path, per L1 in 8-bit Lab; a pixel of its length costs
 _BORDER_COST = 5.0  # of crossing the border of a segment
 _SHADOW_COST = 1000.0  # of a surface that a shadow rules out: it is taken only without another
 _SWEEPS = 4
+_MEDIAN_OF_NINE = (  # exchanges after which the fifth of nine numbers is their median (Paeth, Graphics Gems, 1990)
+    (1, 2), (4, 5), (7, 8), (0, 1), (3, 4), (6, 7), (1, 2), (4, 5), (7, 8), (0, 3),
+    (5, 8), (4, 7), (3, 6), (1, 4), (2, 5), (4, 7), (4, 2), (6, 4), (4, 2),
+)  # fmt: skip
+_SMOOTHING_STRIDES = (12, 8, 6, 4, 3, 2, 1)  # pixels; the first ones reach across the widest gaps that are common
+_BLOCK = 256  # pixels whose medians are found at once
+_MAX_CONTRAST = 35  # of pixels that smooth each other, L1 in 8-bit Lab
 
 
 def fill_gaps(
@@ -31,7 +38,8 @@ def fill_gaps(
     """Fill the unknown pixels of a disparity map.
 
     A path costs its length, the differences of color along it, and the borders of segments that it crosses. The value
-    is that of the plane around the path's start, whose slope fades with distance.
+    is that of the plane around the path's start, whose slope fades with distance. As paths to neighboring pixels may
+    start far from each other, the result is smoothed by medians of pixels of similar color.
 
     Parameters
     ----------
@@ -58,12 +66,13 @@ def fill_gaps(
     start = np.where(known, np.arange(values.size, dtype=np.int32).reshape(values.shape), np.int32(-1))
     total = np.where(known, cost, np.float32(np.inf)).astype(np.float32)
     y, x = np.divmod(unknown, values.shape[1])
-    _join(np.stack([y, x], axis=1).astype(np.int32), lab, segments, limit, values.ravel(), start, total)
+    pixels = np.stack([y, x], axis=1).astype(np.int32)
+    _join(pixels, lab, segments, limit, values.ravel(), start, total)
     from_y, from_x = np.divmod(start.ravel()[unknown], values.shape[1])
     inside[y, x] = (segments[:, y, x] == segments[:, from_y, from_x]).any(axis=0)
     if noise is None:
         filled[y, x] = values[from_y, from_x]
-        return filled, inside
+        return _smoothed(filled, pixels, lab, limit), inside
     rim = cv2.dilate((~known).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     empty = [np.zeros(values.shape, np.float32) for _ in range(3)]
     planes = window_planes(values, known.astype(np.float32), noise, WindowPlanes(values, *empty), rim & known)
@@ -71,7 +80,57 @@ def fill_gaps(
     slope = planes.slope_x[from_y, from_x] * right + planes.slope_y[from_y, from_x] * down
     fade = 1 + (right * right + down * down) / np.float32(SLOPE_FADE**2)
     filled[y, x] = planes.value[from_y, from_x] + slope / fade
-    return filled, inside
+    return _smoothed(filled, pixels, lab, limit), inside
+
+
+def _smoothed(
+    filled: NDArray[np.float32], pixels: NDArray[np.int32], lab: NDArray[np.uint8], limit: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Replace the filled ``pixels`` by the median of 3 x 3 pixels of similar color, at smaller and smaller strides.
+
+    Values above ``limit`` come from beyond the shadow: they are not taken.
+    """
+    source, smoothed = filled.copy(), filled.copy()
+    for stride in _SMOOTHING_STRIDES:
+        _median(source, pixels, lab, stride, smoothed)
+        source, smoothed = smoothed, source
+    return np.where(source > limit, filled, source)
+
+
+@jit
+def _exchange(low, high):  # type: ignore[no-untyped-def]
+    for i in range(low.size):
+        p, q = low[i], high[i]
+        low[i] = p if p < q else q
+        high[i] = q if p < q else p
+
+
+@parallel_jit
+def _median(source, pixels, lab, stride, out):  # type: ignore[no-untyped-def]
+    # Nine samples a pixel, sorted by a network as far as their median needs. A sample of another color, or outside of
+    # the map, counts as the pixel itself does.
+    height, width = source.shape
+    for block in prange((len(pixels) + _BLOCK - 1) // _BLOCK):
+        samples = np.empty((9, _BLOCK), np.float32)
+        start = block * _BLOCK
+        count = min(_BLOCK, len(pixels) - start)
+        for i in range(count):
+            y, x = pixels[start + i]
+            light, a, b = np.int32(lab[y, x, 0]), np.int32(lab[y, x, 1]), np.int32(lab[y, x, 2])
+            for k in range(9):
+                v, u = y + (k // 3 - 1) * stride, x + (k % 3 - 1) * stride
+                sample = source[y, x]
+                if 0 <= v < height and 0 <= u < width:
+                    contrast = abs(np.int32(lab[v, u, 0]) - light) + abs(np.int32(lab[v, u, 1]) - a)
+                    contrast += abs(np.int32(lab[v, u, 2]) - b)
+                    if contrast <= _MAX_CONTRAST:
+                        sample = source[v, u]
+                samples[k, i] = sample
+        for p, q in _MEDIAN_OF_NINE:
+            _exchange(samples[p, :count], samples[q, :count])
+        for i in range(count):
+            y, x = pixels[start + i]
+            out[y, x] = samples[4, i]
 
 
 @jit

@@ -36,7 +36,8 @@ class Measurement:
     Attributes
     ----------
     disparity : (H, W) float32, pixels, NaN = unknown
-    reliable : (H, W) float32, the same without unreliable pixels
+    probability : (H, W) float32, that a measured value belongs to the surface of its pixel; 1 without colors
+    reliable : (H, W) float32, the disparity without unreliable pixels
     core : (H, W) bool, the more probable ones of the unreliable pixels; thin objects have no others
     limit : (H, W) float32, largest disparity that fits the gap, inf where the gap is no shadow
     noise : standard deviation of the disparity, pixels
@@ -44,6 +45,7 @@ class Measurement:
     """
 
     disparity: NDArray[np.float32]
+    probability: NDArray[np.float32]
     reliable: NDArray[np.float32]
     core: NDArray[np.bool_]
     limit: NDArray[np.float32]
@@ -79,13 +81,14 @@ class Measurement:
         noise = noise_level(disparity) if noise is None else noise
         step = jump * noise
         shadows = shadows_of(disparity, step, where)
-        unreliable = core = np.zeros(disparity.shape, bool)
+        probability = np.ones_like(disparity)
         if min_probability and frame.has_color:  # without colors nothing shows true outlines
             probability = correct_probability(lab, disparity, step, shadows)
-            unreliable = ~np.isnan(disparity) & (probability < min_probability)
-            core = unreliable & (probability > _CORE_PROBABILITY)
+        unreliable = ~np.isnan(disparity) & (probability < min_probability)
+        core = unreliable & (probability > _CORE_PROBABILITY)
         return cls(
             disparity=disparity,
+            probability=probability,
             reliable=np.where(unreliable, np.float32(np.nan), disparity),
             core=core,
             limit=max_disparity_in_gaps(disparity, step, shadows.likely()),

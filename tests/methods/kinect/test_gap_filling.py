@@ -9,6 +9,7 @@ import pytest
 from depthcli.core.frames import RgbdFrame
 from depthcli.data.generated.arrays.depth_sensor import simulate_kinect
 from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene
+from depthcli.methods.kinect import gap_filling
 from depthcli.methods.kinect.gap_filling import fill_gaps
 from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.methods.kinect.pipeline.nearest import NearestFill
@@ -30,7 +31,8 @@ def some(shape, seed, unknown=0.7):
 
 @pytest.mark.parametrize("shape", [(1, 30), (30, 1), (17, 23), (40, 50)])
 @pytest.mark.parametrize("seed", range(3))
-def test_values_are_those_at_the_start_of_the_cheapest_path(shape, seed):
+def test_values_are_those_at_the_start_of_the_cheapest_path(shape, seed, monkeypatch):
+    monkeypatch.setattr(gap_filling, "_SMOOTHING_STRIDES", ())
     values, lab, segments, limit, cost = some(shape, seed)
     if np.isnan(values).all():
         values[0, 0] = 5
@@ -39,6 +41,31 @@ def test_values_are_those_at_the_start_of_the_cheapest_path(shape, seed):
     assert (filled == expected).mean() > 0.95  # the sweeps miss paths that wind
     known = ~np.isnan(values)
     np.testing.assert_array_equal(filled[known], values[known])
+
+
+@pytest.mark.parametrize("shape", [(1, 30), (30, 1), (17, 23), (40, 50)])
+def test_filled_pixels_are_smoothed_as_by_the_reference(shape, monkeypatch):
+    values, lab, segments, limit, cost = some(shape, 0)
+    values[0, 0] = 5
+    smoothed, _ = fill_gaps(values, lab, segments, limit, cost, None)
+    monkeypatch.setattr(gap_filling, "_SMOOTHING_STRIDES", ())
+    filled, _ = fill_gaps(values, lab, segments, limit, cost, None)
+    expected = naive.smoothed_gaps(filled, ~np.isnan(values), lab, limit, (12, 8, 6, 4, 3, 2, 1), 35)
+    np.testing.assert_array_equal(smoothed, expected)
+    assert (smoothed[np.isnan(values)] <= limit[np.isnan(values)]).sum() >= (filled <= limit)[np.isnan(values)].sum()
+
+
+def test_a_ragged_border_between_surfaces_becomes_straighter():
+    values = np.full((60, 120), 10, np.float32)
+    values[:, 60:] = 30
+    values[:, 40:80] = np.nan
+    rng = np.random.default_rng(0)
+    cost = np.where(rng.random(values.shape) < 0.5, np.float32(8), np.float32(0))  # half of the starts are unreliable
+    free, none = np.full(values.shape, np.inf, np.float32), np.empty((0, *values.shape), np.int32)
+    filled, _ = fill_gaps(values, np.full((60, 120, 3), 100, np.uint8), none, free, cost, None)
+    assert set(np.unique(filled)) == {10, 30}
+    assert (np.diff(filled, axis=1) != 0).sum(axis=1).max() == 1  # one border in each row
+    assert np.abs(np.diff((filled == 10).sum(axis=1))).max() <= 3
 
 
 def test_planes_continue_and_fade():

@@ -12,7 +12,7 @@ from depthcli.core.frames import RgbdFrame
 from depthcli.core.maps import DepthStatus
 from depthcli.data.generated.arrays.depth_sensor import simulate_kinect
 from depthcli.data.generated.arrays.kinect_scenes import make_kinect_scene
-from depthcli.methods.kinect.candidates import LEVELS, ShadowPrior, Voters, cast_votes
+from depthcli.methods.kinect.candidates import LEVELS, ExtraVotes, Voters, cast_votes
 from depthcli.methods.kinect.correct_probability import MIN_OFFSET, correct_probability, outline_offsets
 from depthcli.methods.kinect.hidden_openings import hidden_openings
 from depthcli.methods.kinect.pipeline.fast_global_smoother import FastGlobalSmoother
@@ -84,9 +84,10 @@ def test_votes_agree_with_the_reference():
     voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
     sigma = np.full(shape, 2 * 1.1**24, np.float32)  # one of those that there are tables for
     pixels = np.argwhere(rng.random(shape) < 0.01).astype(np.int32)
-    path = np.full(shape, np.nan, np.float32)
-    path[:, ::2] = 21.7
-    prior = ShadowPrior(limit, beyond, rim, bonus, path, np.full(shape, 0.2, np.float32))
+    continued = np.full((2, *shape), np.nan, np.float32)
+    continued[0, :, ::2] = 21.7
+    continued[1, :, ::3] = 19.3
+    prior = ExtraVotes(limit, beyond, rim, bonus, continued, np.full(shape, 0.2, np.float32))
     values, shares = cast_votes(pixels, lab, voters, prior, 0.3, 4, 40.0, sigma)
     voting = planes.value[(trust > 0) & ~np.isnan(planes.value)]
     unit = 0.3 * 5 / 3
@@ -97,7 +98,8 @@ def test_votes_agree_with_the_reference():
         parts = (planes.value, planes.slope_x, planes.slope_y)
         mass, moment = naive.histogram(pixel, lab, parts, trust, limit, beyond, low, unit, bins, 40.0, 2 * 1.1**24)
         cast = mass.sum()
-        for value, share in ((rim[tuple(pixel)], 0.3), (path[tuple(pixel)], 0.2)):
+        row, column = pixel
+        for value, share in zip((rim[row, column], *continued[:, row, column]), (0.3, 0.2, 0.2), strict=True):
             if not np.isnan(value):
                 k = int((value - low) / unit)
                 mass[k] += share * cast
@@ -118,7 +120,7 @@ def test_without_voters_there_are_no_candidates():
         np.array([[0, 0]], np.int32),
         lab,
         voters,
-        ShadowPrior(*[nothing] * 6),
+        ExtraVotes(*[nothing] * 4, nothing[None], nothing),
         0.3,
         3,
         9.0,

@@ -239,7 +239,7 @@ def test_carried_labels(shape, share):
     limit = np.where(rng.random(shape) < 0.3, rng.uniform(10, 40, shape), np.inf).astype(np.float32)
     reliable, still, own = noisy(*shape), rng.random(shape) < share, rng.random(shape) < 0.5
     color = blocks(*shape)
-    measurement = Measurement(reliable, reliable, np.zeros(shape, bool), limit, 0.3)
+    measurement = Measurement(reliable, np.ones_like(reliable), reliable, np.zeros(shape, bool), limit, 0.3)
 
     def value_at(s, y, x):
         b = surfaces.coefficients[s]

@@ -68,19 +68,7 @@ class Dsrm(KinectPipeline):
         clock.start("unreliable")
         lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2Lab), np.uint8)
         measurement = Measurement.of(frame, lab, self.jump, self.min_probability, self.shadows)
-        clock.start("segmentation")
-        labels = self.segmentation.layers(frame.color, measurement.reliable)
-        layers: list[Layer] = []
-        if self.combination == "median":
-            clock.start("model")
-            layers = [self._fit(measurement, layer, lab) for layer in labels]
-            clock.start("refinement")
-            refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
-            clock.start("gaps")
-            refined = refined.joined(lab, layers, measurement)
-        else:
-            clock.start("refinement")
-            refined = self._in_turn(measurement, labels, lab).filled(frame, measurement.noise)
+        refined, labels, layers = self.surfaces(frame, lab, measurement, clock)
         clock.start("result")
         result = refined.to_depth(frame)
         if self.details:
@@ -88,6 +76,22 @@ class Dsrm(KinectPipeline):
         result.seconds = clock.seconds
         result.figures = measurement.shadows.figures()
         return result, measurement, layers, refined.disparity
+
+    def surfaces(
+        self, frame: RgbdFrame, lab: NDArray[np.uint8], measurement: Measurement, clock: Clock
+    ) -> tuple[RefinedDisparity, list[NDArray[np.int32]], list[Layer]]:
+        """Return the refined disparity, the labels of every layer of segments, and the layers (none ``in_turn``)."""
+        clock.start("segmentation")
+        labels = self.segmentation.layers(frame.color, measurement.reliable)
+        if self.combination == "in_turn":
+            clock.start("refinement")
+            return self._in_turn(measurement, labels, lab).filled(frame, measurement.noise), labels, []
+        clock.start("model")
+        layers = [self._fit(measurement, layer, lab) for layer in labels]
+        clock.start("refinement")
+        refined = combine(layers, measurement, self.detail_reach, self.tolerance, self.smooth)
+        clock.start("gaps")
+        return refined.joined(lab, layers, measurement), labels, layers
 
     def _fit(self, measurement: Measurement, labels: NDArray[np.int32], lab: NDArray[np.uint8]) -> Layer:
         return fit_layer(measurement, labels, lab, self.model, self.min_known, self.min_share, self.join)

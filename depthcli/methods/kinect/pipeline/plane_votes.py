@@ -12,14 +12,15 @@ from depthcli.algorithms.plane_fitting.window_planes import RADIUS, window_plane
 from depthcli.core.frames import RgbdFrame
 from depthcli.core.result import Clock, RefinedDepth
 from depthcli.methods.kinect.candidate_choice import AGREEMENT, choose_candidates
-from depthcli.methods.kinect.candidates import LEVELS, ShadowPrior, Voters, cast_votes
-from depthcli.methods.kinect.correct_probability import correct_probability
-from depthcli.methods.kinect.disparity import measured_disparity, nearest_fill, noise_level, refined_depth
+from depthcli.methods.kinect.candidates import LEVELS, ExtraVotes, Voters, cast_votes
+from depthcli.methods.kinect.disparity import nearest_fill, refined_depth
 from depthcli.methods.kinect.gap_filling import UNRELIABLE_COST, fill_gaps
 from depthcli.methods.kinect.hidden_openings import hidden_openings
+from depthcli.methods.kinect.layers import Measurement
 from depthcli.methods.kinect.pipeline import KinectPipeline
+from depthcli.methods.kinect.pipeline.dsrm import Dsrm
 from depthcli.methods.kinect.shadow_limits import GAP_FACTOR, shadow_background, shadow_limits
-from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side, shadows_of
+from depthcli.methods.kinect.shadows import SHADOW_SIDES, Side
 
 
 class PlaneVotes(KinectPipeline):
@@ -35,7 +36,7 @@ class PlaneVotes(KinectPipeline):
 
     renamed: ClassVar[dict[str, str]] = {
         "sure": "min_probability", "least_trust": "min_vote_probability", "openings": "opening_probability",
-        "growth": "sigma_growth",
+        "growth": "sigma_growth", "path_share": "continued_share",
     }  # fmt: skip
 
     jump: float = Field(5.0, gt=0, description="a step of more than this is a depth edge, multiples of the noise")
@@ -50,8 +51,12 @@ class PlaneVotes(KinectPipeline):
         description="largest probability of measurements where colors show a hidden opening; null: not looked for",
     )
     shadows: bool | Side = Field(True, description=SHADOW_SIDES)
-    path_share: float = Field(
-        0.3, ge=0, le=10, description="votes for the surface at the start of the cheapest path into a gap, share of all"
+    continued_share: float = Field(
+        0.3,
+        ge=0,
+        le=10,
+        description="votes for the surface at the start of the cheapest path into a gap, and for that of its segments "
+        "(dsrm), each: share of all",
     )
     candidates: int = Field(4, ge=1, le=8, description="largest number of candidate surfaces per pixel")
     sigma_color: float = Field(11.0, gt=0, le=500, description="L1 difference in 8-bit Lab over which votes fade")
@@ -68,15 +73,11 @@ class PlaneVotes(KinectPipeline):
     def __call__(self, frame: RgbdFrame) -> RefinedDepth:
         clock = Clock()
         clock.start("unreliable")
-        measured = measured_disparity(frame)
-        known = ~np.isnan(measured)
         lab = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB), np.uint8)
-        noise = noise_level(measured)
-        jump = self.jump * noise
-        shadows = shadows_of(measured, jump, self.shadows)
-        p_correct = np.ones_like(measured)
-        if frame.has_color:  # else nothing shows true outlines
-            p_correct = correct_probability(lab, measured, jump, shadows)
+        measurement = Measurement.of(frame, lab, self.jump, self.min_probability, self.shadows)
+        measured, noise, shadows = measurement.disparity, measurement.noise, measurement.shadows
+        p_correct, jump = measurement.probability, self.jump * noise
+        known = ~np.isnan(measured)
         in_shadows = max(shadows.left.confidence, shadows.right.confidence)
         unreliable = ~known | (p_correct < self.min_probability)
         trust = np.where(known & (p_correct > self.min_vote_probability), p_correct, np.float32(0))
@@ -94,7 +95,8 @@ class PlaneVotes(KinectPipeline):
         possible = np.where(limit_factor < 0.1, limit, np.float32(np.inf))
         cost = np.where(unreliable, np.float32(UNRELIABLE_COST), np.float32(0))
         path, _ = fill_gaps(trusted, lab, None, possible, cost, noise)
-        path_share = np.where(known, np.float32(0), np.float32(self.path_share))
+        continued = np.stack([path, Dsrm().surfaces(frame, lab, measurement, clock)[0].disparity])
+        share = np.where(known, np.float32(0), np.float32(self.continued_share))
         for step in range(self.passes):
             clock.start("votes")
             voters = [Voters.of(lab, planes, trust, stride) for stride, _ in LEVELS]
@@ -110,7 +112,7 @@ class PlaneVotes(KinectPipeline):
             pixels = np.argwhere(unreliable[every]).astype(np.int32)
             background, extra_share = shadow_background(measured, planes, jump, shadows)
             extra_share = np.where(known, extra_share * (1 - p_correct), extra_share).astype(np.float32)
-            prior = ShadowPrior(limit, limit_factor, background, extra_share, path, path_share)
+            prior = ExtraVotes(limit, limit_factor, background, extra_share, continued, share)
             votes = cast_votes(grid * pixels, lab, voters, prior, noise, self.candidates, self.sigma_color, sigma_space)
             clock.start("choice")
             chosen = np.full_like(measured, np.nan)
@@ -134,5 +136,5 @@ class PlaneVotes(KinectPipeline):
         return result
 
     def peak_bytes(self, shape: tuple[int, int]) -> int:
-        """Estimate as for a frame of unreliable pixels only: candidates, messages and weights."""
-        return (60 * self.candidates + 200) * shape[0] * shape[1]
+        """Estimate as for a frame of unreliable pixels only: candidates, messages and weights; or segments before."""
+        return max((60 * self.candidates + 220) * shape[0] * shape[1], Dsrm().peak_bytes(shape))
