@@ -33,6 +33,7 @@ The others:
               pictures, curves and the page
 ``sweep``     makes a config of every combination; runs each as its command does; evaluates all; writes the tables
 ``export``    finds the maps of a benchmark's scenes; checks all; writes the archive as its server takes it
+``calibrate`` finds a board's corners in photos; solves for lenses and places without outliers; writes rig and report
 ``cloud``     moves the clouds of a run's frames by their poses; joins what lies in one voxel; writes one cloud
 ``merge``     joins the reports of the processes that shared a run
 ``help``      explains columns, layouts, files and other topics, from the code
@@ -81,7 +82,7 @@ _GROUPS = {
         "fuse-maps",
         "register-confidence",
     ),
-    "Prepare and convert": ("sample", "extract", "rectify", "depth", "cloud"),
+    "Prepare and convert": ("sample", "extract", "calibrate", "rectify", "depth", "cloud"),
     "Evaluate and report": ("evaluate", "sweep", "export", "merge"),
     "Inspect and set up": ("help", "presets", "devices", "warmup"),
 }

@@ -17,7 +17,7 @@ from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.rig import Rig
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.yaml_source import parse_config, short
-from depthcli.data.formats.files import naming, read_bytes
+from depthcli.data.formats.files import naming, read_bytes, write_text
 from depthcli.data.formats.plain_text import image_sides, json_object, key_values, numbers
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -70,6 +70,27 @@ def read_rig(paths: Sequence[Path], unit: str = "m", fisheye: bool = False, came
         if rig.baseline > _MAX_BASELINE:
             raise InputError(f"a baseline of {rig.baseline:g} m; is the translation in millimeters? then say --unit mm")
         return rig
+
+
+def write_calibration(path: Path, cameras: Sequence[Camera], rig: Rig | None = None) -> None:
+    """Write one camera (K1 D1), or two and their places in meters (K1 D1 K2 D2 R T), as OpenCV's YAML.
+
+    :func:`read_rig` reads the latter.
+    """
+    lines = ["%YAML:1.0", "---"]
+    if len({camera.size for camera in cameras}) == 1 and cameras[0].size is not None:
+        lines += [f"image_width: {cameras[0].size[0]}", f"image_height: {cameras[0].size[1]}"]
+    lines.append(f"distortion_model: {'fisheye' if cameras[0].fisheye else 'plumb_bob'}")
+    parts: dict[str, NDArray[np.float64]] = {}
+    for number, camera in enumerate(cameras, 1):
+        parts |= {f"K{number}": camera.matrix, f"D{number}": camera.coefficients[None]}
+    if rig is not None:
+        parts |= {"R": rig.rotation, "T": rig.translation[:, None]}
+    for name, part in parts.items():
+        numbers_of = ", ".join(repr(float(value)) for value in part.ravel())
+        lines += [f"{name}: !!opencv-matrix", f"   rows: {part.shape[0]}", f"   cols: {part.shape[1]}", "   dt: d",
+                  f"   data: [ {numbers_of} ]"]  # fmt: skip
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def read_color_infrared_rig(path: Path, color_size: tuple[int, int], infrared_size: tuple[int, int]) -> Rig | float:

@@ -1,0 +1,213 @@
+"""``depthcli calibrate``: photos of boards by cameras that are known, and what ``rectify`` makes of the result."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from depthcli.algorithms.calibration.boards import Chessboard, Corners
+from depthcli.cli import main
+from depthcli.core.cameras.rig import Rig
+from depthcli.data.calibration_photos import find_photos
+from depthcli.data.formats.images import read_image, write_png
+from depthcli.data.formats.rigs import read_rig
+from tests import boards
+from tests.boards import SIZE, SQUARE
+
+pytestmark = pytest.mark.slow
+
+CHESS = ("--board", "9x6", "--square", "25mm")
+EXTENT = (8 * SQUARE, 5 * SQUARE)
+
+
+def run(*arguments: str | Path) -> int:
+    return main([str(a) for a in arguments])
+
+
+def shoot(folder: Path, rig: Rig, texture: np.ndarray, places: list, names: str = "{side}{k:02}.png") -> Path:
+    for k, (turn, shift) in enumerate(places):
+        for side, image in zip(("left", "right"), boards.pair(rig, texture, turn, shift, k), strict=True):
+            write_png(folder / names.format(side=side, k=k), image)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def chess(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """20 pairs of photos; the right one of pair 05 shows the board of pair 07."""
+    folder, places = tmp_path_factory.mktemp("chess") / "photos", list(boards.poses(20, EXTENT))
+    shoot(folder, boards.rig(), boards.chessboard(9, 6), places)
+    shutil.copy(folder / "right07.png", folder / "right05.png")
+    return folder
+
+
+def row_errors(found: Rig, true: Rig) -> np.ndarray:
+    """How far the rows of true points are apart after the rectification by the calibration that was found."""
+    rng = np.random.default_rng(1)
+    points = np.column_stack([rng.uniform(-0.4, 0.4, 4000), rng.uniform(-0.3, 0.3, 4000), rng.uniform(0.4, 4, 4000)])
+    points[:, :2] *= points[:, 2:]
+    pixels = [true.left.project(points), true.right.project(points @ true.rotation.T + true.translation)]
+    inside = np.all([((p >= 0) & (p < SIZE)).all(axis=1) for p in pixels], axis=0)
+    left, right = found.rectified(SIZE, SIZE).points(pixels[0][inside], pixels[1][inside])
+    assert inside.sum() > 1000
+    return np.abs(left[:, 1] - right[:, 1])
+
+
+def check(found: Rig, true: Rig) -> None:
+    for one, other in ((found.left, true.left), (found.right, true.right)):
+        np.testing.assert_allclose(np.diag(one.matrix), np.diag(other.matrix), rtol=0.003)
+        np.testing.assert_allclose(one.matrix[:2, 2], other.matrix[:2, 2], atol=2.0)
+    assert abs(found.baseline / true.baseline - 1) < 0.003
+    errors = row_errors(found, true)
+    assert np.sqrt(np.mean(errors**2)) < 0.05
+    assert np.quantile(errors, 0.95) < 0.1
+
+
+def test_a_chessboard_gives_the_rig_without_the_pair_that_does_not_belong_together(
+    chess: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "stereo.yml"
+    assert run("calibrate", chess, *CHESS, "-o", target) == 0
+    out, err = capsys.readouterr()
+    check(read_rig([target]), boards.rig())
+    report = json.loads((tmp_path / "stereo_report.json").read_text())
+    photos = {photo["name"]: photo for photo in report["photos"]}
+    assert photos["05"]["left_out"] == {"pair": "outlier"}
+    assert photos["05"]["pair_error"] > 5
+    assert [name for name, photo in photos.items() if "outlier" in photo["left_out"].values()] == ["05"]
+    assert "do not fit the others: 05" in err and "no: outlier" in out
+    assert report["rig"]["row_error"] < 0.1
+    assert all(camera["reprojection_error"] < 0.1 for camera in report["cameras"])
+    assert report["warnings"] == []
+    assert read_image(tmp_path / "stereo_coverage.png").shape == (504, 1288, 3)
+    again = tmp_path / "again.yml"
+    assert run("calibrate", chess, *CHESS, "-o", again, "-q") == 0
+    assert again.read_bytes() == target.read_bytes()
+    assert run("calibrate", chess, *CHESS, "-o", again) == 2
+    assert "is there already" in capsys.readouterr().err
+    # The rig rectifies photos of the same cameras.
+    (tmp_path / "pairs" / "a").mkdir(parents=True)
+    for side in ("left", "right"):
+        shutil.copy(chess / f"{side}07.png", tmp_path / "pairs" / "a" / f"{side}.png")
+    assert run("rectify", "-i", tmp_path / "pairs", "--calibration", target, "-o", tmp_path / "out", "-q") == 0
+    views = [read_image(tmp_path / "out" / "a" / f"{side}.png") for side in ("left", "right")]
+    left, right = (Chessboard(9, 6, SQUARE).find(view) for view in views)
+    assert left is not None and right is not None
+    assert np.sqrt(np.mean((left.pixels[:, 1] - right.pixels[:, 1]) ** 2)) < 0.1
+
+
+def test_a_charuco_board_may_be_seen_in_part(tmp_path: Path) -> None:
+    places = list(boards.poses(16, (9 * SQUARE, 6 * SQUARE), seed=2))
+    shoot(tmp_path / "photos", boards.rig(), boards.charuco(11, 8, 0.018), places, "cam{side}/{k}.png")
+    (tmp_path / "photos" / "camleft").rename(tmp_path / "photos" / "cam0")
+    (tmp_path / "photos" / "camright").rename(tmp_path / "photos" / "cam1")
+    board = ("--board", "charuco:11x8", "--square", "2.5cm", "--marker", "18mm")
+    assert run("calibrate", tmp_path / "photos", *board, "-o", tmp_path / "c.yml", "-q") == 0
+    check(read_rig([tmp_path / "c.yml"]), boards.rig())
+
+
+def test_fisheye_lenses(tmp_path: Path) -> None:
+    rig = boards.rig(fisheye=True)
+    shoot(tmp_path / "photos", rig, boards.chessboard(9, 6), list(boards.poses(16, EXTENT)))
+    assert run("calibrate", tmp_path / "photos", *CHESS, "--fisheye", "-o", tmp_path / "c.yml", "-q") == 0
+    found = read_rig([tmp_path / "c.yml"])
+    assert found.left.fisheye
+    np.testing.assert_allclose(np.diag(found.left.matrix), np.diag(rig.left.matrix), rtol=0.003)
+    assert abs(found.baseline / rig.baseline - 1) < 0.003
+
+
+def test_one_camera_whose_boards_are_all_parallel_is_doubted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera, texture = boards.rig().left, boards.chessboard(9, 6)
+    for k, (_, shift) in enumerate(boards.poses(8, EXTENT, tilt=0.0)):
+        write_png(tmp_path / "photos" / f"{k}.png", boards.photo(camera, texture, np.eye(3), shift, k))
+    assert run("calibrate", tmp_path / "photos", *CHESS, "-o", tmp_path / "c.yml") == 0
+    err = capsys.readouterr().err
+    assert "warning: the focal length is not determined" in err or "degrees at most between photos" in err
+    report = json.loads((tmp_path / "c_report.json").read_text())
+    assert len(report["cameras"]) == 1 and "rig" not in report
+
+
+def test_a_wrong_number_of_corners_is_said(chess: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "photos").mkdir()
+    for name in ("left03.png", "left04.png", "right03.png", "right04.png"):
+        shutil.copy(chess / name, tmp_path / "photos")
+    assert run("calibrate", tmp_path / "photos", "--board", "10x7", "--square", "25mm", "-o", tmp_path / "c.yml") == 2
+    err = capsys.readouterr().err
+    assert "10 x 7 inner corners (11 x 8 squares)" in err and "9 x 6 inner corners: --board 9x6?" in err
+    assert [each.name for each in tmp_path.iterdir()] == ["photos"]
+
+
+def test_damaged_photos_are_left_out_and_said(chess: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(chess, tmp_path / "photos")
+    (tmp_path / "photos" / "left03.png").write_bytes((chess / "left03.png").read_bytes()[:5000])
+    write_png(tmp_path / "photos" / "left04.png", np.zeros((50, 60), np.uint8))
+    write_png(tmp_path / "photos" / "other.png", np.zeros((50, 60), np.uint8))
+    assert run("calibrate", tmp_path / "photos", *CHESS, "-o", tmp_path / "c.yml") == 3
+    out, err = capsys.readouterr()
+    assert "left03.png" in err and "other.png: left out" in err
+    assert "left cannot be read" in out and "60 x 50 pixels, not 640 x 480" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("--board", "9by6", "--square", "25mm"), "--board: want 9x6 (inner corners)"),
+        (("--board", "1x6", "--square", "25mm"), "too few or too many corners"),
+        (("--board", "9x6", "--square", "25"), "a length with its unit, such as 25mm (got '25')"),
+        (("--board", "9x6", "--square", "0mm"), "a length with its unit"),
+        (("--board", "9x6", "--square", "25mm", "--marker", "5mm"), "those of a ChArUco board"),
+        (("--board", "charuco:7x5", "--square", "25mm"), "--marker 18mm"),
+        (("--board", "charuco:7x5", "--square", "25mm", "--marker", "25mm"), "not smaller than a square"),
+        (("--board", "charuco:30x20", "--square", "2cm", "--marker", "1cm"), "4X4_50 has 50 markers, the board 300"),
+        (("--board", "charuco:7x5", "--square", "2cm", "--marker", "1cm", "--dictionary", "9X9"), "no 9X9"),
+        ((*CHESS,), "no photos"),
+    ],
+)
+def test_wrong_options(
+    tmp_path: Path, arguments: tuple[str, ...], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("calibrate", tmp_path, *arguments, "-o", tmp_path / "c.yml") == 2
+    err = capsys.readouterr().err
+    assert text in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("left/01.png", "left/02.png", "right/01.png", "right/02.png"),
+        ("left01.png", "left02.png", "right01.png", "right02.png"),
+        ("01_l.png", "02_l.png", "01_r.png", "02_r.png"),
+        ("cam0/01.png", "cam0/02.png", "cam1/01.png", "cam1/02.png"),
+        ("01/left.png", "02/left.png", "01/right.png", "02/right.png"),
+        ("left/left-01.png", "left/left-02.png", "right/right-01.png", "right/right-02.png"),
+    ],
+)
+def test_pairs_are_found_by_name(tmp_path: Path, names: tuple[str, ...]) -> None:
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
+        (tmp_path / name).touch()
+    photos, unnamed = find_photos([tmp_path])
+    assert [each.name for each in photos] == ["01", "02"] and unnamed == []
+    assert [(each.left, each.right) for each in photos] == [
+        (tmp_path / names[k], tmp_path / names[k + 2]) for k in (0, 1)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(9, 6), (8, 6), (7, 7)])
+@pytest.mark.parametrize("turned", [0, 180])
+def test_both_views_of_a_board_number_its_corners_alike(columns: int, rows: int, turned: int) -> None:
+    rig, board = boards.rig(), Chessboard(columns, rows, SQUARE)
+    turn = cv2.Rodrigues(np.radians([10.0, -15.0, 5.0]))[0] @ cv2.Rodrigues(np.radians([0.0, 0.0, turned]))[0]
+    shift = np.array([0.06, 0, 0.5]) - turn @ np.array([columns - 1, rows - 1, 0]) * SQUARE / 2
+    left, right = map(board.find, boards.pair(rig, boards.chessboard(columns, rows), turn, shift))
+    assert left is not None and right is not None
+    for flipped in (right, Corners(right.ids, right.pixels[::-1])) if (columns + rows) % 2 == 0 else (right,):
+        alike = board.alike(left, flipped)
+        assert np.ptp(left.pixels[:, 0] - alike.pixels[:, 0]) < 40
+        assert np.ptp(left.pixels[:, 1] - alike.pixels[:, 1]) < 40
