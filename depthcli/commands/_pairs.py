@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 PairConfigT = TypeVar("PairConfigT", bound="PairConfig")
 
 
+_AXIS = Option("axis", str, "vertical: --left is the upper view. Default: horizontal.", "AXIS", sets="axis")
+
+
 class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
     """Reads a pair, matches it, writes the left view's map."""
 
@@ -38,7 +41,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     @property
     def options(self) -> tuple[Option, ...]:
-        return (*super().options, UNIT)
+        return (*super().options, UNIT, _AXIS)
 
     def config(self, values: Values) -> PairConfigT:
         """Return the config, with the unit of its calibration where that is given."""
@@ -77,6 +80,7 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         if not (isinstance(min_disparity, int) and isinstance(max_disparity, int)):
             return None
         shape, limits = image_size(scene.left)[:2], self.limits(config, 0)
+        shape = shape if config.axis == "horizontal" else (shape[1], shape[0])
         return host_bytes(self.matcher(config, scene), shape, max_disparity - min_disparity, limits)
 
     def effort(self, config: PairConfigT, scene: StereoScene) -> int | None:
@@ -176,13 +180,13 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         if config.calibration is None:
             clock.start("load")
             pair = scene.load()
-            if scene.right is not None and scene.frame_number is None:
+            if scene.right is not None and scene.frame_number is None and config.axis == "horizontal":
                 current_scene().originals = pair, (scene.left, scene.right)
         else:
             clock.start("rectify")
             pair, save, facts, warnings = rectified_pair(config.calibration, scene, folder)
         with _meanwhile(save):
-            found = match_pair(matcher, pair, (min_disparity, max_disparity), limits, clock, known)
+            found = match_pair(matcher, pair, (min_disparity, max_disparity), limits, clock, known, config.axis)
         clock.start("save")
         found.save(folder)
         search, key_points = found.search, found.key_points
@@ -221,6 +225,8 @@ def _range_frames(config: PairConfig, scene: StereoScene) -> tuple[StereoScene, 
     of each pair by itself.
     """
     ends = config.min_disparity, config.max_disparity
+    if config.axis == "vertical":
+        return ()
     if "auto" in ends or config.max_disparity is not None or scene.max_disparity is not None:
         return ()
     return scene.sequence if config.calibration is not None or scene.frame_number is not None else ()
