@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from depthcli.algorithms.body import body_of_volume
-from depthcli.algorithms.resampling import resample
+from depthcli.algorithms.resampling import block_means, resample
 from depthcli.data.registered_volumes import LoadedPair
 from depthcli.methods.registration.pipeline import RegistrationResult
 
@@ -29,9 +31,7 @@ def inside_figures(result: RegistrationResult, loaded: LoadedPair) -> dict[str, 
         order, flipped = grid.anatomical_axes()
         turned = np.flip(body_of_volume(grid.turned(pair.fixed)), flipped)
         inside = turned.transpose(np.argsort(order))
-    steps = [1 / step for step in result.step]
-    starts = [-start / step for start, step in zip(result.start, result.step, strict=True)]
-    error = resample(result.expected_error, pair.shape, steps, starts)
+    error = _error_of_voxels(result, loaded)
     known = error[inside]
     if not known.size:
         return {}
@@ -49,3 +49,33 @@ def inside_figures(result: RegistrationResult, loaded: LoadedPair) -> dict[str, 
         place = grid.to_point(first + blocks * center)[0]
         figures |= dict(zip(("above_x", "above_y", "above_z"), map(float, place), strict=True))
     return {name: round(value, 4) for name, value in figures.items()}
+
+
+def region_figures(
+    result: RegistrationResult, loaded: LoadedPair, regions: Iterable[tuple[str, NDArray[np.bool_]]]
+) -> dict[str, float]:
+    """Return figures of the expected error in regions, such as those of organs.
+
+    Parameters
+    ----------
+    regions : (name, mask (Z, Y, X) on the fixed volume's grid)
+
+    Returns
+    -------
+    ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm; none of a region without a voxel
+    """
+    figures = {}
+    error = _error_of_voxels(result, loaded)
+    for name, mask in regions:
+        known = error[block_means(mask, loaded.blocks) >= 0.5 if max(loaded.blocks) > 1 else mask]
+        if known.size:
+            figures[f"region_mean_{name}"] = round(float(known.mean(dtype=np.float64)), 4)
+            figures[f"region_95_{name}"] = round(float(np.quantile(known, 0.95)), 4)
+    return figures
+
+
+def _error_of_voxels(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.float32]:
+    """Return the expected error of each voxel of the pair, mm."""
+    steps = [1 / step for step in result.step]
+    starts = [-start / step for start, step in zip(result.start, result.step, strict=True)]
+    return resample(result.expected_error, loaded.pair.shape, steps, starts)

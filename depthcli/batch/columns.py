@@ -89,6 +89,8 @@ REGISTRATION = (
            ("expected mm",)),
     Column("inside_mean", "mean expected error within the mask, or else within the body", "mm", ("mean mm",)),
     Column("inside_95", "expected error that 95 % of the voxels in the mask or body stay below", "mm", ("95 % mm",)),
+    Column("region_mean_NAME, region_95_NAME", "mean expected error in mask_NAME, and its 95 % quantile", "mm",
+           pattern="region_(mean|95)_.+"),
     Column("inside_max", "largest expected error in the mask or body", "mm", ("largest mm",)),
     Column("above_3mm", "volume of the mask or body whose expected error is above 3 mm", "mL", ("above 3 mm, mL",)),
     Column("above_x, above_y, above_z", "center of the largest connected region above 3 mm; towards left, posterior, "

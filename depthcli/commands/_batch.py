@@ -9,9 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Generic
 
-from depthcli.batch.command import SOME_FAILED, Command, ConfigT, ModelT, Outcome, SceneT, Values
+from depthcli.batch.command import Command, ConfigT, ModelT, Outcome, SceneT, Values
 from depthcli.batch.console import Column, Reporter, run_table
 from depthcli.batch.json_csv import Row, to_json
+from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_rows, flagged_table
 from depthcli.commands._options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
 from depthcli.commands._page import PAGE_BUDGET, PAGE_FILE, new_page, write_page
 from depthcli.commands._tables import print_place, print_tables
@@ -24,6 +25,7 @@ from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
     from depthcli.batch.task import RunOptions
+    from depthcli.core.flags import Condition, Flagged
     from depthcli.data.formats.pictures import Palette
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.report.run_without_truth import RunWithoutTruth
@@ -88,7 +90,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
 
     def run_on(self, config: ConfigT, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> int:
         """Compute scenes, evaluate where asked, print table or JSON; or only list the scenes. Return the exit code."""
-        options, output = run_options(values), values["output"]
+        options, output, conditions = run_options(values), values["output"], conditions_of(values)
         if values.get("dry_run") or values["list_scenes"]:
             self._list(config, scenes, values, options, reporter)
             return 0
@@ -108,14 +110,18 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         failed = [row for row in rows if row["status"] == "failed"]
         if (palette := self.palette()) is not None and len(failed) < len(rows):
             write_legend(output / LEGEND_FILE, palette, self.legend_values())
-        evaluation, page_file = self._evaluation(scenes, rows, values, reporter)
+        evaluation, page_file, flagged = self._evaluation(scenes, rows, values, conditions, reporter)
         if values["json"]:
             document = report_document(self.name, rows)
+            if conditions:
+                document["flagged"] = [each.to_dict() for each in flagged]
             reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
         elif evaluation is None and not values["quiet"]:
             reporter.data(run_table(rows, self.columns()))
         elif evaluation is not None:
             print_tables(evaluation, values, reporter)
+        if conditions and not (values["json"] or values["quiet"]):
+            reporter.data(flagged_table(flagged, len(rows)))
         total = len(scenes) if options.shard is None else len(rows)
         reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {output}")
         if evaluation is not None:
@@ -124,7 +130,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
             reporter.info(f"page to open in a browser: {page_file}")
         if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
             return 1
-        return SOME_FAILED if failed or (evaluation is not None and evaluation.failed) else 0
+        return exit_code(bool(failed or (evaluation is not None and evaluation.failed)), flagged, values)
 
     def _list(
         self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
@@ -140,11 +146,19 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         reporter.data(to_json({"command": self.name, "scenes": names}) if values["json"] else lines)
 
     def _evaluation(
-        self, scenes: Sequence[SceneT], rows: Sequence[Row], values: Values, reporter: Reporter
-    ) -> tuple[EvaluationReport | None, Path | None]:
-        """Compare scenes with their truth, and write the page of these and of the others, where requested."""
+        self,
+        scenes: Sequence[SceneT],
+        rows: Sequence[Row],
+        values: Values,
+        conditions: Sequence[Condition],
+        reporter: Reporter,
+    ) -> tuple[EvaluationReport | None, Path | None, Sequence[Flagged]]:
+        """Compare scenes with their truth, and write the page of these and of the others, where requested.
+
+        Returns the evaluation, the page's file, and the flagged rows.
+        """
         if not (values.get("evaluate") or values.get("html")):
-            return None, None
+            return None, None, flagged_rows(conditions, rows, reporter)
         output, truth = values["output"] / "evaluation", values.get("input")
         in_folder = truth is not None and os.path.isdir(truth)  # those of a table or of the command line have no truth
         scored = [scene for scene in scenes if in_folder and scene.has_truth]
@@ -156,19 +170,22 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         if scored:
             report = evaluate(
                 [values["output"]], values["input"], output, values["scenes"] or ["*"], values["layout"],
-                reporter=reporter, kinds=self.truth_kinds(scenes), page=page,
+                reporter=reporter, kinds=self.truth_kinds(scenes), page=page, conditions=conditions,
+                rows={str(row["scene"]): row for row in rows},
             )  # fmt: skip
-            return report, None if page is None or not page.written else output / PAGE_FILE
+            return report, None if page is None or not page.written else output / PAGE_FILE, report.flagged or ()
         shows = ": the page shows the maps without scores" if page is not None else ", nothing to compare with"
         reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
+        flagged = flagged_rows(conditions, rows, reporter)
         if page is None:
-            return None, None
+            return None, None, flagged
+        page.flagged = flagged
         try:
             write_page(page, reporter)
         except DepthcliError as error:  # the maps are there
             reporter.error(f"no {PAGE_FILE}: {error}")
-            return None, None
-        return None, output / PAGE_FILE
+            return None, None, flagged
+        return None, output / PAGE_FILE, flagged
 
     def _without_truth(self, scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path) -> RunWithoutTruth:
         """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
@@ -202,7 +219,7 @@ class ConfigCommand(BatchCommand[ModelT, SceneT]):
     def options(self) -> tuple[Option, ...]:
         """The options of the kinds of scene, between those of all batch commands."""
         own = {option.name: option for kind in self.kinds for option in kind.options}
-        return (INPUT, *own.values(), OUTPUT, *SELECT, *RUN, EVALUATE, HTML_FLAG, DRY_RUN)
+        return (INPUT, *own.values(), OUTPUT, *SELECT, *RUN, EVALUATE, HTML_FLAG, *FLAGS, DRY_RUN)
 
     @abstractmethod
     def config_model(self) -> type[ModelT]:

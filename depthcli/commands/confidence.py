@@ -10,6 +10,7 @@ from typing import ClassVar, TypedDict
 
 from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
+from depthcli.commands._flags import FLAGS
 from depthcli.commands._given_maps import (
     CODING,
     PAIR_OPTIONS,
@@ -63,6 +64,7 @@ class ConfidenceCommand(MapsCommand[ConfidenceOptions]):
         *(option for option in RUN if option.name != "keep"),
         EVALUATE,
         HTML_FLAG,
+        *FLAGS,
         DRY_RUN,
     )  # fmt: skip
 

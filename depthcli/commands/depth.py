@@ -16,6 +16,7 @@ from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import DEPTH_RESULTS, BatchCommand
 from depthcli.commands._clouds import check_limits, empty_cloud
+from depthcli.commands._flags import FLAGS
 from depthcli.commands._options import DRY_RUN, HTML_FLAG, LAYOUT, OUTPUT, RUN, SCENES
 from depthcli.commands._scenes import find_maps
 from depthcli.core.errors import ConfigError, InputError
@@ -78,6 +79,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
                max_value=1e6, group="Output"),
         *RUN,
         HTML_FLAG,
+        *FLAGS,
         DRY_RUN,
     )  # fmt: skip
 

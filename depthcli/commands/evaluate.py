@@ -10,12 +10,14 @@ import contextlib
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from depthcli.batch.command import SOME_FAILED, Command, Values
+from depthcli.batch.command import Command, Values
 from depthcli.batch.console import Reporter
-from depthcli.batch.json_csv import to_csv, to_json
+from depthcli.batch.json_csv import Row, to_csv, to_json
+from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_scores, flagged_table
 from depthcli.commands._options import LAYOUT, SCENES
 from depthcli.commands._page import HTML, PAGE_FILE, RESULTS, new_page
 from depthcli.commands._tables import TABLES, check_tables, print_place, print_tables
@@ -26,6 +28,7 @@ from depthcli.core.registry import plugin_of, versions_here
 
 if TYPE_CHECKING:
     from depthcli.commands._scoring import Scoring
+    from depthcli.core.flags import Condition
     from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.map_files import MapOptions
@@ -62,6 +65,7 @@ class EvaluateCommand(Command):
         Option("resize", str, "Bring depth maps and truth to this size.", "WxH"),
         Option("threshold", float, "Threshold of wrong pixels. Default: the benchmark's.", "T", min_value=1e-6),
         *TABLES,
+        *FLAGS,
         *HTML,
     )  # fmt: skip
 
@@ -80,19 +84,22 @@ class EvaluateCommand(Command):
         scale, invalid, map_options = _map_options(values)
         settings = Settings(scale, resolution, values["threshold"], resize, invalid)
         check_tables(values)
+        conditions = conditions_of(values)
         page = new_page(self, values, values["output"])
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
             values["protocol"], settings, reporter, page=page,
-            map_options=map_options,
+            map_options=map_options, conditions=conditions,
         )  # fmt: skip
         if values["json"]:
             reporter.data(to_json(report.to_dict()))
         else:
             print_tables(report, values, reporter)
+            if conditions and not values["quiet"]:
+                reporter.data(flagged_table(report.flagged or (), len(report.results)))
         if values["output"] is not None:
             print_place(values["output"], page is not None and page.written, reporter)
-        return SOME_FAILED if report.failed else 0
+        return exit_code(bool(report.failed), report.flagged or (), values)
 
 
 def evaluate(
@@ -107,6 +114,8 @@ def evaluate(
     kinds: Iterable[type[Scene]] | None = None,
     page: Page | None = None,
     map_options: Mapping[str, MapOptions] | None = None,
+    conditions: Sequence[Condition] = (),
+    rows: Mapping[str, Row] | None = None,
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
@@ -127,6 +136,8 @@ def evaluate(
     kinds : kinds of scene to evaluate; None: all, or what ``protocol`` scores
     page : is filled and written to ``output``; or None
     map_options : run -> how its maps are named and coded; what is not given is recognized
+    conditions : on scores and on columns of the runs' reports, by which scenes are flagged
+    rows : scene -> row of the report of the only run; None: read from the runs
 
     Raises
     ------
@@ -154,8 +165,9 @@ def evaluate(
         if page is not None and folder is not None:
             page.folder = folder
         report = _scored(
-            Scoring(places, truth, folder, scored_by, settings, page, dict(map_options or {})), found, reporter
-        )
+            Scoring(places, truth, folder, scored_by, settings, page, dict(map_options or {})),
+            found, reporter, conditions, rows,
+        )  # fmt: skip
     for line in report.warning_lines:
         reporter.info(f"warning: {line}")
     for result in report.failed:
@@ -163,7 +175,13 @@ def evaluate(
     return report
 
 
-def _scored(scoring: Scoring, scenes: Sequence[Scene], reporter: Reporter) -> EvaluationReport:
+def _scored(
+    scoring: Scoring,
+    scenes: Sequence[Scene],
+    reporter: Reporter,
+    conditions: Sequence[Condition],
+    rows: Mapping[str, Row] | None,
+) -> EvaluationReport:
     """Score all scenes, and write scores, pictures and the page."""
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.plots import cache_below
@@ -185,8 +203,21 @@ def _scored(scoring: Scoring, scenes: Sequence[Scene], reporter: Reporter) -> Ev
         hints = (*scoring.hints, *scoring.misfits)
         plugins = versions_here(_plugins(scoring, scenes))
         report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth, hints, plugins)
+        if conditions:
+            own = {run: _report_of(place, scenes) if rows is None else rows for run, place in scoring.runs.items()}
+            report = replace(report, flagged=tuple(flagged_scores(conditions, report, own, reporter)))
+            if scoring.page is not None:
+                scoring.page.flagged = report.flagged or ()
         _write(report, scoring, reporter)
     return report
+
+
+def _report_of(place: Path, scenes: Sequence[Scene]) -> dict[str, Row]:
+    """Return scene -> row of a run's report, of those of the scenes that it has."""
+    from depthcli.batch.reports import read_report
+
+    rows = read_report(place) if os.path.isdir(place) else {}
+    return {scene.name: rows[scene.name] for scene in scenes if scene.name in rows}
 
 
 def _plugins(scoring: Scoring, scenes: Sequence[Scene]) -> set[Plugin]:

@@ -11,6 +11,7 @@ from typing import ClassVar, TypedDict
 
 from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
+from depthcli.commands._flags import FLAGS
 from depthcli.commands._given_maps import (
     CODING,
     PAIR_OPTIONS,
@@ -53,6 +54,7 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         *RUN,
         EVALUATE,
         HTML_FLAG,
+        *FLAGS,
         DRY_RUN,
     )  # fmt: skip
 

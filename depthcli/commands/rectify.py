@@ -15,6 +15,7 @@ from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import BatchCommand
+from depthcli.commands._flags import FLAGS
 from depthcli.commands._options import DRY_RUN, INPUT, LAYOUT, NAME, OUTPUT, RUN, SCENES
 from depthcli.commands._rectified import UNIT, check_unit
 from depthcli.commands._scenes import find_scenes
@@ -63,6 +64,7 @@ class RectifyCommand(BatchCommand[RectifyOptions, StereoScene]):
         Option("alpha", float, "0: keep only what both images show; 1: keep all of both.", "SHARE", default=0.0,
                min_value=0, max_value=1),
         *RUN,
+        *FLAGS,
         DRY_RUN,
     )  # fmt: skip
 

@@ -82,6 +82,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         InputError
             The files cannot be used, or ``memory`` bytes do not suffice.
         """
+        from depthcli.api._registration_figures import region_figures
         from depthcli.api.registration import check_voxels, measured_pair
         from depthcli.core.result import Clock
         from depthcli.data.formats.volumes import written_suffix
@@ -96,6 +97,7 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         found.save(folder, written_suffix(scene.fixed), points)
         width, height, slices = loaded.grid.size
         facts = {"width": width, "height": height, "slices": slices, **found.details.figures}
+        facts |= region_figures(found.details, loaded, scene.region_masks(loaded.grid))
         return Outcome(facts, clock.seconds, list(found.warnings))
 
 

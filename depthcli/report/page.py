@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.core.errors import ConfigError, InputError, OutputError
+from depthcli.core.flags import Flagged
 from depthcli.data.formats.files import write_text
 from depthcli.data.scenes import Scene
 from depthcli.evaluation import tables
@@ -67,6 +68,7 @@ class Page:
     Attributes
     ----------
     written : the page is there
+    flagged : the scenes that a person should look at, shown first
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class Page:
     ) -> None:
         self.folder, self.command, self.budget, self.run = folder, command, budget, run
         self.written = False
+        self.flagged: Sequence[Flagged] = ()
         self._saved: list[_SavedScene] = []
         self._scene: SceneView | None = None
 
@@ -135,7 +138,7 @@ class Page:
             scenes=[_scene_data(report, saved.view) for saved in scored] if report else [], without=without,
             data=[_embedded(saved, factor) for saved in self._saved],
             page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=[*map(_swatches, kinds)],
-            number_of={saved.view.name: i for i, saved in enumerate(self._saved)},
+            flagged=self.flagged, number_of={saved.view.name: i for i, saved in enumerate(self._saved)},
         )  # fmt: skip
         write_text(self.folder / "report.html", text)
         self._remove_assets(keep=len(self._saved) if factor > 1 else 0)

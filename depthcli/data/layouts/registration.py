@@ -23,7 +23,8 @@ class Registration(Layout):
     wants = (
         "`fixed.*` and `moving_warped.*`, or `moving.*` with `displacement.*` or `transform.*` (NIfTI, MHA/MHD, NRRD, "
         "DIR-Lab `.img`, PNG, JPEG); where known `mask.*`, `landmarks_fixed.csv` with `landmarks_moving.csv` (x, y, z "
-        "in mm), `error_true.*` (mm); `meta.json` (`apply`: displacement, transform or both, where there are both)"
+        "in mm), `error_true.*` (mm), `mask_<region>.*` of regions that are reported apart; "
+        "`meta.json` (`apply`: displacement, transform or both, where there are both)"
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -53,11 +54,19 @@ class Registration(Layout):
             self.scene(
                 folder, problem=problem, fixed=fixed or folder.path / "fixed.mha", moving_warped=warped, moving=moving,
                 transform=transform, displacement=displacement, mask=_one(folder, "mask", _VOLUMES),
+                regions=_regions(folder),
                 landmarks_fixed=_one(folder, "landmarks_fixed", _POINTS),
                 landmarks_moving=_one(folder, "landmarks_moving", _POINTS),
                 error_true=_one(folder, "error_true", _VOLUMES),
             )
         ]  # fmt: skip
+
+
+def _regions(folder: Folder) -> tuple[tuple[str, Path], ...]:
+    """The masks ``mask_<region>.*`` by the names of their regions."""
+    stems = {name.partition(".")[0] for name in folder.names if name.startswith("mask_") and "." in name}
+    found = ((stem.removeprefix("mask_"), _one(folder, stem, _VOLUMES)) for stem in sorted(stems))
+    return tuple((name, file) for name, file in found if name and file is not None)
 
 
 def _one(folder: Folder, stem: str, suffixes: tuple[str, ...]) -> Path | None:

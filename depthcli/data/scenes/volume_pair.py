@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -51,6 +51,7 @@ class VolumePairScene(Scene):
     moving : the moving volume, for which ``transform`` or ``displacement`` (or both) map fixed points; or None
     transform, displacement : see ``data/formats/fields.py``
     mask : where the fixed volume is of interest (not 0), or None
+    regions : (name, file) of further masks of the fixed volume (not 0), whose errors are reported apart
     landmarks_fixed, landmarks_moving : corresponding points, or None
     error_true : dense true error, mm, or None
     """
@@ -75,6 +76,7 @@ class VolumePairScene(Scene):
     transform: Path | None = None
     displacement: Path | None = None
     mask: Path | None = None
+    regions: tuple[tuple[str, Path], ...] = ()
     landmarks_fixed: Path | None = None
     landmarks_moving: Path | None = None
     error_true: Path | None = None
@@ -108,6 +110,7 @@ class VolumePairScene(Scene):
 
         roles = ("fixed", "moving_warped", "moving", "transform", "displacement", "mask", "landmarks_fixed")
         files: dict[str, Path] = {role: file for role in roles if (file := getattr(self, role)) is not None}
+        files |= {f"mask_{name}": file for name, file in self.regions}
         for role, file in tuple(files.items()):
             behind = volumes.files_read_with(file) + transforms.files_read_with(file)
             files |= {f"{role}: {number}": each for number, each in enumerate(behind, 1)}
@@ -154,6 +157,17 @@ class VolumePairScene(Scene):
             raise InputError(f"{self.folder}: neither moving_warped.* nor moving.* with its transform")
         second = block_means(usable(moved, inside, source), blocks)
         return joined(first, second, inside, grid, blocks)
+
+    def region_masks(self, grid: Grid) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+        """Yield the name and the mask of each region, (Z, Y, X) bool on the fixed volume's ``grid``; one is in memory.
+
+        Raises
+        ------
+        InputError
+            A file that cannot be used, or another grid.
+        """
+        for name, file in self.regions:
+            yield name, self._read_like(file, grid) > 0
 
     def size(self, max_voxels: int | None = None) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
         """Return the fixed volume's grid, and shape and spacing (z, y, x) of what :meth:`load` gives, by its header."""

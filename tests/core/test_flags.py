@@ -1,0 +1,106 @@
+"""Conditions on columns: what they mean, which rows they flag, and what is said of wrong ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthcli.core.columns import ColumnHelp
+from depthcli.core.errors import ConfigError
+from depthcli.core.flags import MIN_SCORED, Condition, flag_rows, parse_conditions, plain_name, robust_scores
+
+KNOWN = (
+    ColumnHelp("measured", "share"),
+    ColumnHelp("peak_memory", "bytes", also=("memory",)),
+    ColumnHelp("seconds_STAGE", "time", also=("seconds",), pattern="seconds_.*"),
+    ColumnHelp("bad T", "share", pattern=r"bad [\d.]+"),
+    ColumnHelp("status", "done or failed"),
+)
+ROWS = [
+    {"scene": "a", "measured": 0.4, "status": "done", "bad 1": 3.0, "bad 1 all": 9.0, "seconds": {"x": 1.0, "y": 2.0}},
+    {"scene": "b", "measured": 0.6, "status": "failed", "bad 1": 5.0, "peak_memory": 7},
+    {"scene": "c", "measured": float("nan"), "status": "done"},
+]
+
+
+def flagged(*texts, rows=ROWS):
+    found, warnings = flag_rows(parse_conditions(texts, KNOWN), rows)
+    return [(each.scene, list(each.reasons)) for each in found], warnings
+
+
+@pytest.mark.parametrize(
+    ("text", "scenes"),
+    [
+        ("measured<0.6", ["a"]),
+        (" measured <= .6", ["a", "b"]),
+        ("measured>0.5", ["b"]),
+        ("measured = 0.6", ["b"]),
+        ("measured!=0.6", ["a"]),
+        ("bad 1.0>3", ["b"]),
+        ("bad  1 all>=9", ["a"]),
+        ("status=failed", ["b"]),
+        ("status!=failed", ["a", "c"]),
+        ("memory>5", ["b"]),
+        ("seconds>2.5", ["a"]),
+        ("measured<-1e3", []),
+    ],
+)
+def test_a_condition_flags_the_rows_that_it_holds_for(text, scenes):
+    assert [scene for scene, _ in flagged(text)[0]] == scenes
+
+
+def test_rows_with_more_reasons_come_first_and_say_them():
+    found, _ = flagged("measured<1", "status=failed")
+    assert found == [("b", ["measured 0.6 < 1", "status failed"]), ("a", ["measured 0.4 < 1"])]
+
+
+def test_rows_without_a_value_are_not_flagged_but_counted():
+    found, warnings = flagged("measured<1", "bad 2>0")
+    assert [scene for scene, _ in found] == ["a", "b"]
+    assert warnings == [
+        "condition 'measured<1': 1 of 3 rows have no value there",
+        "condition 'bad 2>0' flags nothing: no row has a value there",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("measured", "want COLUMN<NUMBER"),
+        ("measured<", "want COLUMN<NUMBER"),
+        ("", "want COLUMN<NUMBER"),
+        ("measured<much", "want a number behind <"),
+        ("z(measured)=word", "want a number"),
+        ("measured<nan", "finite"),
+        ("measurd<1", "did you mean 'measured'"),
+        ("__import__(0)>1", "no column"),
+    ],
+)
+def test_wrong_conditions_are_refused_in_one_line(text, message):
+    with pytest.raises(ConfigError, match=message.replace("(", r"\(")) as raised:
+        parse_conditions([text], KNOWN)
+    assert "\n" not in str(raised.value)
+
+
+def test_robust_scores_agree_with_numpy_and_find_the_outlier():
+    values = [3.0, 3.1, 2.9, 3.2, 2.8, 9.0, None]
+    known = np.array(values[:-1])
+    expected = (known - np.median(known)) / (1.4826 * np.median(np.abs(known - np.median(known))))
+    np.testing.assert_allclose(robust_scores(values)[:-1], expected)
+    assert robust_scores(values)[-1] is None
+    rows = [{"scene": str(k), "measured": value} for k, value in enumerate(values)]
+    assert [scene for scene, _ in flagged("z(measured)>3.5", rows=rows)[0]] == ["5"]
+
+
+def test_robust_scores_of_like_values():
+    assert robust_scores([1.0] * 6) == [0.0] * 6
+    scores = robust_scores([1.0] * 9 + [5.0])  # no median deviation: by the mean one
+    assert scores[0] == 0 and scores[-1] == pytest.approx(4 / (1.2533 * 0.4))
+    assert robust_scores([1.0] * (MIN_SCORED - 1)) == [None] * (MIN_SCORED - 1)
+    rows = [{"scene": "a", "measured": 1.0}]
+    assert flagged("z(measured)>1", rows=rows) == ([], ["condition 'z(measured)>1' flags nothing: fewer than 5 values"])
+
+
+def test_plain_names():
+    assert plain_name(" bad  1.0  nonocc ") == "bad 1 nonocc"
+    assert Condition.of("z( bad 0.50 )<2").column == "bad 0.5"
