@@ -21,6 +21,7 @@ from depthcli.data.formats.images import png_bytes
 from depthcli.data.formats.networks import network_path, read_network
 from depthcli.methods.given_maps import MapJudge, MapJudgment, Networks, map_measures
 from depthcli.methods.given_maps.fusion import MAX_MAPS, GivenMapsFusion
+from depthcli.methods.given_maps.several_baselines import with_agreed_values
 from depthcli.methods.stereo.search_range import SearchRange
 from depthcli.methods.stereo.volume import StereoResult
 
@@ -168,19 +169,39 @@ def judge(
     )  # fmt: skip
 
 
+def check_baselines(baselines: Sequence[float]) -> None:
+    """Refuse baselines that are zero or not finite, and a negative first one, by a ConfigError."""
+    if not all(math.isfinite(one) and one != 0 for one in baselines) or baselines[0] < 0:
+        raise ConfigError(
+            f"baselines: want lengths other than 0, the first one positive (got {', '.join(map(str, baselines))})"
+        )
+
+
 def fused(
     method: GivenMapsFusion,
     pair: StereoPair,
     maps: Mapping[str, NDArray[np.float32]],
     max_disparity: int | None,
     memory: int,
+    baselines: Mapping[str, float] | None = None,
 ) -> Disparity:
-    """Fuse maps; what Python's function and the command have in common. Parameters and errors as for :func:`judge`."""
+    """Fuse maps; what Python's function and the command have in common. Parameters and errors as for :func:`judge`.
+
+    Parameters
+    ----------
+    baselines : name of a map -> baseline of its pair, and of the pair itself, which comes first; negative: the other
+        camera stands to the left. Maps become disparities of the pair itself: inverse depths
+    """
     if not 1 <= len(maps) <= MAX_MAPS:
         raise InputError(f"maps: want 1 to {MAX_MAPS} (got {len(maps)})")
+    if baselines is not None:
+        own = next(iter(baselines.values()))
+        maps = {name: one * np.float32(own / baselines[name]) for name, one in maps.items()}
     top, clean, warnings = _prepared(pair.shape[1], maps, max_disparity)
     _check_memory(method.peak_bytes(pair.shape, top, len(clean)), memory)
     found, judgment = method(pair, clean, top)
+    if baselines is not None and len(maps) > 1:
+        found = with_agreed_values(found, clean, [baselines[name] / own for name in maps])
     result = StereoResult(
         disparity=found, seconds=judgment.seconds, confidence={"probability": judgment.probability}
     )  # fmt: skip

@@ -34,6 +34,7 @@ class FuseMapsOptions(TypedDict):
     max_disparity: int | None
     within: float
     surfaces: bool
+    baselines: dict[str, float] | None
 
 
 class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
@@ -47,6 +48,7 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         Option("maps", str, "Run folder, or map; repeatable; NAME=DIR names it.", "RUN", repeatable=True,
                required=True, group="Input"),
         *CODING,
+        Option("baselines", str, "Of the maps' pairs, this pair's first: 0.1,0.3.", "LENGTHS", group="Input"),
         OUTPUT,
         NAME, LAYOUT, SCENES,
         Option("within", float, "Error up to which a value is right, pixels.", "PX", default=1.0),
@@ -71,8 +73,9 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         if len(values["maps"]) > MAX_MAPS:
             raise ConfigError(f"--maps: at most {MAX_MAPS} (got {len(values['maps'])})")
         config = FuseMapsOptions(
-            max_disparity=largest_of(values), within=threshold_of(values), surfaces=values["surfaces"]
-        )
+            max_disparity=largest_of(values), within=threshold_of(values), surfaces=values["surfaces"],
+            baselines=_baselines(values),
+        )  # fmt: skip
         return self.run_on(config, find_map_scenes(values, reporter, values["maps"]), values, reporter)
 
     def memory_of(self, config: FuseMapsOptions, scene: MapsScene) -> int | None:
@@ -105,7 +108,7 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         maps = {one.run: loaded(one, pair.shape) for one in scene.maps}
         clock.start("other")
         method = fusion_of(config["within"], config["surfaces"])
-        found = fused(method, pair, maps, config["max_disparity"] or scene.max_disparity, memory)
+        found = fused(method, pair, maps, config["max_disparity"] or scene.max_disparity, memory, config["baselines"])
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder)
@@ -119,6 +122,24 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         }
         absent = [f"no map of {run}: fused without it" for run in scene.absent]
         return Outcome(columns, clock.seconds, [*absent, *found.warnings])
+
+
+def _baselines(values: Values) -> dict[str, float] | None:
+    """Return run -> baseline, or None where all maps are of one pair."""
+    from depthcli.api.judging import check_baselines
+    from depthcli.commands._runs import find_runs
+
+    if values["baselines"] is None:
+        return None
+    runs, words = list(find_runs(values["maps"])), values["baselines"].split(",")
+    if len(runs) != len(words):
+        raise ConfigError(f"--baselines: want one for each of the {len(runs)} maps (got {values['baselines']!r})")
+    try:
+        found = dict(zip(runs, map(float, words), strict=True))
+    except ValueError:
+        raise ConfigError(f"--baselines: want numbers such as 0.1,0.3 (got {values['baselines']!r})") from None
+    check_baselines(list(found.values()))
+    return found
 
 
 COMMAND = FuseMapsCommand()

@@ -1,0 +1,109 @@
+"""One left view and two right ones: maps of both pairs, fused in inverse depth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import depthcli
+from depthcli.cli import main
+from depthcli.data.formats.disparity import read_pfm, write_pfm
+from depthcli.data.formats.images import write_png
+from depthcli.data.generated.arrays.rendering import light_maps, render, trace
+from depthcli.data.generated.arrays.room import Room
+from depthcli.data.generated.arrays.stereo_kinds import FURNISH
+
+BASELINES = (2.5, 1.0)  # the longest first, in units of the other
+TOP = 14  # disparity of the short baseline, pixels
+
+
+class Trinocular(NamedTuple):
+    left: np.ndarray
+    rights: list[np.ndarray]
+    truth: np.ndarray  # disparity of the short baseline
+    maps: list[np.ndarray]  # as matched
+
+
+def photograph(seed: int, *positions: float) -> tuple[list[np.ndarray], np.ndarray]:
+    """Views (H, W, 3) uint8 of cameras at these multiples of the baseline, and the disparity at 0."""
+    room = Room(np.random.default_rng([seed, 0]), 200, 140, TOP, 1.0)
+    FURNISH["planes"](room)
+    lights, noise = light_maps(room), np.random.default_rng(seed)
+    views = [render(room, lights, at, 3) * 255 for at in positions]  # type: ignore[arg-type]  # False, True are 0, 1
+    depth, _ = trace(room, np.arange(200.0)[None], np.arange(140.0)[:, None], False)
+    return [np.clip(v + noise.normal(0, 4, v.shape), 0, 255).astype(np.uint8) for v in views], room.focal / depth
+
+
+@pytest.fixture(scope="module")
+def shot() -> Trinocular:
+    (left, *rights), truth = photograph(3, 0.0, *BASELINES)
+    maps = [
+        depthcli.stereo(left, right, int(TOP * baseline), "accurate").values
+        for right, baseline in zip(rights, BASELINES, strict=True)
+    ]
+    return Trinocular(left, rights, truth.astype(np.float32), maps)
+
+
+def errors(values: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+    """Share of pixels off by more than half a pixel of the short baseline, and the mean error, at most 3 pixels."""
+    off = np.minimum(np.nan_to_num(np.abs(values - truth), nan=3.0), 3.0)
+    return float(np.mean(off > 0.5)), float(off.mean())
+
+
+@pytest.mark.slow
+def test_the_fused_map_is_better_than_either(shot: Trinocular) -> None:
+    fused = depthcli.fuse_maps(shot.left, shot.rights[0], shot.maps, baselines=BASELINES, max_disparity=35)
+    each = [errors(values / baseline, shot.truth) for values, baseline in zip(shot.maps, BASELINES, strict=True)]
+    both = errors(fused.values / BASELINES[0], shot.truth)
+    assert both[0] < min(one[0] for one in each)
+    assert both[1] < min(one[1] for one in each)
+
+
+@pytest.mark.slow
+def test_the_command_writes_the_same_map(shot: Trinocular, tmp_path: Path) -> None:
+    write_png(tmp_path / "left.png", shot.left)
+    write_png(tmp_path / "right.png", shot.rights[0])
+    for name, values in zip(("far", "near"), shot.maps, strict=True):
+        write_pfm(tmp_path / name / "left.pfm", values)
+    maps = ["--maps", f"far={tmp_path / 'far' / 'left.pfm'}", "--maps", f"near={tmp_path / 'near' / 'left.pfm'}"]
+    views = ["--left", str(tmp_path / "left.png"), "--right", str(tmp_path / "right.png"), "--name", "room"]
+    words = ["fuse", "maps", *views, *maps, "--max-disparity", "35", "-o", str(tmp_path / "out"), "-q"]
+    assert main([*words, "--baselines", "2.5,1"]) == 0
+    fused = depthcli.fuse_maps(shot.left, shot.rights[0], shot.maps, baselines=BASELINES, max_disparity=35)
+    np.testing.assert_array_equal(read_pfm(tmp_path / "out" / "room" / "disp_left.pfm"), fused.values)
+    assert "far: 2.5" in (tmp_path / "out" / "run.yaml").read_text()
+
+
+def test_a_camera_on_the_left_has_a_negative_baseline() -> None:
+    left = np.random.default_rng(0).integers(0, 256, (40, 80), np.uint8)
+    right = np.roll(left, -6, axis=1)
+    maps = [np.full((40, 80), np.nan), np.full((40, 80), -12.0)]
+    fused = depthcli.fuse_maps(left, right, maps, baselines=(1, -2), max_disparity=12)
+    assert np.median(fused.values) == pytest.approx(6, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1", "want one for each of the 2 maps"),
+        ("1,x", "want numbers such as 0.1,0.3"),
+        ("0,1", "want lengths other than 0, the first one positive"),
+        ("-1,1", "the first one positive"),
+        ("1,nan", "want lengths other than 0"),
+    ],
+)
+def test_wrong_baselines(tmp_path: Path, text: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    image = np.zeros((20, 40), np.uint8)
+    for name in ("left", "right"):
+        write_png(tmp_path / f"{name}.png", image)
+    for name in ("a", "b"):
+        write_pfm(tmp_path / f"{name}.pfm", np.ones((20, 40), np.float32))
+    words = ["fuse", "maps", "--left", str(tmp_path / "left.png"), "--right", str(tmp_path / "right.png")]
+    maps = ["--maps", str(tmp_path / "a.pfm"), "--maps", str(tmp_path / "b.pfm")]
+    assert main([*words, *maps, "-o", str(tmp_path / "out"), f"--baselines={text}"]) == 2
+    assert message in capsys.readouterr().err
+    with pytest.raises(depthcli.ConfigError, match="want one a map, 1"):
+        depthcli.fuse_maps(image, image, [np.ones((20, 40))], baselines=(1, 2))
