@@ -35,7 +35,7 @@ class Condition:
     ----------
     text : as it was given
     column : heading of the column, without z()
-    robust : the column's robust z-scores are compared, not its values
+    robust : the column's robust z-scores among the rows of the same run are compared, not its values
     op : the comparison
     value : a number, or a word after ``=`` and ``!=``
     also : other names of the column
@@ -72,7 +72,15 @@ class Condition:
         if isinstance(self.value, str):
             return [None if cell in (None, "") else str(cell) for cell in cells]
         numbers = [_number(cell) for cell in cells]
-        return robust_scores(numbers) if self.robust else numbers
+        if not self.robust:
+            return numbers
+        runs = [row.get("run") for row in rows]
+        scores: list[float | None] = [None] * len(rows)
+        for run in dict.fromkeys(runs):
+            places = [k for k, each in enumerate(runs) if each == run]
+            for k, score in zip(places, robust_scores([numbers[k] for k in places]), strict=True):
+                scores[k] = score
+        return scores
 
     def reason(self, value: Any) -> str:
         """Return the words for a row whose ``value`` meets the condition."""

@@ -92,6 +92,15 @@ def test_robust_scores_agree_with_numpy_and_find_the_outlier():
     assert [scene for scene, _ in flagged("z(measured)>3.5", rows=rows)[0]] == ["5"]
 
 
+def test_robust_scores_are_those_within_a_run():
+    rows = [
+        {"scene": str(k), "run": run, "measured": k + high} for run, high in (("a", 0), ("b", 90)) for k in range(6)
+    ]
+    assert flagged("z(measured)>2", rows=rows)[0] == []
+    rows[3]["measured"] = 93  # as in the other run
+    assert [scene for scene, _ in flagged("z(measured)>2", rows=rows)[0]] == ["3"]
+
+
 def test_robust_scores_of_like_values():
     assert robust_scores([1.0] * 6) == [0.0] * 6
     scores = robust_scores([1.0] * 9 + [5.0])  # no median deviation: by the mean one
