@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
+from depthcli.batch.command import Values
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.data.formats.files import shown
 from depthcli.evaluation.comparison import run_names
@@ -80,6 +81,24 @@ def by_run(
         except ValueError as error:
             raise ConfigError(f"{option}: {error} (got {value!r})") from None
     return made.pop("", None), made
+
+
+def given_map_options(values: Values) -> tuple[float | None, float | None, dict[str, MapOptions]]:
+    """Return scale and value of no value for all runs, and what was given for each run.
+
+    Raises
+    ------
+    ConfigError
+        ``--maps``, ``--scale`` or ``--invalid`` is wrong.
+    InputError
+        As :func:`find_runs`.
+    """
+    places = find_runs(values["runs"])
+    pattern, patterns = by_run("--maps", values["maps"] or [], places, pattern_of)
+    scale, scales = by_run("--scale", values["scale"] or [], places, positive)
+    invalid, invalids = by_run("--invalid", values["invalid"] or [], places, number_of)
+    options = {r: MapOptions(patterns.get(r) or pattern or "", scales.get(r), invalids.get(r)) for r in places}
+    return scale, invalid, options
 
 
 def pattern_of(text: str) -> str:

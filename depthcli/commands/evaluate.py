@@ -19,6 +19,7 @@ from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import Row, to_csv, to_json
 from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_scores, flagged_table
 from depthcli.commands._options import LAYOUT, SCENES
+from depthcli.commands._other_tools import OTHER_TOOLS, check_other_tools, log_runs, scores_parquet
 from depthcli.commands._page import HTML, PAGE_FILE, RESULTS, new_page
 from depthcli.commands._tables import TABLES, check_tables, print_place, print_tables
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
@@ -67,6 +68,7 @@ class EvaluateCommand(Command):
         *TABLES,
         *FLAGS,
         *HTML,
+        *OTHER_TOOLS,
     )  # fmt: skip
 
     page = "how_to/compare_maps"
@@ -78,19 +80,23 @@ class EvaluateCommand(Command):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Evaluate and print the tables; return the exit code."""
+        from depthcli.commands._runs import find_runs, given_map_options
         from depthcli.evaluation.protocols import Settings
 
         resolution, resize = (values["resolution"] or "").upper() or None, _size(values["resize"])
-        scale, invalid, map_options = _map_options(values)
+        scale, invalid, map_options = given_map_options(values)
         settings = Settings(scale, resolution, values["threshold"], resize, invalid)
         check_tables(values)
+        check_other_tools(values)
         conditions = conditions_of(values)
         page = new_page(self, values, values["output"])
         report = evaluate(
             values["runs"], values["truth"], values["output"], values["scenes"] or ["*"], values["layout"],
             values["protocol"], settings, reporter, page=page,
-            map_options=map_options, conditions=conditions,
+            map_options=map_options, conditions=conditions, parquet=values["parquet"],
         )  # fmt: skip
+        if values["log"] is not None:
+            log_runs(report, find_runs(values["runs"]), values["log"], reporter)
         if values["json"]:
             reporter.data(to_json(report.to_dict()))
         else:
@@ -116,6 +122,7 @@ def evaluate(
     map_options: Mapping[str, MapOptions] | None = None,
     conditions: Sequence[Condition] = (),
     rows: Mapping[str, Row] | None = None,
+    parquet: bool = False,
 ) -> EvaluationReport:
     """Evaluate runs side by side and write scores, pictures, curves and a report.
 
@@ -138,6 +145,7 @@ def evaluate(
     map_options : run -> how its maps are named and coded; what is not given is recognized
     conditions : on scores and on columns of the runs' reports, by which scenes are flagged
     rows : scene -> row of the report of the only run; None: read from the runs
+    parquet : ``scores.parquet`` is written to ``output``, too
 
     Raises
     ------
@@ -165,7 +173,7 @@ def evaluate(
         if page is not None and folder is not None:
             page.folder = folder
         report = _scored(
-            Scoring(places, truth, folder, scored_by, settings, page, dict(map_options or {})),
+            Scoring(places, truth, folder, scored_by, settings, page, dict(map_options or {}), parquet),
             found, reporter, conditions, rows,
         )  # fmt: skip
     for line in report.warning_lines:
@@ -238,19 +246,6 @@ def _size(text: str | None) -> tuple[int, int] | None:
     return (int(found[1]), int(found[2])) if text else None
 
 
-def _map_options(values: Values) -> tuple[float | None, float | None, dict[str, MapOptions]]:
-    """Scale and value of no value for all runs, and what was given for each; ConfigError where that is wrong."""
-    from depthcli.commands._runs import by_run, find_runs, number_of, pattern_of, positive
-    from depthcli.evaluation.map_files import MapOptions
-
-    places = find_runs(values["runs"])
-    pattern, patterns = by_run("--maps", values["maps"] or [], places, pattern_of)
-    scale, scales = by_run("--scale", values["scale"] or [], places, positive)
-    invalid, invalids = by_run("--invalid", values["invalid"] or [], places, number_of)
-    options = {r: MapOptions(patterns.get(r) or pattern or "", scales.get(r), invalids.get(r)) for r in places}
-    return scale, invalid, options
-
-
 def _find_truth(
     truth: Path,
     scored_by: AnyProtocol | None,
@@ -280,13 +275,15 @@ def _find_truth(
 
 def _write(report: EvaluationReport, scoring: Scoring, reporter: Reporter) -> None:
     from depthcli.batch.run_folder import saved_config
-    from depthcli.data.formats.files import write_text
+    from depthcli.data.formats.files import write_bytes, write_text
     from depthcli.evaluation.printing import report_markdown
 
     scores = to_json(report.to_dict())
     if scoring.output is not None:
         write_text(scoring.output / "scores.csv", to_csv([record.row() for record in report.records()]))
         write_text(scoring.output / "scores.json", scores)
+        if scoring.parquet:
+            write_bytes(scoring.output / "scores.parquet", scores_parquet(report, scoring.runs))
         write_text(scoring.output / "report.md", report_markdown(report))
         scoring.sheet.write(scoring.output / "contact_sheet.png")
     if scoring.page is not None:
