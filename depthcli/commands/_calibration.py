@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from depthcli.algorithms.calibration.boards import Board, Chessboard, Corners, largest_chessboard
-from depthcli.algorithms.calibration.solver import MIN_PHOTOS, CameraFit, RigFit, Size, fit_camera, fit_rig
+from depthcli.algorithms.calibration.solver import MIN_PHOTOS, MIN_TILT, CameraFit, RigFit, Size, fit_camera, fit_rig
 from depthcli.batch.console import Reporter
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.errors import InputError
@@ -22,7 +22,6 @@ from depthcli.data.formats.images import read_image
 SIDES = ("left", "right")
 
 _MAX_DEVIATION = 0.005  # of the focal length
-_MIN_TILT = 15.0  # degrees, between two photos
 _MAX_ERROR = 1.0  # pixels, root mean square
 _MIN_COVERAGE = 0.5  # of the cells of an image
 _CELLS = (8, 6)
@@ -197,8 +196,11 @@ def _doubts(found: Calibration) -> list[str]:
                 f"{which}the focal length is not determined: {focal:.1f} px with a standard deviation of "
                 f"{max(fit.focal_deviations):.1f}; add photos with the board tilted by 30 degrees or more"
             )
-        elif fit.tilt < _MIN_TILT:
-            lines.append(f"{which}the board is tilted by {fit.tilt:.0f} degrees at most between photos; tilt it more")
+        elif fit.tilt < MIN_TILT:
+            lines.append(
+                f"{which}the focal length is not determined: between photos the board is tilted by {fit.tilt:.0f} "
+                "degrees at most; add photos with it tilted by 30 degrees or more"
+            )
         if fit.error > _MAX_ERROR:
             lines.append(f"{which}an error of {fit.error:.2f} px; is the board flat, and are the photos sharp?")
         if (share := found.coverage(side)) < _MIN_COVERAGE:

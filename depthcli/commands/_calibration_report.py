@@ -66,7 +66,7 @@ def table(found: Calibration) -> str:
         row = _photo(found, each.name)
         figures = [row["errors"].get(side) for side in SIDES[: len(found.cameras)]]
         figures += [row["row_error"]] if two else []
-        used = "yes" if not row["left_out"] else "no: " + _words(row["left_out"])
+        used = "yes" if not row["left_out"] else "no: " + _words(row["left_out"], two)
         lines.append((each.name, used, *("-" if x is None else f"{x:.3f} px" for x in figures)))
     return aligned(lines)
 
@@ -138,8 +138,8 @@ def _row_error(found: Calibration) -> float | None:
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
 
-def _words(reasons: dict[str, str]) -> str:
+def _words(reasons: dict[str, str], two: bool) -> str:
     """Return why a photo does not count, with the side where that differs."""
-    if len(set(reasons.values())) == 1 and len(reasons) == 2:
+    if not two or (len(set(reasons.values())) == 1 and len(reasons) == 2):
         return next(iter(reasons.values()))
     return ", ".join(why if side == "pair" else f"{side} {why}" for side, why in reasons.items())

@@ -19,6 +19,9 @@ from depthcli.core.errors import InputError
 MIN_PHOTOS = 3
 """Fewest photos that a camera is found from."""
 
+MIN_TILT = 15.0
+"""Degrees between the board in two photos below which the focal length is not determined."""
+
 OUTLIER_PX = 0.3
 """Errors up to this, pixels, are those of good photos, however small those of the others are."""
 
@@ -42,7 +45,8 @@ class CameraFit:
     Attributes
     ----------
     camera : what was found
-    focal_deviations : standard deviations of fx and fy, pixels; None for fisheye lenses
+    focal_deviations : standard deviations of fx and fy, pixels; None for fisheye lenses, and where the tilt is below
+        ``MIN_TILT``: then the equations are nearly singular, and what they say of their errors is too little
     errors : name of a photo -> root mean square of its reprojection errors, pixels; outliers are not among them
     residuals : name -> (N, 2), pixels
     tilt : largest angle between the board in two photos, degrees
@@ -161,6 +165,8 @@ def _fit_camera(board: Board, photos: dict[str, Corners], size: Size, fisheye: b
     normals = np.stack([cv2.Rodrigues(np.asarray(turn))[0][:, 2] for turn in turns])
     tilt = float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1)).max()))
     errors = {name: _rms(each) for name, each in residuals.items()}
+    if tilt < MIN_TILT:
+        deviations = None
     return CameraFit(camera, deviations, errors, residuals, tilt, {})
 
 
