@@ -23,6 +23,7 @@ from depthcli.batch.task import Run, RunOptions, Task
 from depthcli.core.config_file import dump_config, to_yaml
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.text import show_bytes
+from depthcli.data import storage
 from depthcli.data.formats.files import ends_of_file
 from depthcli.data.scenes import Scene
 
@@ -94,7 +95,7 @@ class Planner:
         inputs = {role: self._digest(file) for role, file in files.items()}
         inputs |= {} if scene.problem else command.settings(config, scene)
         inputs |= {"keep": " ".join(keep)} if keep else {}
-        source = str(next(iter(files.values()), scene.folder).absolute())
+        source = storage.location(next(iter(files.values()), scene.folder))
         return Task(scene, self.output, workspace, number, self.identity, inputs, source)
 
     def finished(self, task: Task, measured: Mapping[str, object]) -> tuple[Row | None, Record | None]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from depthcli.batch.json_csv import Row, to_json
 from depthcli.core.errors import InputError
 from depthcli.data.formats.files import MAX_BYTES, open_regular, read_bytes, write_text
 from depthcli.data.formats.images import IMAGE_SUFFIXES
+from depthcli.data.storage.sized import size_of
 
 RUN_FILE = "run.yaml"
 """In a run folder: the config of the run."""
@@ -70,7 +70,7 @@ def file_digest(path: Path) -> str:
     sha = hashlib.sha256()
     try:
         with open_regular(path) as file:
-            left = os.fstat(file.fileno()).st_size
+            left = size_of(file)
             if left > limit:
                 return f"unreadable: larger than {limit >> 30} GiB"
             while block := file.read(1 << 20):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,6 +20,7 @@ from depthcli.core.errors import DepthcliError
 from depthcli.core.method import used_files
 from depthcli.core.option import Option
 from depthcli.core.text import one_line
+from depthcli.data import storage
 from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         if not (values.get("evaluate") or values.get("html")):
             return None, None, flagged_rows(conditions, rows, reporter)
         output, truth = values["output"] / "evaluation", values.get("input")
-        in_folder = truth is not None and os.path.isdir(truth)  # those of a table or of the command line have no truth
+        in_folder = truth is not None and not storage.is_file(truth)  # pairs of a table have no truth
         scored = [scene for scene in scenes if in_folder and scene.has_truth]
         page = None
         if values.get("html"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -12,6 +11,7 @@ from depthcli.batch.console import Reporter
 from depthcli.commands._batch import BatchCommand
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
+from depthcli.data import storage
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.given_maps import GivenMap, MapsScene
 from depthcli.data.scenes.stereo import StereoScene
@@ -98,7 +98,7 @@ def find_map_scenes(
         for run in coded
     }
     for run, place in places.items():
-        if os.path.isfile(place) and len(scenes) > 1:
+        if storage.is_file(place) and len(scenes) > 1:
             raise ConfigError(f"{place}: one map for {len(scenes)} scenes; want the folder of their maps")
         options[run] = _recognized(run, place, options[run], scenes, names, reporter)
     right_files = MapFiles(("{scene}/disp_right", "disp_1/{scene}", "{scene}_right", "{scene}"), known.suffixes)
@@ -146,7 +146,7 @@ def threshold_of(values: Values) -> float:
 
 
 def _file(place: Path, files: MapFiles, names: Sequence[str]) -> Path | None:
-    return place if os.path.isfile(place) else files.find(place, names)
+    return place if storage.is_file(place) else files.find(place, names)
 
 
 def _recognized(
@@ -164,7 +164,7 @@ def _recognized(
     from depthcli.data.formats.headers import image_size
     from depthcli.evaluation import protocols
 
-    if not os.path.isdir(place) or read_report(place):
+    if not storage.is_dir(place) or read_report(place):
         return options
     usable = {scene.name: scene for scene in scenes if not scene.problem}
     protocol = protocols.load("middlebury-v2")()

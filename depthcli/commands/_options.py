@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from depthcli.batch.task import RunOptions
 
 CONFIG = Option("config", str, "YAML file, or the name of a preset.", "CONFIG", required=True)
-INPUT = Option("input", Path, "Folder of scenes, or a CSV file of pairs.", "DIR", short="-i", group="Input")
+INPUT = Option("input", Path, "Folder, archive or URL of scenes, or CSV of pairs.", "DIR", short="-i", group="Input")
 OUTPUT = Option("output", Path, "Folder to write into.", "DIR", short="-o", required=True, group="Output")
 LAYOUT = Option("layout", str, "Layout of the folder. Default: recognized.", "NAME", group="Input")
 SCENES = Option("scenes", str, "Only scenes whose name matches; repeatable.", "GLOB", repeatable=True, group="Input")

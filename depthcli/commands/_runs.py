@@ -9,7 +9,9 @@ from typing import TypeVar
 
 from depthcli.batch.command import Values
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.data import storage
 from depthcli.data.formats.files import shown
+from depthcli.data.storage.patterns import top_folder
 from depthcli.evaluation.comparison import run_names
 from depthcli.evaluation.map_files import MapOptions, found_patterns, map_paths
 from depthcli.evaluation.protocols import AnyProtocol
@@ -34,8 +36,9 @@ def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
     given = [_split(str(run)) for run in runs]
     if not given:
         raise InputError("no run to evaluate")
-    if absent := [place for _, place in given if not (os.path.isdir(place) or os.path.isfile(place))]:
+    if absent := [place for _, place in given if not (storage.is_dir(place) or storage.is_file(place))]:
         raise InputError(f"{shown(absent[0])}: no such folder")
+    given = [(name, (top_folder(place) if storage.is_archive(place) else None) or place) for name, place in given]
     unnamed = iter(run_names(places) if (places := [place for name, place in given if not name]) else [])
     names = [name or next(unnamed) for name, _ in given]
     if twice := [name for name in names if names.count(name) > 1]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from depthcli.batch.console import Reporter
 from depthcli.batch.records import is_inside
 from depthcli.batch.reports import read_report
 from depthcli.core.errors import ConfigError, InputError
+from depthcli.data import storage
 from depthcli.data.pairs import TABLE_SUFFIXES
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.disparity_map import DisparityScene
@@ -52,7 +52,7 @@ def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Repor
         raise ConfigError(f"give --input DIR, or {single}")
     if name is not None:
         raise ConfigError(f"--name is for a single scene, given by {single}")
-    if evaluates and os.path.isfile(place):
+    if evaluates and storage.is_file(place):
         raise ConfigError(f"{place}: --evaluate needs a folder of scenes, with their ground truth")
     try:
         return scenes_at(place, kinds, values["layout"], patterns, reporter)
@@ -65,7 +65,7 @@ def scenes_at(
     place: Path, kinds: tuple[type[SceneT], ...], layout: str | None, patterns: Sequence[str], reporter: Reporter
 ) -> list[SceneT]:
     """Return the scenes of a folder, or those that a table of files lists."""
-    if os.path.isfile(place) and place.suffix.lower() in TABLE_SUFFIXES:
+    if storage.is_file(place) and place.suffix.lower() in TABLE_SUFFIXES:
         return _chosen(kinds[0].of_table(place), patterns, place)
     # Folders that cannot be read are among them as scenes with a ``problem``, which are reported and not computed.
     return cast("list[SceneT]", discover_scenes(place, kinds, layout, patterns, reporter.info))
@@ -86,7 +86,7 @@ def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
         There is no such run, or no map of a scene that matches ``--scenes``.
     """
     run: Path = values["run"]
-    if os.path.isfile(run):
+    if storage.is_file(run):
         return [
             DisparityScene(
                 name=run.stem, folder=run.parent, disparity=run, left=values["left"], calibration=values["calibration"]
@@ -115,9 +115,9 @@ def _missing_map(folder: Path, name: str) -> DisparityScene:
 
 
 def _names_of_maps(run: Path, reported: Sequence[str], patterns: Sequence[str]) -> list[str]:
-    if not os.path.isdir(run):
+    if not storage.is_dir(run):
         raise InputError(f"{run}: no such run folder or map")
-    names = {name for name in reported if os.path.isfile(run / name / _MAP)}
+    names = {name for name in reported if storage.is_file(run / name / _MAP)}
     names |= {path.parent.relative_to(run).as_posix() for depth in ("*", "*/*") for path in run.glob(f"{depth}/{_MAP}")}
     chosen = sorted(name for name in names if not name.startswith(".") and matches_any(name, patterns))
     if not chosen:
@@ -127,21 +127,21 @@ def _names_of_maps(run: Path, reported: Sequence[str], patterns: Sequence[str]) 
 
 def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, values: Values) -> DisparityScene:
     """Return the map in ``folder``; ``pair`` is the scene it was made from, and ``source`` its left image, if known."""
-    left = source if source is not None and os.path.isfile(source) else None
+    left = source if source is not None and storage.is_file(source) else None
     calibration, cameras, geometry = None, (2, 3), None
     if isinstance(pair, StereoScene):
         left, calibration, cameras, geometry = pair.left, pair.calibration, pair.cameras, pair.geometry
-    if all(os.path.isfile(folder / name) for name in ("calib.txt", "left.png")):  # the pair was rectified for the map
+    if all(storage.is_file(folder / name) for name in ("calib.txt", "left.png")):  # the pair was rectified for the map
         left, calibration, cameras, geometry = folder / "left.png", folder / "calib.txt", (2, 3), None
-    elif pair is None and left is not None and os.path.isfile(beside := left.parent / "calib.txt"):
+    elif pair is None and left is not None and storage.is_file(beside := left.parent / "calib.txt"):
         calibration = beside
     status = folder / "status.png"
     return DisparityScene(
         name=name,
         folder=folder,
         disparity=folder / _MAP,
-        status=status if os.path.isfile(status) else None,
-        confidence={path.stem.partition("_")[2]: path for path in sorted(folder.glob("confidence_*.pfm"))},
+        status=status if storage.is_file(status) else None,
+        confidence={path.stem.partition("_")[2]: path for path in storage.glob(folder, "confidence_*.pfm")},
         left=left,
         calibration=values["calibration"] or (calibration if values["focal"] is None else None),
         cameras=cameras,

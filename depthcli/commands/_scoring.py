@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,6 +14,7 @@ from depthcli.batch.json_csv import Row, to_csv
 from depthcli.batch.reports import read_report
 from depthcli.commands._runs import names_in_run, recognized
 from depthcli.core.errors import DepthcliError, InputError
+from depthcli.data import storage
 from depthcli.data.formats.files import collected_warnings, write_text
 from depthcli.data.formats.images import write_png
 from depthcli.data.formats.pictures import read_status
@@ -98,7 +98,7 @@ class Scoring:
 
         named = {name: (protocol, names) for name, (_, protocol, names) in usable.items()}
         for run, place in self.runs.items():
-            if os.path.isdir(place) and not self.reports[run]:
+            if storage.is_dir(place) and not self.reports[run]:
                 given = self.map_options.get(run, MapOptions())
                 found = recognized(run, place, given, named, fits)
                 if found != given:
@@ -167,7 +167,7 @@ class Scoring:
         files = options.files(protocol.files)
         row: Row = next((rows[name] for name in names if name in rows), {})
         try:
-            path = place if os.path.isfile(place) else files.find(place, names)
+            path = place if storage.is_file(place) else files.find(place, names)
             if path is None:
                 reason = f": the run failed there: {row['error']}" if row.get("error") else files.searched(names)
                 raise InputError(f"{place}: no map of scene {scene.name}{reason}")

@@ -7,7 +7,6 @@ is read and how it is scored is decided by the scene's protocol (``depthcli/eval
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -26,6 +25,7 @@ from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.core.plugins import Plugin
 from depthcli.core.registry import plugin_of, versions_here
+from depthcli.data import storage
 
 if TYPE_CHECKING:
     from depthcli.commands._scoring import Scoring
@@ -166,7 +166,7 @@ def evaluate(
     places = find_runs(runs)
     scored_by = None if protocol is None else load(protocol)(settings)
     found = _find_truth(truth, scored_by, kinds, layout, scenes, settings, reporter)
-    if len(found) > 1 and any(map(os.path.isfile, places.values())):
+    if len(found) > 1 and any(map(storage.is_file, places.values())):
         raise InputError(f"a single map wants a single scene, {truth} has {len(found)}: give a file, or --scenes")
     writing = staging_folder(Path(output), "evaluate", RESULTS, reporter.info) if output is not None else None
     with writing or contextlib.nullcontext() as folder:
@@ -224,7 +224,7 @@ def _report_of(place: Path, scenes: Sequence[Scene]) -> dict[str, Row]:
     """Return scene -> row of a run's report, of those of the scenes that it has."""
     from depthcli.batch.reports import read_report
 
-    rows = read_report(place) if os.path.isdir(place) else {}
+    rows = read_report(place) if storage.is_dir(place) else {}
     return {scene.name: rows[scene.name] for scene in scenes if scene.name in rows}
 
 
@@ -259,7 +259,7 @@ def _find_truth(
     from depthcli.data.walk import discover_scenes, scene_with_file
     from depthcli.evaluation.protocols import load
 
-    if os.path.isfile(truth):
+    if storage.is_file(truth):
         holding = scene_with_file(truth)
         if holding is None and scored_by is None:
             reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")

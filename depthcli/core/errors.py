@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
+
 from depthcli.core.text import printable
+
+_URL_AS_PATH = re.compile(r"\b(https?|s3|gs|ftp|memory):/(?=[^/\s])")  # paths have one slash of the two
 
 
 class DepthcliError(Exception):
     """Base of the errors a command reports without a traceback. The message can always be printed and encoded."""
 
     def __str__(self) -> str:
-        return printable(super().__str__())
+        return _URL_AS_PATH.sub(r"\1://", printable(super().__str__()))
 
 
 class InputError(DepthcliError):

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import fnmatch
-import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 from depthcli.core.errors import InputError
-from depthcli.data.formats.files import read_bytes
+from depthcli.data import storage
+from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.layouts import Folder, Layout, layouts, own_layouts
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import with_sequences
+from depthcli.data.storage.patterns import archives_in, matching, stem, top_folder
 
 _RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.batch.run_folder
 _MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
@@ -31,7 +32,7 @@ def discover_scenes(
     patterns: Sequence[str] = ("*",),
     warn: Callable[[str], None] = lambda line: None,
 ) -> list[Scene]:
-    """Return the scenes of a folder, sorted by name; no image is opened.
+    """Return the scenes of a folder or an archive, sorted by name; no image is opened.
 
     ``folder`` may be one scene, a folder of scenes, or a folder of such folders (names are then
     ``<data set>/<scene>``). Folders that hold none are passed over, and so are folders of runs in it: their results are
@@ -52,14 +53,18 @@ def discover_scenes(
         a broken meta.json or the like. A scene below it with such a problem is listed with its ``problem``.
     """
     folder = Path(folder)
-    if not os.path.isdir(folder):  # is_dir raises for names that are too long
-        raise InputError(f"{folder}: no such folder")
+    archives: list[Path] = []
+    if not storage.is_dir(folder):
+        archives = matching(folder)
+        if not archives:
+            no_archive = "want a .zip, .tar, .tar.gz or .tgz file" if storage.is_other_archive(folder) else ""
+            raise InputError(f"{folder}: {no_archive or 'no such folder'}")
     fitting = tuple(kinds) if kinds is not None else (Scene,)
     wanted = _wanted(own_layouts(), fitting, layout)
-    found = _find(folder, wanted, layout, warn) if wanted else []
+    found = _find(folder, archives, wanted, layout, warn) if wanted else []
     if not found and layouts() != own_layouts():  # layouts of plug-ins are asked where no other fits
         wanted = _wanted(layouts(), fitting, layout)
-        found = _find(folder, wanted, layout, warn) if wanted else []
+        found = _find(folder, archives, wanted, layout, warn) if wanted else []
     if not wanted:
         names = ", ".join(each.name for each in _wanted(layouts(), fitting, None))
         raise InputError(f"no layout called {layout!r}; one of: {names}")
@@ -78,15 +83,55 @@ def _wanted(known: Iterable[Layout], kinds: tuple[type[Scene], ...], layout: str
     return tuple(each for each in known if issubclass(each.kind, kinds) and name in (None, each.name))
 
 
-def _find(folder: Path, wanted: tuple[Layout, ...], layout: str | None, warn: Callable[[str], None]) -> list[Scene]:
-    """Scenes in a folder or below it; ``layout`` is what the user named."""
+def _find(
+    folder: Path, archives: list[Path], wanted: tuple[Layout, ...], layout: str | None, warn: Callable[[str], None]
+) -> list[Scene]:
+    """Scenes in a folder or below it, or in archives; ``layout`` is what the user named."""
     requested = wanted[0].name if layout else ""
-    found = _scenes_of(Folder(folder, folder.resolve().name, "", requested), wanted)
+    if archives:
+        return [scene for each in archives for scene in _scenes_in_archive(each, wanted, requested, warn)]
+    damaged: list[Scene] = []
+    name = folder.resolve().name
+    if storage.is_archive(folder):
+        damaged = _damage(folder, folder.name, warn)
+        name = stem(folder)
+        if (top := top_folder(folder)) is not None:
+            folder, name = top, top.name
+    found = _scenes_of(Folder(folder, name, "", requested), wanted)
     for child in () if found else _subfolders(folder, warn):
         found += _scenes_or_problem(child, child.name, wanted, requested) or _scenes_below(
-            child, wanted, requested, warn
+            child, child.name, wanted, requested, warn
         )
-    return found
+    if not found and storage.is_plain(folder):  # beside scenes they are what these were unpacked from
+        for each in archives_in(folder):
+            found += _scenes_in_archive(each, wanted, requested, warn)
+    return [*found, *damaged]
+
+
+def _scenes_in_archive(
+    archive: Path, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]
+) -> list[Scene]:
+    """Scenes of one of several archives, which is named as a data set."""
+    name = stem(archive)
+    try:
+        if not storage.is_dir(archive):
+            raise InputError(f"{archive}: no such file")
+        damaged = _damage(archive, archive.name, warn)
+        top = top_folder(archive)
+    except (InputError, OSError) as error:
+        return [BrokenScene(name=name, folder=archive, problem=str(error))]
+    folder = archive if top is None or _scenes_or_problem(top, name, wanted, requested) else top
+    found = _scenes_or_problem(folder, name, wanted, requested)
+    return [*(found or _scenes_below(folder, name, wanted, requested, warn)), *damaged]
+
+
+def _damage(archive: Path, name: str, warn: Callable[[str], None]) -> list[Scene]:
+    """A scene that stands for those which a damaged archive lost; none where it is whole."""
+    with naming(archive):
+        notes, damage = storage.findings(archive)
+    for note in notes:
+        warn(f"warning: {archive}: {note}")
+    return [BrokenScene(name=name, folder=archive, problem=f"{archive}: {damage}")] if damage else []
 
 
 def _scenes_of(folder: Folder, wanted: tuple[Layout, ...]) -> list[Scene]:
@@ -105,11 +150,13 @@ def _scenes_or_problem(path: Path, name: str, wanted: tuple[Layout, ...], reques
         return [BrokenScene(name=name, folder=path, problem=str(error))]
 
 
-def _scenes_below(folder: Path, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]) -> list[Scene]:
+def _scenes_below(
+    folder: Path, name: str, wanted: tuple[Layout, ...], requested: str, warn: Callable[[str], None]
+) -> list[Scene]:
     """Scenes in the folders of a data set, and a warning where there are some one level below the last that counts."""
     found: list[Scene] = []
     for child in _subfolders(folder, warn):
-        scenes = _scenes_or_problem(child, f"{folder.name}/{child.name}", wanted, requested)
+        scenes = _scenes_or_problem(child, f"{name}/{child.name}", wanted, requested)
         found += scenes
         for deeper in () if scenes else _subfolders(child):
             if any(not scene.problem for scene in _scenes_or_problem(deeper, deeper.name, wanted)):
@@ -121,8 +168,8 @@ def _scenes_below(folder: Path, wanted: tuple[Layout, ...], requested: str, warn
 def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -> list[Path]:
     """Folders in a folder, but for those that hold results of runs."""
     try:
-        found = sorted(entry for entry in folder.iterdir() if not entry.name.startswith(".") and os.path.isdir(entry))
-    except OSError:
+        found = storage.subfolders(folder)
+    except (OSError, InputError):
         return []
     runs = [child for child in found if _holds_results(child)]
     for run in runs:
@@ -133,7 +180,7 @@ def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -
 def _holds_results(folder: Path) -> bool:
     """Return True for a folder that a command filled, unless it generated scenes there."""
     try:
-        if not os.path.isfile(folder / _RUN_FILE):
+        if not storage.is_file(folder / _RUN_FILE):
             return False
         text = read_bytes(folder / _RUN_FILE, _MAX_RUN_BYTES).decode("utf-8", "replace")
     except (InputError, OSError):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from depthcli.core.errors import InputError
+from depthcli.data import storage
 from depthcli.data.formats.map_format import MAP_SUFFIXES, map_formats
 
 _MAX_LISTED = 50_000  # files of a run folder that are looked at
@@ -75,7 +76,7 @@ class MapFiles:
         InputError
             Several files claim to be the map.
         """
-        return next((path for name in names for path in self.candidates(folder, name) if os.path.isfile(path)), None)
+        return next((path for name in names for path in self.candidates(folder, name) if storage.is_file(path)), None)
 
     def searched(self, names: Sequence[str]) -> str:
         """Return the places that ``find`` looks at, in words for an error message."""
@@ -94,14 +95,14 @@ class MapFiles:
         """
         if not self._in_run_folder(path):
             return {}
-        files = sorted(p for p in path.parent.glob("confidence*") if p.suffix.lower() in (".pfm", ".npy"))
+        files = sorted(p for p in storage.glob(path.parent, "confidence*") if p.suffix.lower() in (".pfm", ".npy"))
         named = (file for file in files if file.stem == "confidence" or file.stem.startswith("confidence_"))
         return {file.stem.removeprefix("confidence_"): file for file in named}
 
     def status(self, path: Path) -> Path | None:
         """Return the status map beside a map; None where there is none."""
         file = path.parent / "status.png"
-        return file if self._in_run_folder(path) and os.path.isfile(file) else None
+        return file if self._in_run_folder(path) and storage.is_file(file) else None
 
     def _in_run_folder(self, path: Path) -> bool:
         """True where the map is named as in a run folder, so that the files beside it belong to it."""
@@ -120,7 +121,7 @@ class DisparityFiles(MapFiles):
         """Yield also result files of the Middlebury v3 kit: ``disp0METHOD.pfm``, else ``disp0METHOD_s.pfm``."""
         yield from super().candidates(folder, scene)
         inside = folder / scene
-        files = inside.glob("disp0*.pfm") if os.path.isdir(inside) else ()
+        files = storage.glob(inside, "disp0*.pfm") if storage.is_dir(inside) else ()
         kit = sorted(path for path in files if not path.stem.startswith("disp0GT"))
         dense = [path for path in kit if not path.stem.endswith("_s")] or kit
         named = [path for path in dense if path.stem == f"disp0{folder.resolve().name}"] or dense
@@ -157,6 +158,10 @@ def found_patterns(folder: Path, scenes: Mapping[str, Sequence[str]], suffixes: 
 
 def map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:
     """Yield the paths of the files with these endings in a folder, relative to it, with ``/``, sorted."""
+    if not storage.is_plain(folder):
+        below = sorted(path.relative_to(folder).as_posix() for path in storage.files_below(folder))
+        yield from (path for path in below if path.lower().endswith(tuple(suffixes)))
+        return
     for place, folders, files in os.walk(folder):
         folders.sort()
         for file in sorted(files):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from depthcli.core.cameras.camera import Camera
 from depthcli.core.cameras.kinect import UNKNOWN_CODE, KinectCalibration
 from depthcli.core.errors import InputError
+from depthcli.data import storage
 from depthcli.data.formats.depth import read_codes
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.formats.files import naming, read_bytes
@@ -63,4 +63,4 @@ def read_kinect_calibration(path: Path) -> KinectCalibration:
 def files_read_with(path: Path) -> tuple[Path, ...]:
     """Return the files that are read beside a Kinect calibration: ``dc_beta.npy``, where it is there."""
     beta = path.with_name("dc_beta.npy")
-    return (beta,) if os.path.isfile(beta) else ()
+    return (beta,) if storage.is_file(beta) else ()

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.text import one_line
-from depthcli.data.formats.files import naming, open_regular
+from depthcli.data.formats.files import naming, open_regular, refuse_stored
 
 RECORDING_SUFFIXES = (".bag", ".mcap", ".db3")
 """File name endings of recordings; a recording of ROS 2 may also be a folder with ``metadata.yaml``."""
@@ -167,6 +167,7 @@ def open_recording(path: Path) -> Iterator[Recording]:
     from rosbags.rosbag2 import Reader as Ros2Reader
 
     for file in recording_files(path):
+        refuse_stored(file)
         with open_regular(file):  # the library would wait for the other end of a pipe
             pass
     is_ros1 = not os.path.isdir(path) and path.suffix.lower() == ".bag"

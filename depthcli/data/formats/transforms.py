@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import subprocess
 import sys
@@ -15,9 +14,11 @@ import numpy as np
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
-from depthcli.data.formats.files import naming, open_regular, read_bytes
+from depthcli.data import storage
+from depthcli.data.formats.files import NEEDS_DISK, naming, open_regular, read_bytes
 from depthcli.data.formats.plain_text import numbers
 from depthcli.data.formats.volumes import library_errors, place, simple_itk, suffix_of
+from depthcli.data.storage.sized import size_of
 
 _MAX_BYTES = 1 << 30  # a text of B-spline parameters may be long
 _REWRITE = "import sys, SimpleITK as s; s.WriteTransform(s.ReadTransform(sys.argv[1]), sys.argv[2])"
@@ -43,9 +44,11 @@ def read_transform(path: Path) -> Any:
                 with library_errors():
                     return sitk.CompositeTransform(_elastix_chain(path, text, ()))
         with open_regular(path) as stream:
-            if os.fstat(stream.fileno()).st_size > _MAX_BYTES:
+            if size_of(stream) > _MAX_BYTES:
                 raise InputError(f"larger than {_MAX_BYTES >> 20} MiB: no transform")
         with tempfile.TemporaryDirectory() as folder, library_errors():
+            if not storage.is_plain(path):
+                raise InputError(NEEDS_DISK)
             return sitk.ReadTransform(str(_rewritten(path, Path(folder))))
 
 
@@ -89,7 +92,7 @@ def _initial(path: Path, text: str) -> Path | None:
     if name in ("", "NoInitialTransform"):
         return None
     beside, elsewhere = path.parent / Path(name).name, Path(name)
-    return elsewhere if not os.path.isfile(beside) and os.path.isfile(elsewhere) else beside
+    return elsewhere if not storage.is_file(beside) and storage.is_file(elsewhere) else beside
 
 
 def files_read_with(path: Path) -> tuple[Path, ...]:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
-from depthcli.data.formats.files import atomic_path, naming, read_bytes, shown
+from depthcli.data import storage
+from depthcli.data.formats.files import NEEDS_DISK, atomic_path, naming, read_bytes, shown
 from depthcli.data.formats.headers import image_size
 from depthcli.data.formats.images import IMAGE_SUFFIXES, read_grey
 from depthcli.data.formats.nifti import check_whole, encode_header, read_header
@@ -127,6 +128,8 @@ def _reader(path: Path) -> Any:
         str(path).encode()
     except UnicodeEncodeError:
         raise InputError("SimpleITK reads only files whose path is text in UTF-8; rename it") from None
+    if not storage.is_plain(path):
+        raise InputError(NEEDS_DISK)
     reader = simple_itk().ImageFileReader()
     reader.SetImageIO(_ITK_READERS[kind])
     reader.SetFileName(str(path))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from functools import cache, cached_property
@@ -14,6 +13,7 @@ from depthcli.core.errors import InputError
 from depthcli.core.plugins import Plugin
 from depthcli.core.registry import Registry, registered_name
 from depthcli.core.yaml_source import short
+from depthcli.data import storage
 from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.formats.plain_text import json_object, numbers
 from depthcli.data.formats.poses import Pose, pose_of
@@ -36,8 +36,8 @@ class Folder:
     def __init__(self, path: Path, name: str, prefix: str, requested: str = "") -> None:
         self.path, self.name, self.prefix, self.requested = path, name, prefix, requested
         try:
-            with os.scandir(path) as entries:
-                self.names = frozenset(entry.name for entry in entries if not entry.name.startswith("."))
+            with naming(path):
+                self.names = frozenset(name for name in storage.names(path) if not name.startswith("."))
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
@@ -47,7 +47,10 @@ class Folder:
 
     def one(self, stem: str, suffixes: Iterable[str]) -> Path | None:
         """Return the file of that stem; InputError where several endings compete."""
-        fitting = [name for name in self._by_stem.get(stem, ()) if Path(name).suffix.lower() in suffixes]
+        named = self._by_stem.get(stem)
+        if named is None:  # nearly always: all layouts ask for their own names
+            return None
+        fitting = [name for name in named if Path(name).suffix.lower() in suffixes]
         if len(fitting) > 1:
             raise InputError(f"{self.path}: both {fitting[0]} and {fitting[1]}; keep one")
         return self.path / fitting[0] if fitting else None

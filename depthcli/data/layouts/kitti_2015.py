@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import ClassVar
 
+from depthcli.data import storage
 from depthcli.data.formats.disparity import KITTI_SCALE
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
@@ -29,7 +29,8 @@ class Kitti2015(Layout):
         if views is None:
             return []
         scenes: list[Scene] = []
-        for left in sorted(folder.path.joinpath(views[0]).glob("*_10.png")):
+        place = folder.path / views[0]
+        for left in storage.glob(place, "*_10.png"):
             right, occ, noc, objects = (_beside(folder, where, left) for where in (views[1], *self.truths))
             frame = left.with_name(left.stem.partition("_")[0] + ".txt")
             scenes.append(
@@ -53,4 +54,4 @@ class Kitti2015(Layout):
 
 def _beside(folder: Folder, where: str, left: Path) -> Path | None:
     path = folder.path / where / left.name
-    return path if where in folder.names and os.path.isfile(path) else None
+    return path if where in folder.names and storage.is_file(path) else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from depthcli.core.errors import InputError
+from depthcli.data import storage
 from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.formats.plain_text import numbers
@@ -48,7 +49,7 @@ class Scannet(Layout):
 
 def _camera(place: Path, kind: str) -> tuple[float, float, float, float]:
     """Focal lengths and principal point of a camera's matrix of 4 x 4 numbers."""
-    path = next((path for name in _NAMES if (path := place / name.format(kind)).is_file()), None)
+    path = next((path for name in _NAMES if storage.is_file(path := place / name.format(kind))), None)
     if path is None:
         raise InputError(f"{place}: no {_NAMES[0].format(kind)}, which the depth is registered by")
     with naming(path):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 
 from depthcli.core.errors import InputError
+from depthcli.data import storage
 from depthcli.data.formats.files import warn
 from depthcli.data.formats.images import IMAGE_SUFFIXES
 from depthcli.data.formats.map_format import map_suffixes
@@ -86,7 +86,7 @@ def _poses(folder: Folder, numbers: list[int]) -> dict[int, Pose | None]:
 
 def view_images(place: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     """Return stem -> file of a folder; InputError where two files have one stem."""
-    if not os.path.isdir(place):
+    if not storage.is_dir(place):
         return {}
     files: dict[str, Path] = {}
     for name in sorted(Folder(place, "", "").names):

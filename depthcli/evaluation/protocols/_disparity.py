@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.maps import Status
+from depthcli.data import storage
 from depthcli.data.formats.disparity import lone_constant, read_disparity, read_plane
 from depthcli.data.formats.files import shown, warn
 from depthcli.data.formats.pictures import STATUS_PALETTE, read_status
@@ -145,7 +146,7 @@ class DisparityProtocol(Protocol[Disparity, DisparityTruth]):
             raise InputError(f"{path}: {error}") from None
         if self.settings.invalid is not None:
             estimate[read_plane(path) == np.float32(self.settings.invalid)] = np.nan
-        elif not (path.parent / "record.json").is_file():  # runs of this program mark what has no value
+        elif not storage.is_file(path.parent / "record.json"):  # runs of this program mark what has no value
             invalid = invalid_value(estimate, truth.disparity)
             if invalid is not None:
                 marked = estimate == np.float32(invalid)

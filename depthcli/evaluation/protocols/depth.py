@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from depthcli.core.cameras.triangulation import disparity_of_depth
 from depthcli.core.errors import InputError
+from depthcli.data import storage
 from depthcli.data.formats.depth import read_depth
 from depthcli.data.formats.disparity import read_plane
 from depthcli.data.formats.map_format import map_formats
@@ -107,7 +108,7 @@ class DepthProtocol(Protocol[Depth, DepthTruth]):
         scale = None if path.suffix.lower() in _METERS else getattr(scene, "depth_scale", _CODES_PER_METER)
         values, sigma = 1000.0 * read_depth(path, scale).astype(np.float64), path.with_name("sigma.pfm")
         figures, error, note = {"no value, %": 100.0 * float(np.isnan(values).mean())}, None, ""
-        if sigma.is_file():
+        if storage.is_file(sigma):
             error = 1000.0 * read_plane(sigma).astype(np.float64)
             known = error[np.isfinite(error)]
             figures = {"expected error, mm": float(known.mean()) if known.size else math.nan, **figures}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from depthcli.algorithms.body import body_of_volume, grey_levels
 from depthcli.algorithms.resampling import trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import ENDS, PLANES, Grid
+from depthcli.data import storage
 from depthcli.data.formats.volumes import read_volume
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import RegistrationTruth, VolumePairScene
@@ -63,7 +63,7 @@ class ExpectedErrorFiles(MapFiles):
     def confidences(self, path: Path) -> dict[str, Path]:
         """Return the volume beside ``expected_error`` that is called ``confidence``, if there is one."""
         file = path.with_name(path.name.replace("expected_error", "confidence", 1))
-        return {"confidence": file} if file != path and os.path.isfile(file) else {}
+        return {"confidence": file} if file != path and storage.is_file(file) else {}
 
 
 class RegistrationPresentation(Presentation):
