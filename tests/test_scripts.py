@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -105,3 +106,24 @@ def test_the_demo_ends_with_the_address_of_its_page(checkout: Path, tmp_path: Pa
     assert evaluation[evaluation.index("--output") + 1] == str(page.parent)
     for name, *rest in called:
         get_command(app).get_command(None, name).make_context(name, rest)  # type: ignore[attr-defined, arg-type]
+
+
+def test_a_gpu_is_measured_section_by_section(tmp_path: Path):
+    command = [sys.executable, str(ROOT / "scripts" / "gpu_check"), str(tmp_path), "--tiny", "--seconds", "500"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    for device, code in (("cuda:77", 1), ("opencl", 0)):
+        if device == "opencl":
+            pytest.importorskip("pyopencl")
+        done = subprocess.run([*command, "--device", device, "--only", "device,pipelines,video"], env=environment,
+                              capture_output=True, text=True, check=False)  # fmt: skip
+        assert done.returncode == code, done.stderr
+        found = json.loads((tmp_path / "gpu_check.json").read_text())
+        assert {"device", "pipelines", "video"} <= found.keys()
+        assert all(bool(found[name].get("problem")) == bool(code) for name in ("device", "pipelines", "video"))
+        assert "not run" in (tmp_path / "gpu_check.md").read_text()  # the other sections
+    assert found["device"]["bandwidth"] > 0 and found["device"]["operations"] > 0
+    fast, accurate = found["pipelines"]["rows"]
+    assert fast["ms"] < accurate["ms"] and fast["density"] == 1
+    kernels = {row["kernel"]: row for row in fast["kernels"]}
+    assert kernels["paths"]["launches"] == 8 and kernels["paths"]["bandwidth_share"] > 0
+    assert found["video"]["pairs"] > 0 and 0 < found["video"]["busy"] <= 100

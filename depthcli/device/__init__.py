@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from depthcli.core.errors import ConfigError, DepthcliError
-from depthcli.device.dialect import COPY, Kernels
+from depthcli.device.dialect import COPY, MULTIPLY_ADD, Kernels
 
 __all__ = [
     "Device",
@@ -184,6 +184,18 @@ class Device(ABC):
         seconds = min(launch.seconds for launch in self.launches)
         self.launches = launches_before
         return 2 * source.nbytes / seconds
+
+    def measure_operations(self) -> float:
+        """Measure the rate of 32-bit multiplications and additions by chains of both: operations per second."""
+        count = 1 << 20
+        target = self.empty((count,), np.float32)
+        launches_before, self.launches = self.launches, []
+        for _ in range(4):
+            self.launch(MULTIPLY_ADD, "multiply_add", (count,), (256,), target, 0.5, count)
+        self.finish()
+        seconds = min(launch.seconds for launch in self.launches)
+        self.launches = launches_before
+        return 64 * 8 * 4 * 2 * count / seconds
 
     def _guarded(self, action: Callable[..., Any], *arguments: Any) -> Any:
         try:

@@ -120,3 +120,5 @@ class Kernels:
 
 COPY = Kernels("depthcli.device", "copy.cl")
 """The kernel by which the bandwidth of a device is measured."""
+MULTIPLY_ADD = Kernels("depthcli.device", "multiply_add.cl")
+"""The kernel by which the rate of operations of a device is measured."""
