@@ -95,8 +95,6 @@ class EvaluateCommand(Command):
             values["protocol"], settings, reporter, page=page,
             map_options=map_options, conditions=conditions, parquet=values["parquet"],
         )  # fmt: skip
-        if values["log"] is not None:
-            log_runs(report, find_runs(values["runs"]), values["log"], reporter)
         if values["json"]:
             reporter.data(to_json(report.to_dict()))
         else:
@@ -105,6 +103,8 @@ class EvaluateCommand(Command):
                 reporter.data(flagged_table(report.flagged or (), len(report.results)))
         if values["output"] is not None:
             print_place(values["output"], page is not None and page.written, reporter)
+        if values["log"] is not None:
+            log_runs(report, find_runs(values["runs"]), values["log"], reporter)
         return exit_code(bool(report.failed), report.flagged or (), values)
 
 

@@ -159,6 +159,18 @@ def test_places_that_cannot_be_a_log(tmp_path: Path):
         add_lines(tmp_path / "file" / "log", ["{}"], print)
 
 
+def test_a_log_that_cannot_be_written_keeps_the_scores(
+    tmp_path: Path, truth: Path, run: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "file").write_text("")
+    command = ["evaluate", str(run), "--truth", str(truth), "--output", str(tmp_path / "out")]
+    assert main([*command, "--log", str(tmp_path / "file" / "log")]) == 2
+    printed = capsys.readouterr()
+    assert "Middlebury v2" in printed.out
+    assert printed.err.splitlines()[-1].startswith(f"depthcli: {tmp_path / 'file' / 'log'}: cannot be written (")
+    assert (tmp_path / "out" / "scores.csv").exists()
+
+
 def test_lines_of_several_processes_and_of_killed_ones(tmp_path: Path):
     file, link = tmp_path / "log", tmp_path / "link"
     file.write_text('{"old": 1}')  # the last line of another program may lack its end
