@@ -68,7 +68,7 @@ class Page:
     Attributes
     ----------
     written : the page is there
-    flagged : the scenes that a person should look at, shown first
+    flagged : the scenes that a person should look at, shown first, in this order
     """
 
     def __init__(
@@ -118,6 +118,8 @@ class Page:
             The page cannot be written.
         """
         self._save()
+        rank = {each.scene: k for k, each in reversed([*enumerate(self.flagged)])}
+        self._saved.sort(key=lambda saved: rank.get(saved.view.name, len(rank)))
         scored, without = list(self._saved), self._add_run()
         factor = max(1, math.ceil(math.sqrt(sum(saved.size for saved in self._saved) / self.budget)))
         page = {

@@ -45,6 +45,12 @@ def test_scores_flag_scenes_in_tables_json_and_page(scenes, tmp_path, capsys):
     assert page.index('id="flagged"') < page.index('id="section-0"') and "bad 1 all" in page
     assert '<a href="#scene-' in page[page.index('id="flagged"') : page.index('id="section-0"')]
     assert len(json.loads((tmp_path / "scores" / "scores.json").read_text())["flagged"]) == 2
+    for scene in ("foreground_0", "planes_0"):  # the flagged one begins the page
+        words = ["evaluate", str(run), "--truth", str(scenes), "-o", str(tmp_path / scene), "--html", "-q"]
+        assert main([*words, "--flag", f"source={scenes / scene / 'left.png'}"]) == 0
+        page = (tmp_path / scene / "report.html").read_text("utf-8")
+        assert f'<a href="#scene-0">{scene}</a>' in page
+    capsys.readouterr()
     assert main([*command[:-4], "--json"]) == 0
     assert "flagged" not in json.loads(capsys.readouterr().out)
 
