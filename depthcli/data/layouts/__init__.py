@@ -50,7 +50,7 @@ class Folder:
         named = self._by_stem.get(stem)
         if named is None:  # nearly always: all layouts ask for their own names
             return None
-        fitting = [name for name in named if Path(name).suffix.lower() in suffixes]
+        fitting = [name for suffix, name in named if suffix in suffixes]
         if len(fitting) > 1:
             raise InputError(f"{self.path}: both {fitting[0]} and {fitting[1]}; keep one")
         return self.path / fitting[0] if fitting else None
@@ -65,10 +65,13 @@ class Folder:
         return files
 
     @cached_property
-    def _by_stem(self) -> dict[str, list[str]]:
-        by_stem: dict[str, list[str]] = {}
+    def _by_stem(self) -> dict[str, list[tuple[str, str]]]:
+        # Stem -> (ending, name), as pathlib divides names; by hand, since folders of thousands of scenes are listed.
+        by_stem: dict[str, list[tuple[str, str]]] = {}
         for name in sorted(self.names):
-            by_stem.setdefault(Path(name).stem, []).append(name)
+            dot = name.rfind(".")
+            dot = dot if 0 < dot < len(name) - 1 else len(name)
+            by_stem.setdefault(name[:dot], []).append((name[dot:].lower(), name))
         return by_stem
 
     @cached_property
