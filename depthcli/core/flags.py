@@ -145,15 +145,19 @@ def plain_name(heading: str) -> str:
 
 
 def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]) -> tuple[list[Flagged], list[str]]:
-    """Return the flagged rows, those with the most reasons first, and warnings about conditions that say nothing here.
+    """Return the flagged rows, worst first, and warnings about conditions that say nothing here.
+
+    Those with the most reasons come first; among as many, those that are farthest beyond the limit of the first
+    condition that holds for them.
 
     Parameters
     ----------
     rows : column -> value; each has a ``scene``, and may have a ``run``
     """
     reasons: list[list[str]] = [[] for _ in rows]
+    beyond: list[list[tuple[int, float]]] = [[] for _ in rows]  # the condition's place, minus the distance
     warnings = []
-    for condition in conditions:
+    for place, condition in enumerate(conditions):
         values = condition.values(rows)
         n_known = sum(value is not None for value in values)
         if not n_known:
@@ -164,15 +168,13 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
             warnings.append(
                 f"condition {condition.text!r}: {len(rows) - n_known} of {len(rows)} rows have no value there"
             )
-        for value, found in zip(values, reasons, strict=True):
+        for k, value in enumerate(values):
             if value is not None and _OPERATORS[condition.op](value, condition.value):
-                found.append(condition.reason(value))
-    flagged = [
-        Flagged(str(row["scene"]), str(row.get("run", "")), tuple(of_row))
-        for row, of_row in zip(rows, reasons, strict=True)
-        if of_row
-    ]
-    return sorted(flagged, key=lambda each: -len(each.reasons)), warnings
+                reasons[k].append(condition.reason(value))
+                beyond[k].append((place, 0.0 if isinstance(value, str) else -abs(value - condition.value)))
+    worst_first = sorted((k for k in range(len(rows)) if reasons[k]), key=lambda k: (-len(reasons[k]), beyond[k][0]))
+    flagged = [Flagged(str(rows[k]["scene"]), str(rows[k].get("run", "")), tuple(reasons[k])) for k in worst_first]
+    return flagged, warnings
 
 
 def robust_scores(values: Sequence[float | None]) -> list[float | None]:

@@ -113,3 +113,10 @@ def test_robust_scores_of_like_values():
 def test_plain_names():
     assert plain_name(" bad  1.0  nonocc ") == "bad 1 nonocc"
     assert Condition.of("z( bad 0.50 )<2").column == "bad 0.5"
+
+
+def test_the_worst_rows_come_first():
+    rows = [{"scene": name, "measured": share} for name, share in (("a", 0.8), ("b", 0.2), ("c", 0.5))]
+    assert [scene for scene, _ in flagged("measured<0.9", rows=rows)[0]] == ["b", "c", "a"]
+    found, _ = flagged("measured<0.9", "measured>0.7", rows=rows)
+    assert [scene for scene, _ in found] == ["a", "b", "c"]  # two reasons before one
