@@ -21,8 +21,7 @@ from pathlib import Path
 
 import _env  # (first: continues in the checkout's environment)
 
-from depthcli.batch.presets import find_config, find_preset
-from depthcli.core.config_file import load_config
+from depthcli.api.config import load_config
 from depthcli.core.frames import StereoPair
 from depthcli.core.result import Clock
 from depthcli.data.generated.arrays.stereo_scenes import make_scene
@@ -101,8 +100,7 @@ def measure_presets(device: Device, pair: StereoPair, repeat: int) -> list[tuple
     """Return rows of whole pipelines: milliseconds on the device and on the processor."""
     rows = []
     for preset in PRESETS:
-        found = find_config("stereo", preset)
-        pipeline = load_config(StereoConfig, found, [], lambda name: find_preset("stereo", name)).pipeline
+        pipeline = load_config(StereoConfig, preset).pipeline
         there = by_clock(lambda p=pipeline: local(p, DevicePair(device, pair), DISPARITIES - 1, Clock()), repeat)  # type: ignore[misc]
         here = by_clock(lambda p=pipeline: p(pair, DISPARITIES - 1), min(repeat, 5))  # type: ignore[misc]
         rows.append((preset, f"{there:.2f}", f"{here:.1f}", f"{here / there:.1f}"))

@@ -126,6 +126,9 @@ RECORDINGS = (
 )  # fmt: skip
 """Columns of ``extract``."""
 
+OF_RUNS = (*REPORT, *MAPS, *DEPTH, *REGISTRATION, *GIVEN_MAPS, *SAMPLES, *RECORDINGS)
+"""Columns of the reports of all runs."""
+
 SEGMENTS = (
     Column("plane", "number of a plane"),
     Column("a, b, c", "disparity of the plane at (x, y): a x + b y + c, px", pattern="[abc]"),

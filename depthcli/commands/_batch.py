@@ -20,7 +20,6 @@ from depthcli.core.errors import DepthcliError
 from depthcli.core.method import used_files
 from depthcli.core.option import Option
 from depthcli.core.text import one_line
-from depthcli.data import storage
 from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
@@ -159,6 +158,8 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         """
         if not (values.get("evaluate") or values.get("html")):
             return None, None, flagged_rows(conditions, rows, reporter)
+        from depthcli.data import storage
+
         output, truth = values["output"] / "evaluation", values.get("input")
         in_folder = truth is not None and not storage.is_file(truth)  # pairs of a table have no truth
         scored = [scene for scene in scenes if in_folder and scene.has_truth]

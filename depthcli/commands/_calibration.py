@@ -103,7 +103,7 @@ def calibrated(board: Board, photos: Sequence[Photos], fisheye: bool, reporter: 
     common = [_same_size(sizes[k], corners[k], SIDES[k], reasons) for k in range(n_cameras)]
     for side, found in enumerate(corners):
         if len(found) < MIN_PHOTOS:
-            raise InputError(_too_few(board, photos, side, n_cameras, len(found)))
+            raise InputError(_photos_lacking(board, photos, side, n_cameras, len(found)))
     cameras = [fit_camera(board, corners[k], common[k], fisheye) for k in range(n_cameras)]
     for side, fit in enumerate(cameras):
         for name in fit.outliers:
@@ -159,15 +159,15 @@ def _same_size(
     """Return the size of most photos of a camera; those of another size do not count."""
     if not sizes:
         return 0, 0
-    most = Counter(sizes.values()).most_common(1)[0][0]
+    usual = Counter(sizes.values()).most_common(1)[0][0]
     for name, size in sizes.items():
-        if size != most:
-            reasons[name][side] = f"{size[0]} x {size[1]} pixels, not {most[0]} x {most[1]}"
+        if size != usual:
+            reasons[name][side] = f"{size[0]} x {size[1]} pixels, not {usual[0]} x {usual[1]}"
             corners.pop(name, None)
-    return most
+    return usual
 
 
-def _too_few(board: Board, photos: Sequence[Photos], side: int, n_cameras: int, n_found: int) -> str:
+def _photos_lacking(board: Board, photos: Sequence[Photos], side: int, n_cameras: int, n_found: int) -> str:
     files = [file for each in photos if (file := (each.left, each.right)[side]) is not None]
     of = f" of the {SIDES[side]} camera" if n_cameras == 2 else ""
     text = f"{board.words} was found in {n_found} of {len(files)} photos{of}; at least {MIN_PHOTOS} are needed"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +9,7 @@ from numpy.typing import NDArray
 from depthcli.algorithms.calibration.boards import Board, CharucoBoard
 from depthcli.algorithms.calibration.solver import CameraFit
 from depthcli.batch.console import aligned
+from depthcli.batch.json_csv import Row
 from depthcli.commands._calibration import SIDES, Calibration
 from depthcli.data.formats.pictures import draw_text
 
@@ -19,16 +18,16 @@ _TITLE = 24
 _RED_PX = 1.0  # error of a corner that is drawn red
 
 
-def document(board: Board, found: Calibration, unnamed: list[str]) -> dict[str, Any]:
+def document(board: Board, found: Calibration, unnamed: list[str]) -> Row:
     """Return the report as JSON holds it: pixels, meters, degrees."""
-    described: dict[str, Any] = {
+    described: Row = {
         "kind": "charuco" if isinstance(board, CharucoBoard) else "chessboard",
         "inner_corners": [board.columns, board.rows],
         "square": board.square,
     }
     if isinstance(board, CharucoBoard):
         described |= {"marker": board.marker, "dictionary": board.dictionary}
-    report: dict[str, Any] = {
+    report: Row = {
         "board": described,
         "cameras": [
             {
@@ -120,13 +119,13 @@ def _coverage(found: Calibration, side: int, fit: CameraFit) -> NDArray[np.uint8
     return picture
 
 
-def _photo(found: Calibration, name: str) -> dict[str, Any]:
+def _photo(found: Calibration, name: str) -> Row:
     errors = {
         SIDES[k]: fit.errors.get(name, fit.outliers.get(name))
         for k, fit in enumerate(found.cameras)
         if name in fit.errors or name in fit.outliers
     }  # fmt: skip
-    row: dict[str, Any] = {"name": name, "errors": errors, "left_out": found.reasons[name]}
+    row: Row = {"name": name, "errors": errors, "left_out": found.reasons[name]}
     if found.rig is not None:
         row["pair_error"] = found.rig.errors.get(name, found.rig.outliers.get(name))
         row["row_error"] = found.row_errors.get(name)

@@ -29,15 +29,11 @@ def conditions_of(values: Values) -> tuple[Condition, ...]:
     from depthcli.core.flags import parse_conditions
     from depthcli.evaluation import columns as evaluation
 
-    known = (
-        *report.REPORT, *report.MAPS, *report.DEPTH, *report.REGISTRATION, *report.GIVEN_MAPS, *report.SAMPLES,
-        *report.RECORDINGS, *evaluation.METRICS,
-    )  # fmt: skip
-    return parse_conditions(values["flag"], known)
+    return parse_conditions(values["flag"], (*report.OF_RUNS, *evaluation.METRICS))
 
 
 def flagged_rows(conditions: Sequence[Condition], rows: Sequence[Row], reporter: Reporter) -> list[Flagged]:
-    """Return the flagged rows, those with the most reasons first; warn of conditions that say nothing here."""
+    """Return the flagged rows, worst first; warn of conditions that say nothing here."""
     from depthcli.core.flags import flag_rows
 
     flagged, warnings = flag_rows(conditions, rows)

@@ -25,7 +25,6 @@ from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.core.plugins import Plugin
 from depthcli.core.registry import plugin_of, versions_here
-from depthcli.data import storage
 
 if TYPE_CHECKING:
     from depthcli.commands._scoring import Scoring
@@ -160,6 +159,7 @@ def evaluate(
     from depthcli.batch.install import staging_folder
     from depthcli.commands._runs import find_runs
     from depthcli.commands._scoring import Scoring
+    from depthcli.data import storage
     from depthcli.evaluation.protocols import Settings, load
 
     reporter, settings, truth = reporter or Reporter(-1), settings or Settings(), Path(truth)
@@ -223,6 +223,7 @@ def _scored(
 def _report_of(place: Path, scenes: Sequence[Scene]) -> dict[str, Row]:
     """Return scene -> row of a run's report, of those of the scenes that it has."""
     from depthcli.batch.reports import read_report
+    from depthcli.data import storage
 
     rows = read_report(place) if storage.is_dir(place) else {}
     return {scene.name: rows[scene.name] for scene in scenes if scene.name in rows}
@@ -256,6 +257,7 @@ def _find_truth(
     reporter: Reporter,
 ) -> list[Scene]:
     """All scenes with ground truth, and those that cannot be used; of a file, the scene whose truth it is."""
+    from depthcli.data import storage
     from depthcli.data.walk import discover_scenes, scene_with_file
     from depthcli.evaluation.protocols import load
 

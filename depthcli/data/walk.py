@@ -126,7 +126,7 @@ def _scenes_in_archive(
 
 
 def _damage(archive: Path, name: str, warn: Callable[[str], None]) -> list[Scene]:
-    """A scene that stands for those which a damaged archive lost; none where it is whole."""
+    """Return a scene that stands for those which a damaged archive lost; none where it is whole."""
     with naming(archive):
         notes, damage = storage.findings(archive)
     for note in notes:

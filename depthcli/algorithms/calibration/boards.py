@@ -121,7 +121,7 @@ class Chessboard(Board):
         if ax * by - ay * bx < 0:  # seen from behind; boards are printed on one side
             grid = grid[::-1]
         if (self.columns + self.rows) % 2:
-            grid = grid if _first_is_dark(grey, grid) else grid[::-1, ::-1]
+            grid = grid if _first_square_is_darker(grey, grid) else grid[::-1, ::-1]
         else:
             grid = max(self._turned(grid), key=lambda each: float(_direction(each) @ (1, 0.5)))
         return Corners(ids, grid.reshape(-1, 2))
@@ -146,7 +146,7 @@ def _direction(grid: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(vector / np.linalg.norm(vector), np.float64)
 
 
-def _first_is_dark(grey: NDArray[np.uint8], grid: NDArray[np.float64]) -> bool:
+def _first_square_is_darker(grey: NDArray[np.uint8], grid: NDArray[np.float64]) -> bool:
     """Return whether the square between the first four corners is darker than those beside it."""
     centers = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
     x, y = centers[..., 0].astype(np.float32), centers[..., 1].astype(np.float32)

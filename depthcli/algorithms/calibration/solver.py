@@ -124,7 +124,7 @@ def fit_rig(board: Board, pairs: dict[str, tuple[Corners, Corners]], cameras: tu
 
 def _without_outliers(photos: dict[str, Any], fit: Callable[[dict[str, Any]], ResultT]) -> ResultT:
     used, outliers = dict(photos), dict[str, float]()
-    least = max(MIN_PHOTOS, (len(photos) + 1) // 2)
+    min_used = max(MIN_PHOTOS, (len(photos) + 1) // 2)
     if len(used) < MIN_PHOTOS:
         raise InputError(f"{len(used)} usable; at least {MIN_PHOTOS} are needed, better 15 or more")
     while True:
@@ -133,7 +133,7 @@ def _without_outliers(photos: dict[str, Any], fit: Callable[[dict[str, Any]], Re
         middle = float(np.median(errors))
         spread = _DEVIATION * float(np.median(np.abs(errors - middle)))
         worst = max(found.errors, key=lambda name: found.errors[name])
-        if found.errors[worst] <= max(middle + _OUTLIER_DEVIATIONS * spread, OUTLIER_PX) or len(used) <= least:
+        if found.errors[worst] <= max(middle + _OUTLIER_DEVIATIONS * spread, OUTLIER_PX) or len(used) <= min_used:
             found.outliers.update(outliers)
             return found
         outliers[worst] = found.errors[worst]

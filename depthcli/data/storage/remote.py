@@ -13,6 +13,7 @@ from typing import Any, BinaryIO
 
 from depthcli.core.errors import InputError
 from depthcli.data.storage.archive import LARGE_BYTES
+from depthcli.data.storage.sized import RawFile
 
 _URL = re.compile(r"(?:^|/)([a-z][a-z0-9+.-]+):/+(.+)", re.IGNORECASE)
 _BLOCK_BYTES = 1 << 20  # that are fetched at a time
@@ -142,36 +143,14 @@ def _system(url: str) -> tuple[Any, str]:
     return system, place
 
 
-class _Blocks(io.RawIOBase):
+class _Blocks(RawFile):
     """A file behind a URL; whatever goes wrong on the way is an OSError."""
 
-    def __init__(self, file: Any) -> None:
-        self._file = file
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        return int(self._file.seek(offset, whence))
-
-    def tell(self) -> int:
-        return int(self._file.tell())
-
-    def readinto(self, buffer: Any) -> int:
+    def _next(self, size: int) -> bytes:
         try:
-            data = self._file.read(len(buffer))
+            return super()._next(size)
         except Exception as error:
             raise OSError(errno.EIO, str(_failure(error))) from error
-        buffer[: len(data)] = data
-        return len(data)
-
-    def close(self) -> None:
-        if not self.closed:
-            self._file.close()
-        super().close()
 
 
 def _failure(error: Exception) -> Exception:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 
 def size_of(file: BinaryIO) -> int:
@@ -15,18 +15,11 @@ def size_of(file: BinaryIO) -> int:
     return os.fstat(file.fileno()).st_size if size is None else int(size)
 
 
-class SizedFile(io.BufferedReader):
-    """A file of known size that is read piece by piece."""
+class RawFile(io.RawIOBase):
+    """A file that another one is read by; subclasses say what becomes of its errors."""
 
-    def __init__(self, file: BinaryIO, size: int) -> None:
-        super().__init__(_Forwarding(file))
-        self.stored_size = size
-
-
-class _Forwarding(io.RawIOBase):
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: Any) -> None:
         self._file = file
-        self.seek, self.tell = file.seek, file.tell  # type: ignore[method-assign]
 
     def readable(self) -> bool:
         return True
@@ -34,8 +27,14 @@ class _Forwarding(io.RawIOBase):
     def seekable(self) -> bool:
         return True
 
-    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
-        data = self._file.read(len(buffer))
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        return int(self._file.seek(offset, whence))
+
+    def tell(self) -> int:
+        return int(self._file.tell())
+
+    def readinto(self, buffer: Any) -> int:
+        data = self._next(len(buffer))
         buffer[: len(data)] = data
         return len(data)
 
@@ -43,3 +42,15 @@ class _Forwarding(io.RawIOBase):
         if not self.closed:
             self._file.close()
         super().close()
+
+    def _next(self, size: int) -> bytes:
+        """Return the next bytes, at most ``size``; none at the end."""
+        return bytes(self._file.read(size))
+
+
+class SizedFile(io.BufferedReader):
+    """A file of known size that is read piece by piece."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        super().__init__(RawFile(file))
+        self.stored_size = size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import stat
@@ -12,6 +13,7 @@ from typing import Any, BinaryIO
 
 from depthcli.core.errors import InputError
 from depthcli.data.storage.archive import Archive, Listing, Member, listing_of, problem_of_size
+from depthcli.data.storage.sized import RawFile
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)  # that of LZMA may ask for 4 GiB of memory
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError)
@@ -56,40 +58,24 @@ def _problem(info: zipfile.ZipInfo) -> str:
     return problem_of_size(info.file_size, info.compress_size)
 
 
-class _Unpacked(io.RawIOBase):
+class _Unpacked(RawFile):
     """A member whose damage is an OSError, as that of a file on a disk."""
-
-    def __init__(self, file: Any) -> None:
-        self._file = file
-
-    def readable(self) -> bool:
-        return True
 
     def seekable(self) -> bool:
         return bool(self._file.seekable())
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        try:
-            return int(self._file.seek(offset, whence))
-        except _DAMAGE as error:
-            raise _damaged(error) from error
+        with _damage_as_os_error():
+            return super().seek(offset, whence)
 
-    def tell(self) -> int:
-        return int(self._file.tell())
-
-    def readinto(self, buffer: Any) -> int:
-        try:
-            data = self._file.read(len(buffer))
-        except _DAMAGE as error:
-            raise _damaged(error) from error
-        buffer[: len(data)] = data
-        return len(data)
-
-    def close(self) -> None:
-        if not self.closed:
-            self._file.close()
-        super().close()
+    def _next(self, size: int) -> bytes:
+        with _damage_as_os_error():
+            return super()._next(size)
 
 
-def _damaged(error: Exception) -> OSError:
-    return OSError(errno.EIO, f"damaged in the archive: {str(error)[:100]}")
+@contextlib.contextmanager
+def _damage_as_os_error() -> Iterator[None]:
+    try:
+        yield
+    except _DAMAGE as error:
+        raise OSError(errno.EIO, f"damaged in the archive: {str(error)[:100]}") from error
