@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,10 @@ from scipy import ndimage
 
 from depthcli.algorithms.body import body_of_volume
 from depthcli.algorithms.resampling import block_means, resample
+from depthcli.core.errors import InputError
+from depthcli.core.flags import REGION_ERROR
 from depthcli.data.registered_volumes import LoadedPair
+from depthcli.data.scenes.volume_pair import VolumePairScene
 from depthcli.methods.registration.pipeline import RegistrationResult
 
 _WRONG_MM = 3.0  # expected errors above it are located
@@ -51,26 +53,29 @@ def inside_figures(result: RegistrationResult, loaded: LoadedPair) -> dict[str, 
     return {name: round(value, 4) for name, value in figures.items()}
 
 
-def region_figures(
-    result: RegistrationResult, loaded: LoadedPair, regions: Iterable[tuple[str, NDArray[np.bool_]]]
-) -> dict[str, float]:
-    """Return figures of the expected error in regions, such as those of organs.
-
-    Parameters
-    ----------
-    regions : (name, mask (Z, Y, X) on the fixed volume's grid)
+def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: VolumePairScene) -> dict[str, float | str]:
+    """Return figures of the expected error in the regions of a pair, such as organs.
 
     Returns
     -------
-    ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm; none of a region without a voxel
+    ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL; none of a region without
+    a voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
     """
-    figures = {}
-    error = _error_of_voxels(result, loaded)
-    for name, mask in regions:
-        known = error[block_means(mask, loaded.blocks) >= 0.5 if max(loaded.blocks) > 1 else mask]
-        if known.size:
-            figures[f"region_mean_{name}"] = round(float(known.mean(dtype=np.float64)), 4)
-            figures[f"region_95_{name}"] = round(float(np.quantile(known, 0.95)), 4)
+    figures: dict[str, float | str] = {}
+    error = _error_of_voxels(result, loaded) if scene.regions else np.zeros(0, np.float32)
+    voxel = math.prod(loaded.pair.spacing) / 1000
+    for file, _ in scene.regions:
+        try:
+            for name, mask in scene.region_masks(file, loaded.grid):
+                if f"region_mean_{name}" in figures:
+                    raise InputError(f"{scene.folder}: two regions are called {name}: give one of them another name")
+                known = error[block_means(mask, loaded.blocks) >= 0.5 if max(loaded.blocks) > 1 else mask]
+                if known.size:
+                    figures[f"region_mean_{name}"] = round(float(known.mean(dtype=np.float64)), 4)
+                    figures[f"region_95_{name}"] = round(float(np.quantile(known, 0.95)), 4)
+                    figures[f"region_volume_{name}"] = round(known.size * voxel, 4)
+        except InputError as problem:
+            figures[f"{REGION_ERROR}{file}"] = str(problem)
     return figures
 
 

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, ClassVar, Generic
 from depthcli.batch.command import Command, ConfigT, ModelT, Outcome, SceneT, Values
 from depthcli.batch.console import Column, Reporter, run_table
 from depthcli.batch.json_csv import Row, to_json
-from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_rows, flagged_table
+from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_table, flags_of
 from depthcli.commands._options import CONFIG, DRY_RUN, EVALUATE, HTML_FLAG, INPUT, OUTPUT, RUN, SELECT, run_options
 from depthcli.commands._page import PAGE_BUDGET, PAGE_FILE, new_page, write_page
 from depthcli.commands._tables import print_place, print_tables
 from depthcli.commands.evaluate import evaluate
 from depthcli.core.errors import DepthcliError
+from depthcli.core.flags import Flags
 from depthcli.core.method import used_files
 from depthcli.core.option import Option
 from depthcli.core.text import one_line
@@ -24,7 +25,7 @@ from depthcli.data.scenes import Scene
 
 if TYPE_CHECKING:
     from depthcli.batch.task import RunOptions
-    from depthcli.core.flags import Condition, Flagged
+    from depthcli.core.conditions import Condition
     from depthcli.data.formats.pictures import Palette
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.report.run_without_truth import RunWithoutTruth
@@ -87,6 +88,10 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         """Return warnings about a whole run, once its ``rows`` are there."""
         return []
 
+    def problems(self, rows: Sequence[Row]) -> list[str]:
+        """Return what could not be done of scenes that are done, a line each; the exit code says that there is some."""
+        return []
+
     def run_on(self, config: ConfigT, scenes: Sequence[SceneT], values: Values, reporter: Reporter) -> int:
         """Compute scenes, evaluate where asked, print table or JSON; or only list the scenes. Return the exit code."""
         options, output, conditions = run_options(values), values["output"], conditions_of(values)
@@ -106,21 +111,22 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         rows = run_scenes(self, config, scenes, output, options, reporter)
         for line in self.notes(config, scenes, rows):
             reporter.info(f"warning: {line}")
+        for line in (problems := self.problems(rows)):
+            reporter.error(line)
         failed = [row for row in rows if row["status"] == "failed"]
         if (palette := self.palette()) is not None and len(failed) < len(rows):
             write_legend(output / LEGEND_FILE, palette, self.legend_values())
-        evaluation, page_file, flagged = self._evaluation(scenes, rows, values, conditions, reporter)
+        evaluation, page_file, flags = self._evaluation(scenes, rows, values, conditions, reporter)
         if values["json"]:
             document = report_document(self.name, rows)
-            if conditions:
-                document["flagged"] = [each.to_dict() for each in flagged]
+            document |= flags.to_dict()
             reporter.data(to_json(document if evaluation is None else document | {"evaluation": evaluation.to_dict()}))
         elif evaluation is None and not values["quiet"]:
             reporter.data(run_table(rows, self.columns()))
         elif evaluation is not None:
             print_tables(evaluation, values, reporter)
         if conditions and not (values["json"] or values["quiet"]):
-            reporter.data(flagged_table(flagged, len(rows)))
+            reporter.data(flagged_table(flags))
         total = len(scenes) if options.shard is None else len(rows)
         reporter.info(f"{len(rows) - len(failed)} of {total} scenes done, in {output}")
         if evaluation is not None:
@@ -129,7 +135,8 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
             reporter.info(f"page to open in a browser: {page_file}")
         if any(row["error"].startswith(BUG) for row in (failed[-1:] if options.fail_fast else failed)):
             return 1
-        return exit_code(bool(failed or (evaluation is not None and evaluation.failed)), flagged, values)
+        incomplete = failed or problems or (evaluation is not None and evaluation.failed)
+        return exit_code(bool(incomplete), flags, values)
 
     def _list(
         self, config: ConfigT, scenes: Sequence[SceneT], values: Values, options: RunOptions, reporter: Reporter
@@ -151,13 +158,13 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
         values: Values,
         conditions: Sequence[Condition],
         reporter: Reporter,
-    ) -> tuple[EvaluationReport | None, Path | None, Sequence[Flagged]]:
+    ) -> tuple[EvaluationReport | None, Path | None, Flags]:
         """Compare scenes with their truth, and write the page of these and of the others, where requested.
 
-        Returns the evaluation, the page's file, and the flagged rows.
+        Returns the evaluation, the page's file, and what the conditions flag.
         """
         if not (values.get("evaluate") or values.get("html")):
-            return None, None, flagged_rows(conditions, rows, reporter)
+            return None, None, flags_of(conditions, rows, reporter)
         from depthcli.data import storage
 
         output, truth = values["output"] / "evaluation", values.get("input")
@@ -174,19 +181,19 @@ class BatchCommand(Command, Generic[ConfigT, SceneT]):
                 reporter=reporter, kinds=self.truth_kinds(scenes), page=page, conditions=conditions,
                 rows={str(row["scene"]): row for row in rows},
             )  # fmt: skip
-            return report, None if page is None or not page.written else output / PAGE_FILE, report.flagged or ()
+            return report, None if page is None or not page.written else output / PAGE_FILE, report.flags
         shows = ": the page shows the maps without scores" if page is not None else ", nothing to compare with"
         reporter.info(f"no ground truth in {truth or 'the given files'}{shows}")
-        flagged = flagged_rows(conditions, rows, reporter)
+        flags = flags_of(conditions, rows, reporter)
         if page is None:
-            return None, None, flagged
-        page.flagged = flagged
+            return None, None, flags
+        page.flags = flags
         try:
             write_page(page, reporter)
         except DepthcliError as error:  # the maps are there
             reporter.error(f"no {PAGE_FILE}: {error}")
-            return None, None, flagged
-        return None, output / PAGE_FILE, flagged
+            return None, None, flags
+        return None, output / PAGE_FILE, flags
 
     def _without_truth(self, scenes: Sequence[SceneT], rows: Sequence[Row], folder: Path) -> RunWithoutTruth:
         """Return what the page shows of scenes without truth; a sequence is shown frame by frame."""
@@ -228,7 +235,7 @@ class ConfigCommand(BatchCommand[ModelT, SceneT]):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Compute every scene, then evaluate where that is asked for; return the exit code."""
-        run_options(values)  # wrong ones are reported before any file is read
+        run_options(values), conditions_of(values)  # wrong ones are reported before any file is read
         config = self.config(values)
         return self.run_on(config, self.find(values, reporter), values, reporter)
 

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 from depthcli.batch.command import FLAGGED, SOME_FAILED, Values
 from depthcli.batch.console import Reporter, aligned
 from depthcli.batch.json_csv import Row
+from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 
 if TYPE_CHECKING:
-    from depthcli.core.flags import Condition, Flagged
+    from depthcli.core.conditions import Condition
+    from depthcli.core.flags import Flags
     from depthcli.evaluation.comparison import EvaluationReport
 
 FLAGS = (
@@ -22,30 +24,32 @@ FLAGS = (
 
 
 def conditions_of(values: Values) -> tuple[Condition, ...]:
-    """Return the conditions that are given; ConfigError where one is wrong."""
+    """Return the conditions that are given; ConfigError where one is wrong, or what counts them has none to count."""
     if not values.get("flag"):
+        if values.get("fail_flagged"):
+            raise ConfigError("nothing is flagged without a condition: give one, such as 'measured<0.6'")
         return ()
     from depthcli.batch import columns as report
-    from depthcli.core.flags import parse_conditions
+    from depthcli.core.conditions import parse_conditions
     from depthcli.evaluation import columns as evaluation
 
     return parse_conditions(values["flag"], (*report.OF_RUNS, *evaluation.METRICS))
 
 
-def flagged_rows(conditions: Sequence[Condition], rows: Sequence[Row], reporter: Reporter) -> list[Flagged]:
-    """Return the flagged rows, worst first; warn of conditions that say nothing here."""
+def flags_of(conditions: Sequence[Condition], rows: Sequence[Row], reporter: Reporter) -> Flags:
+    """Return what the conditions flag; warn of those that say nothing here."""
     from depthcli.core.flags import flag_rows
 
-    flagged, warnings = flag_rows(conditions, rows)
-    for line in warnings:
+    flags = flag_rows(conditions, rows)
+    for line in flags.warnings:
         reporter.info(f"warning: {line}")
-    return flagged
+    return flags
 
 
-def flagged_scores(
+def flags_of_scores(
     conditions: Sequence[Condition], report: EvaluationReport, own: Mapping[str, Mapping[str, Row]], reporter: Reporter
-) -> list[Flagged]:
-    """Return the flagged scenes of an evaluation: by its scores, and by what the reports of the runs say.
+) -> Flags:
+    """Return what the conditions flag in an evaluation: by its scores, and by what the reports of the runs say.
 
     A metric is that of the region behind its name, or else of the protocol's main region.
 
@@ -53,7 +57,7 @@ def flagged_scores(
     ----------
     own : run -> scene -> row of its report; scenes that were not scored are flagged by these rows alone
     """
-    from depthcli.core.flags import plain_name
+    from depthcli.core.conditions import plain_name
 
     rows: dict[tuple[str, str], Row] = {}
     for run, of_run in own.items():
@@ -68,25 +72,29 @@ def flagged_scores(
             status = {"status": "failed"} if result.error else {}
             row = rows.get((result.run, result.scene), {"status": "done"})
             rows[result.run, result.scene] = {**row, **scores, **status, "scene": result.scene, "run": result.run}
-    return flagged_rows(conditions, list(rows.values()), reporter)
+    return flags_of(conditions, list(rows.values()), reporter)
 
 
-def flagged_table(flagged: Sequence[Flagged], n_rows: int) -> str:
+def flagged_table(flags: Flags) -> str:
     """Return the table of flagged rows, or the sentence that there are none."""
-    if not flagged:
-        return f"\nflagged: none of {n_rows}\n"
-    runs = any(each.run for each in flagged)
-    lines = [("scene", "run", "why") if runs else ("scene", "why")]
-    for each in flagged:
-        why = "; ".join(each.reasons)
-        lines.append((each.scene, each.run, why) if runs else (each.scene, why))
+    in_regions = sum(bool(each.region) for each in flags.flagged)
+    counts = f"{len(flags.flagged) - in_regions or 'none'} of {flags.n_rows}"
+    if flags.verdicts:
+        unknown = sum(each.verdict == "unknown" for each in flags.verdicts)
+        counts += f", and {in_regions or 'none'} of {len(flags.verdicts)} regions"
+        counts += f" ({unknown} unknown)" if unknown else ""
+    if not flags.flagged:
+        return f"\nflagged: {counts}\n"
+    shown = [name for name in ("scene", "region", "run") if any(getattr(each, name) for each in flags.flagged)]
+    lines = [(*shown, "why")]
+    lines += [(*(getattr(each, name) or "-" for name in shown), "; ".join(each.reasons)) for each in flags.flagged]
     width = max(len(line[-1]) for line in lines)
     padded = [(*line[:-1], line[-1].ljust(width)) for line in lines]
-    return f"\nflagged: {len(flagged)} of {n_rows}\n{aligned(padded)}\n"
+    return f"\nflagged: {counts}\n{aligned(padded)}\n"
 
 
-def exit_code(failed: bool, flagged: Sequence[Flagged], values: Values) -> int:
+def exit_code(failed: bool, flags: Flags, values: Values) -> int:
     """Return the exit code: something failed, or else a row is flagged and that counts, or 0."""
     if failed:
         return SOME_FAILED
-    return FLAGGED if flagged and values.get("fail_flagged") else 0
+    return FLAGGED if flags.flagged and values.get("fail_flagged") else 0

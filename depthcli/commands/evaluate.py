@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from depthcli.batch.command import Command, Values
 from depthcli.batch.console import Reporter
 from depthcli.batch.json_csv import Row, to_csv, to_json
-from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_scores, flagged_table
+from depthcli.commands._flags import FLAGS, conditions_of, exit_code, flagged_table, flags_of_scores
 from depthcli.commands._options import LAYOUT, SCENES
 from depthcli.commands._other_tools import OTHER_TOOLS, check_other_tools, log_runs, scores_parquet
 from depthcli.commands._page import HTML, PAGE_FILE, RESULTS, new_page
@@ -28,7 +28,7 @@ from depthcli.core.registry import plugin_of, versions_here
 
 if TYPE_CHECKING:
     from depthcli.commands._scoring import Scoring
-    from depthcli.core.flags import Condition
+    from depthcli.core.conditions import Condition
     from depthcli.data.scenes import Scene
     from depthcli.evaluation.comparison import EvaluationReport
     from depthcli.evaluation.map_files import MapOptions
@@ -99,12 +99,12 @@ class EvaluateCommand(Command):
         else:
             print_tables(report, values, reporter)
             if conditions and not values["quiet"]:
-                reporter.data(flagged_table(report.flagged or (), len(report.results)))
+                reporter.data(flagged_table(report.flags))
         if values["output"] is not None:
             print_place(values["output"], page is not None and page.written, reporter)
         if values["log"] is not None:
             log_runs(report, find_runs(values["runs"]), values["log"], reporter)
-        return exit_code(bool(report.failed), report.flagged or (), values)
+        return exit_code(bool(report.failed), report.flags, values)
 
 
 def evaluate(
@@ -213,9 +213,9 @@ def _scored(
         report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth, hints, plugins)
         if conditions:
             own = {run: _report_of(place, scenes) if rows is None else rows for run, place in scoring.runs.items()}
-            report = replace(report, flagged=tuple(flagged_scores(conditions, report, own, reporter)))
+            report = replace(report, flags=flags_of_scores(conditions, report, own, reporter))
             if scoring.page is not None:
-                scoring.page.flagged = report.flagged or ()
+                scoring.page.flags = report.flags
         _write(report, scoring, reporter)
     return report
 

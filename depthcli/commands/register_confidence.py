@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -10,6 +11,7 @@ from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import ConfigCommand
+from depthcli.core.flags import REGION_ERROR
 from depthcli.core.option import Option
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import VolumePairScene
@@ -54,6 +56,15 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
 
         return peak_bytes(config, *scene.size(config.pipeline.voxel_limit))
 
+    def settings(self, config: RegisterConfidenceConfig, scene: VolumePairScene) -> dict[str, str]:
+        """Return the names of the labels of label maps."""
+        return {"labels": f"{scene.labels}"} if scene.labels else {}
+
+    def problems(self, rows: Sequence[Row]) -> list[str]:
+        """Return a line for each region whose mask could not be used."""
+        found = ((row, value) for row in rows for key, value in row.items() if key.startswith(REGION_ERROR))
+        return [f"{row['scene']}: left out, as a region: {value}" for row, value in found if value]
+
     def columns(self) -> tuple[Column, ...]:
         """Return size, expected error in the mask or body, where it is large, and share of matches on the border."""
 
@@ -96,8 +107,8 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         clock.start("save")
         found.save(folder, written_suffix(scene.fixed), points)
         width, height, slices = loaded.grid.size
-        facts = {"width": width, "height": height, "slices": slices, **found.details.figures}
-        facts |= region_figures(found.details, loaded, scene.region_masks(loaded.grid))
+        facts: Row = {"width": width, "height": height, "slices": slices, **found.details.figures}
+        facts |= region_figures(found.details, loaded, scene)
         return Outcome(facts, clock.seconds, list(found.warnings))
 
 

@@ -1,93 +1,17 @@
-"""Conditions on the columns of a report that flag rows: which scenes a person should look at."""
+"""Rows of a report that conditions hold for: the scenes, and the regions of them, that a person should look at."""
 
 from __future__ import annotations
 
-import difflib
-import math
-import operator
-import re
-import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from depthcli.core.columns import ColumnHelp, find_column
-from depthcli.core.errors import ConfigError
+from depthcli.core.conditions import MIN_SCORED, Condition
 
-MIN_SCORED = 5
-"""Number of values below which no robust z-score is computed."""
+REGION_ERROR = "region_error_"
+"""Beginning of the columns that say why a region could not be measured; its name follows."""
 
-_OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
-    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "=": operator.eq, "!=": operator.ne,
-}  # fmt: skip
-_CONDITION = re.compile(
-    r"\s*(?:z\((?P<robust>[^()]+)\)|(?P<plain>[^<>=!]+?))\s*(?P<op><=|>=|!=|==|=|<|>)\s*(?P<value>\S+)\s*"
-)
-_PLAIN_NUMBER = re.compile(r"\d+\.?\d*|\.\d+")
-_MAD_SCALE, _MEAN_SCALE = 1.4826, 1.2533  # of a normal distribution: sigma / median, and / mean absolute deviation
-
-
-@dataclass(frozen=True)
-class Condition:
-    """A column compared with a value, such as ``measured<0.6``, ``z(measured)<-3.5`` or ``status=failed``.
-
-    Attributes
-    ----------
-    text : as it was given
-    column : heading of the column, without z()
-    robust : the column's robust z-scores among the rows of the same run are compared, not its values
-    op : the comparison
-    value : a number, or a word after ``=`` and ``!=``
-    also : other names of the column
-    """
-
-    text: str
-    column: str
-    robust: bool
-    op: str
-    value: float | str
-    also: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, text: str) -> Condition:
-        """Return the condition that a text means; ConfigError where it means none."""
-        found = _CONDITION.fullmatch(text)
-        if found is None:
-            raise ConfigError(f"flag: want COLUMN<NUMBER, or > <= >= = !=, or z(COLUMN)>NUMBER (got {text!r})")
-        op, value = found["op"].replace("==", "="), found["value"]
-        column, robust = plain_name(found["robust"] or found["plain"]), found["robust"] is not None
-        try:
-            number = float(value)
-        except ValueError:
-            if op not in ("=", "!=") or robust:
-                raise ConfigError(f"condition {text!r}: want a number behind {op} (got {value!r})") from None
-            return cls(text, column, robust, op, value)
-        if not math.isfinite(number):
-            raise ConfigError(f"condition {text!r}: want a finite number (got {value!r})")
-        return cls(text, column, robust, op, number)
-
-    def values(self, rows: Sequence[Mapping[str, Any]]) -> list[Any]:
-        """Return what is compared, row by row; None where a row has no such value."""
-        cells = [next((row[key] for key in (self.column, *self.also) if key in row), None) for row in rows]
-        if isinstance(self.value, str):
-            return [None if cell in (None, "") else str(cell) for cell in cells]
-        numbers = [_number(cell) for cell in cells]
-        if not self.robust:
-            return numbers
-        runs = [row.get("run") for row in rows]
-        scores: list[float | None] = [None] * len(rows)
-        for run in dict.fromkeys(runs):
-            places = [k for k, each in enumerate(runs) if each == run]
-            for k, score in zip(places, robust_scores([numbers[k] for k in places]), strict=True):
-                scores[k] = score
-        return scores
-
-    def reason(self, value: Any) -> str:
-        """Return the words for a row whose ``value`` meets the condition."""
-        name = f"z({self.column})" if self.robust else self.column
-        shown = value if isinstance(value, str) else f"{value:.4g}"
-        limit = self.value if isinstance(self.value, str) else f"{self.value:g}"
-        return f"{name} {shown}" if self.op == "=" else f"{name} {shown} {self.op} {limit}"
+_FIGURES = ("region_mean", "region_95", "region_volume")
 
 
 @dataclass(frozen=True)
@@ -98,108 +22,153 @@ class Flagged:
     ----------
     scene, run : what the row is of; no run where there is one alone
     reasons : the conditions that hold, with the row's values
+    region : the region of the scene that the conditions are on; empty: the whole scene
     """
 
     scene: str
     run: str
     reasons: tuple[str, ...]
+    region: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON."""
-        return {"scene": self.scene, **({"run": self.run} if self.run else {}), "reasons": list(self.reasons)}
+        optional = {"run": self.run, "region": self.region}
+        return {"scene": self.scene, **{k: v for k, v in optional.items() if v}, "reasons": list(self.reasons)}
 
 
-def parse_conditions(texts: Iterable[str], known: Iterable[ColumnHelp]) -> tuple[Condition, ...]:
-    """Return the conditions that texts mean.
+@dataclass(frozen=True)
+class Verdict:
+    """What the conditions on regions say of one region of one scene.
 
-    Parameters
+    Attributes
     ----------
-    texts : one condition each
-    known : all columns that there can be
-
-    Raises
-    ------
-    ConfigError
-        A text is no condition, or names a column that there is not.
+    scene, run, region : what it is of; no run where there is one alone
+    verdict : flagged; passed; or unknown, where no condition found a value
+    value : what the first condition compared; None: no value
     """
-    known = tuple(known)
-    conditions = []
-    for condition in map(Condition.of, texts):
-        words = condition.column.split()
-        headings = (" ".join(words[:n]) for n in range(len(words), 0, -1))  # behind a metric may stand its region
-        column = next(filter(None, (find_column(known, heading) for heading in headings)), None)
-        if column is None:
-            names = [name.strip() for column in known for name in column.name.split(",")]
-            near = difflib.get_close_matches(condition.column, names, 1)
-            meant = f"; did you mean {near[0]!r}?" if near else ""
-            raise ConfigError(
-                f"condition {condition.text!r}: no column {condition.column!r}{meant}; depthcli help columns has them"
-            )
-        conditions.append(replace(condition, also=() if column.pattern else (column.name, *column.also)))
-    return tuple(conditions)
+
+    scene: str
+    run: str
+    region: str
+    verdict: str
+    value: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values, for JSON."""
+        run = {"run": self.run} if self.run else {}
+        return {"scene": self.scene, **run, "region": self.region, "verdict": self.verdict, "value": self.value}
 
 
-def plain_name(heading: str) -> str:
-    """Return a heading with single spaces and the shortest form of its numbers: ``bad 1.0`` is ``bad 1``."""
-    return " ".join(f"{float(word):g}" if _PLAIN_NUMBER.fullmatch(word) else word for word in heading.split())
+@dataclass(frozen=True)
+class Flags:
+    """What conditions say of all rows.
+
+    Attributes
+    ----------
+    flagged : the rows that a condition holds for, worst first
+    verdicts : one for every scene and region, where a condition is on regions
+    n_rows : number of rows
+    conditions : as they were given; none: nobody asked
+    warnings : of conditions that say nothing here
+    """
+
+    flagged: tuple[Flagged, ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
+    n_rows: int = 0
+    conditions: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values, for JSON: nothing without conditions, and no ``verdicts`` without one on regions."""
+        if not self.conditions:
+            return {}
+        verdicts = {"verdicts": [each.to_dict() for each in self.verdicts]} if self.verdicts else {}
+        return {"flagged": [each.to_dict() for each in self.flagged], **verdicts}
 
 
-def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]) -> tuple[list[Flagged], list[str]]:
-    """Return the flagged rows, worst first, and warnings about conditions that say nothing here.
+def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]) -> Flags:
+    """Return which rows the conditions flag, worst first.
 
     Those with the most reasons come first; among as many, those that are farthest beyond the limit of the first
-    condition that holds for them.
+    condition that holds for them. A condition on a figure of regions, such as ``region_95>5``, is asked of every region
+    of every scene.
 
     Parameters
     ----------
     rows : column -> value; each has a ``scene``, and may have a ``run``
     """
+    by_region = _by_region(rows)
+    of_scenes = [(place, each) for place, each in enumerate(conditions) if each.of_region is None]
+    of_regions = [(place, each) for place, each in enumerate(conditions) if each.of_region is not None]
+    asked = [row for row in by_region if any(_concerns(condition, row) for _, condition in of_regions)]
+    found, _, warnings = _asked(of_scenes, rows)
+    in_regions, verdicts, more = _asked(of_regions, asked)
+    worst_first = sorted([*found, *in_regions], key=lambda each: each[0])
+    texts = tuple(condition.text for condition in conditions)
+    return Flags(tuple(each for _, each in worst_first), tuple(verdicts), len(rows), texts, tuple(warnings + more))
+
+
+def _asked(
+    conditions: Sequence[tuple[int, Condition]], rows: Sequence[Mapping[str, Any]]
+) -> tuple[list[tuple[tuple[float, ...], Flagged]], list[Verdict], list[str]]:
+    """Flagged rows with what sorts them, a verdict for every row, and warnings; conditions with their places."""
     reasons: list[list[str]] = [[] for _ in rows]
     beyond: list[list[tuple[int, float]]] = [[] for _ in rows]  # the condition's place, minus the distance
+    known: list[list[Any]] = [[] for _ in rows]
     warnings = []
-    for place, condition in enumerate(conditions):
-        values = condition.values(rows)
-        n_known = sum(value is not None for value in values)
-        if not n_known:
-            few = condition.robust and any(replace(condition, robust=False).values(rows))
-            why = f"fewer than {MIN_SCORED} values" if few else "no row has a value there"
-            warnings.append(f"condition {condition.text!r} flags nothing: {why}")
-        elif n_known < len(rows):
-            warnings.append(
-                f"condition {condition.text!r}: {len(rows) - n_known} of {len(rows)} rows have no value there"
-            )
-        for k, value in enumerate(values):
-            if value is not None and _OPERATORS[condition.op](value, condition.value):
+    for place, condition in conditions:
+        concerned = [k for k, row in enumerate(rows) if _concerns(condition, row)]
+        values = condition.values([rows[k] for k in concerned])
+        warnings += _warnings(condition, [rows[k] for k in concerned], values)
+        for k, value in zip(concerned, values, strict=True):
+            known[k] += [] if value is None else [value]
+            if condition.holds_for(value):
                 reasons[k].append(condition.reason(value))
-                beyond[k].append((place, 0.0 if isinstance(value, str) else -abs(value - condition.value)))
-    worst_first = sorted((k for k in range(len(rows)) if reasons[k]), key=lambda k: (-len(reasons[k]), beyond[k][0]))
-    flagged = [Flagged(str(rows[k]["scene"]), str(rows[k].get("run", "")), tuple(reasons[k])) for k in worst_first]
-    return flagged, warnings
+                beyond[k].append((place, -condition.distance(value)))
+    flagged: list[tuple[tuple[float, ...], Flagged]] = []
+    verdicts = []
+    for k, row in enumerate(rows):
+        scene, run, region = str(row["scene"]), str(row.get("run", "")), str(row.get("region", ""))
+        if error := row.get("error") if region else None:
+            reasons[k], beyond[k] = [str(error)], [(-1, 0.0)]
+        if reasons[k]:
+            rank = (-len(reasons[k]), *beyond[k][0], float(k))
+            flagged.append((rank, Flagged(scene, run, tuple(reasons[k]), region)))
+        verdict = "flagged" if reasons[k] else "passed" if known[k] else "unknown"
+        verdicts.append(Verdict(scene, run, region, verdict, known[k][0] if known[k] else None))
+    return flagged, verdicts, warnings
 
 
-def robust_scores(values: Sequence[float | None]) -> list[float | None]:
-    """Return the robust z-scores of some values: their distances from the median in robust standard deviations.
-
-    The standard deviation is 1.4826 times the median absolute deviation; where more than half of the values are alike,
-    1.2533 times the mean absolute deviation (Iglewicz and Hoaglin, How to Detect and Handle Outliers, 1993).
-
-    Returns
-    -------
-    None where there is no value, or fewer than ``MIN_SCORED`` in all
-    """
-    known = [value for value in values if value is not None]
-    if len(known) < MIN_SCORED:
-        return [None] * len(values)
-    middle = statistics.median(known)
-    deviations = [abs(value - middle) for value in known]
-    sigma = _MAD_SCALE * statistics.median(deviations) or _MEAN_SCALE * math.fsum(deviations) / len(deviations)
-    return [None if value is None else (value - middle) / sigma if sigma else 0.0 for value in values]
+def _warnings(condition: Condition, rows: Sequence[Mapping[str, Any]], values: Sequence[Any]) -> list[str]:
+    """The line that says that a condition found no values, or not all of them; none where it found all."""
+    n_known, what = sum(value is not None for value in values), "row" if condition.of_region is None else "region"
+    if condition.of_region is not None and not rows:
+        return [f"condition {condition.text!r} flags nothing: there is no such region"]
+    if not n_known:
+        few = condition.robust and any(replace(condition, robust=False).values(rows))
+        why = f"fewer than {MIN_SCORED} values" if few else f"no {what} has a value there"
+        return [f"condition {condition.text!r} flags nothing: {why}"]
+    if n_known < len(rows):
+        return [f"condition {condition.text!r}: {len(rows) - n_known} of {len(rows)} {what}s have no value there"]
+    return []
 
 
-def _number(value: Any) -> float | None:
-    """Return a finite number as such, the sum of seconds by stage, and None for everything else."""
-    if isinstance(value, Mapping):
-        return math.fsum(each for each in value.values() if isinstance(each, int | float)) if value else None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return None
-    return float(value)
+def _concerns(condition: Condition, row: Mapping[str, Any]) -> bool:
+    """Whether a row is of the region that a condition names, or the condition names none."""
+    return condition.of_region is None or condition.of_region[1] in ("", row["region"])
+
+
+def _by_region(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A row for every scene and region: of all regions that a scene of the same run has, so that none is missed."""
+    starts = (*(f"{figure}_" for figure in _FIGURES), REGION_ERROR)
+    regions: dict[Any, dict[str, None]] = {}
+    for row in rows:
+        names = (key.removeprefix(start) for key in row for start in starts if key.startswith(start))
+        regions.setdefault(row.get("run"), {}).update(dict.fromkeys(names))
+    made = []
+    for row in rows:
+        for region in regions[row.get("run")]:
+            of_region = {"scene": row["scene"], "region": region, "error": row.get(f"{REGION_ERROR}{region}")}
+            of_region |= {"run": row["run"]} if "run" in row else {}
+            made.append(of_region | {figure: row.get(f"{figure}_{region}") for figure in _FIGURES})
+    return made

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -72,6 +72,34 @@ def usable(values: NDArray[np.float32], inside: NDArray[np.bool_] | None, name: 
     if values.min() == values.max():
         raise InputError(f"{name}: all voxels are {values.flat[0]:g}; nothing to compare")
     return values
+
+
+def label_masks(
+    values: NDArray[np.float32], name: str, regions: Sequence[tuple[str, int]] = ()
+) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Yield the regions of a mask or label map, one mask at a time.
+
+    Parameters
+    ----------
+    values : 0 is outside. Whole numbers of which several occur are labels, as is one other than 1 and 255; else the
+        mask is one region, where it is above 0
+    name : of the mask
+    regions : (name, label) of regions, where the map's labels have names; then whatever occurs is a label
+
+    Yields
+    ------
+    Name, and mask, bool; a label without a name is ``NAME_LABEL``
+    """
+    import numpy as np
+
+    present = sorted({float(label) for plane in values for label in np.unique(plane[plane > 0])})
+    names = {label: region for region, label in regions}
+    whole = all(label.is_integer() for label in present)
+    if not whole or (not names and present in ([], [1.0], [255.0])):
+        yield name, values > 0
+        return
+    for label in present:
+        yield names.get(int(label), f"{name}_{label:.0f}"), values == label
 
 
 def spacing_of(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from depthcli.core.errors import InputError
-from depthcli.core.flags import Flagged
+from depthcli.core.flags import Flags
 from depthcli.core.text import summarized
 from depthcli.evaluation.protocols import AnyProtocol
 from depthcli.evaluation.ranking import Ranking
@@ -210,7 +210,7 @@ class EvaluationReport:
     truth : folder or file of the ground truth
     hints : what was assumed of runs and scenes, and what looks wrong with the way they are scored, one line each
     plugins : package -> version, of the plug-ins that found, read and scored the scenes
-    flagged : the scenes that a person should look at, by conditions on columns; None: there were no conditions
+    flags : what a person should look at, by conditions on columns
     """
 
     runs: tuple[str, ...]
@@ -219,7 +219,7 @@ class EvaluationReport:
     truth: Path
     hints: tuple[str, ...] = ()
     plugins: dict[str, str] = field(default_factory=dict)
-    flagged: tuple[Flagged, ...] | None = None
+    flags: Flags = field(default_factory=Flags)
 
     @property
     def failed(self) -> list[MapResult]:
@@ -284,7 +284,7 @@ class EvaluationReport:
             ],
             "failed": [{"run": r.run, "scene": r.scene, "reason": r.error} for r in self.failed],
             "warnings": self.warnings,
-            **({} if self.flagged is None else {"flagged": [each.to_dict() for each in self.flagged]}),
+            **self.flags.to_dict(),
         }
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from depthcli.core.errors import ConfigError, InputError, OutputError
-from depthcli.core.flags import Flagged
+from depthcli.core.flags import Flags
 from depthcli.data.formats.files import write_text
 from depthcli.data.scenes import Scene
 from depthcli.evaluation import tables
@@ -68,7 +68,7 @@ class Page:
     Attributes
     ----------
     written : the page is there
-    flagged : the scenes that a person should look at, shown first, in this order
+    flags : what a person should look at: the flagged scenes are shown first, in their order
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Page:
     ) -> None:
         self.folder, self.command, self.budget, self.run = folder, command, budget, run
         self.written = False
-        self.flagged: Sequence[Flagged] = ()
+        self.flags = Flags()
         self._saved: list[_SavedScene] = []
         self._scene: SceneView | None = None
 
@@ -118,7 +118,7 @@ class Page:
             The page cannot be written.
         """
         self._save()
-        rank = {each.scene: k for k, each in reversed([*enumerate(self.flagged)])}
+        rank = {each.scene: k for k, each in reversed([*enumerate(self.flags.flagged)])}
         self._saved.sort(key=lambda saved: rank.get(saved.view.name, len(rank)))
         scored, without = list(self._saved), self._add_run()
         factor = max(1, math.ceil(math.sqrt(sum(saved.size for saved in self._saved) / self.budget)))
@@ -140,7 +140,8 @@ class Page:
             scenes=[_scene_data(report, saved.view) for saved in scored] if report else [], without=without,
             data=[_embedded(saved, factor) for saved in self._saved],
             page=_script_json(json.dumps(page)), scores=_script_json(scores), kinds=[*map(_swatches, kinds)],
-            flagged=self.flagged, number_of={saved.view.name: i for i, saved in enumerate(self._saved)},
+            flags=self.flags, verdicts=_verdict_table(self.flags),
+            number_of={saved.view.name: i for i, saved in enumerate(self._saved)},
         )  # fmt: skip
         write_text(self.folder / "report.html", text)
         self._remove_assets(keep=len(self._saved) if factor > 1 else 0)
@@ -253,6 +254,22 @@ def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
             curves = [(c.region, c.confidence, c.of, Number(c.line.auc, 4)) for c in r.curves]
             runs.append({"result": r, "figures": figures, "curves": curves, "thumbs": view.thumbs.get(r.run, {})})
     return {"name": view.name, "protocol": view.protocol, "thumbs": view.thumbs.get("", {}), "runs": runs}
+
+
+def _verdict_table(flags: Flags) -> dict[str, Any] | None:
+    """The verdicts as a table, scenes with the most flagged regions first; None where there are none, or too many."""
+    regions = list(dict.fromkeys(each.region for each in flags.verdicts))
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
+    for each in flags.verdicts:
+        rows.setdefault((each.scene, each.run), {})[each.region] = each
+    if not regions or len(rows) * len(regions) > _MAX_CELLS:
+        return None
+    worst = sorted(rows.items(), key=lambda row: -sum(each.verdict == "flagged" for each in row[1].values()))
+    return {
+        "regions": regions,
+        "runs": any(run for _, run in rows),
+        "rows": [(scene, run, [found.get(region) for region in regions]) for (scene, run), found in worst],
+    }
 
 
 def _swatches(names: tuple[str, ...]) -> list[tuple[str, str, str]]:

@@ -74,25 +74,102 @@ def test_failed_scenes_come_before_flagged_ones_in_the_exit_code(scenes, tmp_pat
     assert re.search(r"planes_0 +status failed", capsys.readouterr().out)
 
 
+@pytest.fixture
+def pairs(tmp_path):
+    assert main(["sample", "--registration", "-o", str(tmp_path / "in"), "-n", "2", "-q"]) == 0
+    return tmp_path / "in"
+
+
+def measure(pairs, *words):
+    own = ["--set", "radius=3", "--set", "half_window=1", "--quiet"]
+    return main(["register-confidence", "mind", "-i", str(pairs), "-o", str(pairs.parent / "run"), *own, *words])
+
+
 @pytest.mark.slow
-def test_regions_of_registrations_are_reported_and_flagged(tmp_path, capsys):
-    assert main(["sample", "--registration", "-o", str(tmp_path / "in"), "-n", "1", "-q"]) == 0
-    pair = tmp_path / "in" / "pair_0"
-    volume = read_volume(pair / "fixed.nii.gz")
+def test_regions_of_registrations_are_reported_and_flagged(pairs, capsys):
+    volume = read_volume(pairs / "pair_0" / "fixed.nii.gz")
     half = np.zeros(volume.values.shape, np.uint8)
     half[:, :, : half.shape[2] // 2] = 1
-    write_array(pair / "mask_low.nii.gz", volume.grid, half)
-    write_array(pair / "mask_all.nii.gz", volume.grid, np.ones_like(half))
-    write_array(pair / "mask_none.nii.gz", volume.grid, np.zeros_like(half))
-    command = ["register-confidence", "mind", "-i", str(tmp_path / "in"), "-o", str(tmp_path / "run"), "--json", "-q"]
-    command += ["--set", "radius=3", "--set", "half_window=1"]
-    assert main([*command, "--flag", "region_95_low>=0", "--flag", "region_95_all<0"]) == 0
+    write_array(pairs / "pair_0" / "mask_low.nii.gz", volume.grid, half)
+    write_array(pairs / "pair_0" / "mask_all.nii.gz", volume.grid, np.full_like(half, 255))
+    write_array(pairs / "pair_0" / "mask_none.nii.gz", volume.grid, np.zeros_like(half))
+    assert measure(pairs, "--json", "--flag", "region_95_low>=0", "--flag", "region_95_all<0") == 0
     document = json.loads(capsys.readouterr().out)
-    (row,) = document["scenes"]
-    error = read_volume(tmp_path / "run" / "pair_0" / "expected_error.nii.gz").values
+    row = document["scenes"][0]
+    error = read_volume(pairs.parent / "run" / "pair_0" / "expected_error.nii.gz").values
     assert row["region_mean_all"] == pytest.approx(error.mean(), rel=0.02)
     assert row["region_mean_low"] == pytest.approx(error[half > 0].mean(), rel=0.05)
     assert row["region_95_low"] > row["region_mean_low"] and "region_mean_none" not in row
-    assert document["flagged"][0]["reasons"][0].startswith("region_95_low ")
-    write_array(pair / "mask_low.nii.gz", Grid((4, 4, 4), volume.grid.spacing), np.ones((4, 4, 4), np.uint8))
-    assert main(command) == 3  # the region is an input: computed again, and refused
+    assert row["region_volume_low"] == pytest.approx(half.sum() * np.prod(volume.grid.spacing) / 1000, rel=0.01)
+    (flagged,) = document["flagged"]
+    assert (flagged["scene"], flagged["region"]) == ("pair_0", "low")
+    verdicts = {(each["scene"], each["region"]): each["verdict"] for each in document["verdicts"]}
+    unknown = {("pair_1", "low"): "unknown", ("pair_1", "all"): "unknown"}
+    assert verdicts == {("pair_0", "low"): "flagged", ("pair_0", "all"): "passed"} | unknown
+
+
+@pytest.mark.slow
+def test_labels_of_a_map_are_regions_of_their_own(pairs, capsys):
+    volume = read_volume(pairs / "pair_0" / "fixed.nii.gz")
+    labels = np.zeros(volume.values.shape, np.uint8)
+    labels[:20], labels[20:30], labels[30:] = 1, 2, 7
+    for pair in ("pair_0", "pair_1"):
+        write_array(pairs / pair / "mask_organs.nii.gz", volume.grid, labels)
+    (pairs / "pair_1" / "meta.json").write_text('{"labels": {"organs": {"background": 0, "liver": 1, "spleen": 2}}}')
+    html = ("--html", "--flag", "region_mean>=0", "--fail-flagged")
+    assert measure(pairs, "--json", *html) == 4
+    document = json.loads(capsys.readouterr().out)
+    error = read_volume(pairs.parent / "run" / "pair_1" / "expected_error.nii.gz").values
+    first, second = document["scenes"]
+    assert {key for key in first if key.startswith("region_95")} == {f"region_95_organs_{k}" for k in (1, 2, 7)}
+    assert second["region_mean_spleen"] == pytest.approx(error[labels == 2].mean(), rel=0.1)
+    assert {"region_95_liver", "region_95_organs_7"} < second.keys() and "region_95_organs_1" not in second
+    page = (pairs.parent / "run" / "evaluation" / "report.html").read_text("utf-8")
+    assert page.index('id="flagged"') < page.index('id="verdicts"') < page.index('id="section-0"')
+    (pairs / "pair_1" / "meta.json").write_text('{"labels": {"organs": {"spleen": 1, "liver": 2}}}')
+    assert measure(pairs, "--json") == 0  # names are an input
+    again = json.loads(capsys.readouterr().out)["scenes"][1]
+    assert again["region_mean_liver"] == second["region_mean_spleen"]
+
+
+@pytest.mark.slow
+def test_a_mask_that_cannot_be_used_is_left_out_and_said(pairs, capsys):
+    volume = read_volume(pairs / "pair_0" / "fixed.nii.gz")
+    good = np.ones(volume.values.shape, np.uint8)
+    write_array(pairs / "pair_0" / "mask_good.nii.gz", volume.grid, good)
+    write_array(pairs / "pair_0" / "mask_small.nii.gz", Grid((4, 4, 4), volume.grid.spacing), good[:4, :4, :4])
+    (pairs / "pair_1" / "mask_cut.nii.gz").write_bytes((pairs / "pair_0" / "mask_good.nii.gz").read_bytes()[:100])
+    for _ in range(2):  # the second time, nothing is computed
+        assert measure(pairs, "--json", "--flag", "region_95<0") == 3
+        out, err = capsys.readouterr()
+        document = json.loads(out)
+        assert [line.partition(":")[0] for line in err.splitlines()] == ["pair_0", "pair_1"]
+        assert "another grid" in err and "mask_cut.nii.gz: cut off" in err
+        assert {each["region"] for each in document["flagged"]} == {"small", "cut"}
+        assert "region_95_good" in document["scenes"][0] and {each["error"] for each in document["scenes"]} == {""}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"labels": ["liver"]}', "labels: want the regions of each mask"),
+        ('{"labels": {"organs": {"liver": 1.5}}}', "labels: want the regions of each mask"),
+        ('{"labels": {"organs": {"a>b": 1}}}', "want a name without"),
+        ('{"labels": {"lungs": {"left": 1}}}', "there is no mask_lungs"),
+    ],
+)
+def test_wrong_names_of_labels_are_refused_in_one_line(tmp_path, capsys, text, message):
+    for name in ("fixed", "moving_warped", "mask_organs"):
+        (tmp_path / "pair").mkdir(exist_ok=True)
+        (tmp_path / "pair" / f"{name}.nii.gz").write_bytes(b"")
+    (tmp_path / "pair" / "meta.json").write_text(text)
+    assert main(["register-confidence", "mind", "-i", str(tmp_path), "-o", str(tmp_path / "run"), "-q"]) in (2, 3)
+    err = capsys.readouterr().err
+    assert message in err and err.count("\n") == 1
+
+
+def test_counting_flags_wants_a_condition_and_wrong_ones_come_before_missing_folders(tmp_path, capsys):
+    command = ["stereo", "fast", "-i", str(tmp_path / "nowhere"), "-o", str(tmp_path / "run")]
+    for words, message in ((["--fail-flagged"], "without a condition"), (["--flag", "bad2>1"], "did you mean 'bad 2'")):
+        assert main([*command, *words]) == 2
+        assert message in capsys.readouterr().err

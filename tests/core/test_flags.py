@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from depthcli.core.columns import ColumnHelp
+from depthcli.core.conditions import MIN_SCORED, Condition, parse_conditions, plain_name, robust_scores
 from depthcli.core.errors import ConfigError
-from depthcli.core.flags import MIN_SCORED, Condition, flag_rows, parse_conditions, plain_name, robust_scores
+from depthcli.core.flags import flag_rows
 
 KNOWN = (
     ColumnHelp("measured", "share"),
@@ -24,8 +25,8 @@ ROWS = [
 
 
 def flagged(*texts, rows=ROWS):
-    found, warnings = flag_rows(parse_conditions(texts, KNOWN), rows)
-    return [(each.scene, list(each.reasons)) for each in found], warnings
+    flags = flag_rows(parse_conditions(texts, KNOWN), rows)
+    return [(each.scene, list(each.reasons)) for each in flags.flagged], list(flags.warnings)
 
 
 @pytest.mark.parametrize(
@@ -120,3 +121,56 @@ def test_the_worst_rows_come_first():
     assert [scene for scene, _ in flagged("measured<0.9", rows=rows)[0]] == ["b", "c", "a"]
     found, _ = flagged("measured<0.9", "measured>0.7", rows=rows)
     assert [scene for scene, _ in found] == ["a", "b", "c"]  # two reasons before one
+
+
+REGION_ROWS = [
+    {"scene": "a", "region_95_liver": 2.0, "region_mean_liver": 1.0, "region_95_tumor": 6.0},
+    {"scene": "b", "region_95_liver": 7.5, "region_error_tumor": "mask_tumor.nii.gz: cut off"},
+    {"scene": "c", "status": "failed"},
+]
+REGIONS = (ColumnHelp("region_mean_NAME, region_95_NAME", "error", "mm", ("region_mean", "region_95"),
+                      "region_(mean|95)_.+"), *KNOWN)  # fmt: skip
+
+
+def test_conditions_on_regions_give_a_verdict_for_every_scene_and_region():
+    flags = flag_rows(parse_conditions(["region_95>5", "status=failed"], REGIONS), REGION_ROWS)
+    assert [(each.scene, each.region, each.reasons) for each in flags.flagged] == [
+        ("b", "tumor", ("mask_tumor.nii.gz: cut off",)),
+        ("b", "liver", ("region_95 7.5 > 5",)),
+        ("a", "tumor", ("region_95 6 > 5",)),
+        ("c", "", ("status failed",)),
+    ]
+    assert [(each.scene, each.region, each.verdict, each.value) for each in flags.verdicts] == [
+        ("a", "liver", "passed", 2.0), ("a", "tumor", "flagged", 6.0), ("b", "liver", "flagged", 7.5),
+        ("b", "tumor", "flagged", None), ("c", "liver", "unknown", None), ("c", "tumor", "unknown", None),
+    ]  # fmt: skip
+    assert flags.warnings == (
+        "condition 'status=failed': 2 of 3 rows have no value there",
+        "condition 'region_95>5': 3 of 6 regions have no value there",
+    )
+    assert flags.to_dict()["flagged"][1] == {"scene": "b", "region": "liver", "reasons": ["region_95 7.5 > 5"]}
+
+
+def test_a_condition_may_name_its_region():
+    flags = flag_rows(parse_conditions(["region_95_liver>5", "region_mean_liver>=1"], REGIONS), REGION_ROWS)
+    assert [(each.scene, each.region) for each in flags.flagged] == [("b", "liver"), ("a", "liver")]
+    assert {each.region for each in flags.verdicts} == {"liver"}
+    none = flag_rows(parse_conditions(["region_95_lung>5"], REGIONS), REGION_ROWS)
+    assert none.warnings == ("condition 'region_95_lung>5' flags nothing: there is no such region",)
+
+
+def test_robust_scores_of_regions_are_those_among_the_same_region():
+    rows = [{"scene": str(k), "region_95_a": 1 + k / 10, "region_95_b": 20 + k / 10} for k in range(6)]
+    assert not flag_rows(parse_conditions(["z(region_95)>2"], REGIONS), rows).flagged
+    rows[2]["region_95_a"] = 20.0  # as usual in b
+    (found,) = flag_rows(parse_conditions(["z(region_95)>2"], REGIONS), rows).flagged
+    assert (found.scene, found.region) == ("2", "a")
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [("bad2>1", "bad 2"), ("bda 2.0>1", "bad 2"), ("memry>1", "memory"), ("region_96>1", "region_95")],
+)
+def test_a_heading_that_may_be_meant_is_named(text, meant):
+    with pytest.raises(ConfigError, match=f"did you mean '{meant}'"):
+        parse_conditions([text], REGIONS)

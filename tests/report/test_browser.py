@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from depthcli.cli import main
 from depthcli.commands.evaluate import evaluate
 from depthcli.data.formats.disparity import read_disparity, read_plane
+from depthcli.data.formats.volumes import read_volume, write_array
 from depthcli.report.packing import unpack
 from depthcli.report.page import Page
 from tests.report.conftest import ODD, SHAPE, truth_of
@@ -261,4 +263,44 @@ def test_slices_are_stepped_through(browser: Any, volumes: Path):
     keys.press("o")
     assert visit.page.locator("#opacity").input_value() == "60"
     assert len({tuple(mixed), tuple(beneath), tuple(visit.color())}) == 3
+    visit.close()
+
+
+def test_flagged_scenes_come_first_and_open(browser: Any, tmp_path: Path, scenes: Path, runs: list[Path]):
+    output = tmp_path / "out"
+    words = ["evaluate", *map(str, runs), "--truth", str(scenes), "--output", str(output), "--html", "-q"]
+    assert main([*words, "--flag", "bad 1 all>20"]) == 0
+    visit = Visit(browser, output / "report.html")
+    rows = visit.page.locator("#flagged tbody tr")
+    cells = [row.locator("th, td").all_inner_texts() for row in rows.all()]
+    assert [row[:2] for row in cells] == [[ODD, 'bad "<b>"'], ["plain", 'bad "<b>"']]  # worst first
+    assert all("bad 1 all" in row[2] and "> 20" in row[2] for row in cells)
+    assert visit.page.locator("section").first.get_attribute("id") == "flagged"
+    assert visit.page.locator("article h3").first.inner_text() == ODD
+    boxes = [visit.page.locator("#flagged thead th").last.bounding_box(), rows.first.locator("td").last.bounding_box()]
+    assert boxes[0]["x"] == boxes[1]["x"]
+    assert visit.page.locator("#flagged thead th").last.evaluate("e => getComputedStyle(e).textAlign") == "left"
+    rows.nth(1).locator("a").click()
+    visit.ready(1)
+    assert visit.page.locator("#which option:checked").inner_text() == "plain"
+    visit.close()
+
+
+def test_verdicts_by_region_open_their_pair(browser: Any, volumes: Path, tmp_path: Path):
+    pair = tmp_path / "in" / "pair"
+    shutil.copytree(next(volumes.parent.rglob("fixed.nii.gz")).parent, pair)
+    grid = read_volume(pair / "fixed.nii.gz").grid
+    labels = np.ones(grid.shape, np.uint8)
+    labels[grid.shape[0] // 2 :] = 2
+    write_array(pair / "mask_half.nii.gz", grid, labels)
+    words = ["register-confidence", "mind", "-i", str(tmp_path / "in"), "-o", str(tmp_path / "run"), "--html", "-q"]
+    small = ["--set", "radius=2", "--set", "half_window=1"]
+    assert main([*words, *small, "--flag", "region_95>=0", "--flag", "region_95_half_2<0"]) == 0
+    visit = Visit(browser, tmp_path / "run" / "evaluation" / "report.html")
+    table = visit.page.locator("#verdicts")
+    assert table.locator("thead th").all_inner_texts()[-2:] == ["half_1", "half_2"]
+    assert all("flagged" in text for text in table.locator("td.lost").all_inner_texts())
+    assert table.locator("td.lost").count() == 2
+    table.locator("tbody a").click()
+    visit.ready(0)
     visit.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from depthcli.core.errors import InputError
@@ -23,8 +24,8 @@ class Registration(Layout):
     wants = (
         "`fixed.*` and `moving_warped.*`, or `moving.*` with `displacement.*` or `transform.*` (NIfTI, MHA/MHD, NRRD, "
         "DIR-Lab `.img`, PNG, JPEG); where known `mask.*`, `landmarks_fixed.csv` with `landmarks_moving.csv` (x, y, z "
-        "in mm), `error_true.*` (mm), `mask_<region>.*` of regions that are reported apart; "
-        "`meta.json` (`apply`: displacement, transform or both, where there are both)"
+        "in mm), `error_true.*` (mm), `mask_<region>.*` of regions that are reported apart, or a label map of several; "
+        "`meta.json` (`apply`: displacement, transform or both, where there are both; `labels`: see the manual)"
     )
 
     def scenes(self, folder: Folder) -> list[Scene]:
@@ -54,7 +55,7 @@ class Registration(Layout):
             self.scene(
                 folder, problem=problem, fixed=fixed or folder.path / "fixed.mha", moving_warped=warped, moving=moving,
                 transform=transform, displacement=displacement, mask=_one(folder, "mask", _VOLUMES),
-                regions=_regions(folder),
+                regions=(regions := _regions(folder)), labels=_labels(folder, [name for name, _ in regions]),
                 landmarks_fixed=_one(folder, "landmarks_fixed", _POINTS),
                 landmarks_moving=_one(folder, "landmarks_moving", _POINTS),
                 error_true=_one(folder, "error_true", _VOLUMES),
@@ -67,6 +68,22 @@ def _regions(folder: Folder) -> tuple[tuple[str, Path], ...]:
     stems = {name.partition(".")[0] for name in folder.names if name.startswith("mask_") and "." in name}
     found = ((stem.removeprefix("mask_"), _one(folder, stem, _VOLUMES)) for stem in sorted(stems))
     return tuple((name, file) for name, file in found if name and file is not None)
+
+
+def _labels(folder: Folder, maps: Sequence[str]) -> tuple[tuple[str, tuple[tuple[str, int], ...]], ...]:
+    """The names of the labels of each label map, by ``labels`` of meta.json: map -> region -> label."""
+    given = folder.meta.fields.get("labels", {})
+    wanted = 'the regions of each mask, such as {"organs": {"liver": 1, "spleen": 2}} of mask_organs.*'
+    if not isinstance(given, dict):
+        raise folder.meta.error("labels", wanted)
+    if unknown := [name for name in given if name not in maps]:
+        raise InputError(f"{folder.meta.path}: labels: there is no mask_{unknown[0]}.* beside it")
+    for regions in given.values():
+        if not isinstance(regions, dict) or any(type(label) is not int or label < 0 for label in regions.values()):
+            raise folder.meta.error("labels", wanted)
+        if wrong := [name for name in regions if not name.strip() or set(name) & set("<>=!()")]:
+            raise InputError(f"{folder.meta.path}: labels: want a name without <>=!() (got {wrong[0]!r})")
+    return tuple((name, tuple((r, k) for r, k in regions.items() if k)) for name, regions in given.items())
 
 
 def _one(folder: Folder, stem: str, suffixes: tuple[str, ...]) -> Path | None:

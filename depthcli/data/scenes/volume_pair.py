@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.core.option import Option
-from depthcli.data.registered_volumes import blocks_of, joined, spacing_of, usable
+from depthcli.data.registered_volumes import blocks_of, joined, label_masks, spacing_of, usable
 from depthcli.data.scenes import Scene, name_of
 
 if TYPE_CHECKING:
@@ -51,7 +51,8 @@ class VolumePairScene(Scene):
     moving : the moving volume, for which ``transform`` or ``displacement`` (or both) map fixed points; or None
     transform, displacement : see ``data/formats/fields.py``
     mask : where the fixed volume is of interest (not 0), or None
-    regions : (name, file) of further masks of the fixed volume (not 0), whose errors are reported apart
+    regions : (name, file) of masks and label maps of the fixed volume, whose errors are reported apart
+    labels : of label maps, (name of the map, ((name of a region, its label), ...))
     landmarks_fixed, landmarks_moving : corresponding points, or None
     error_true : dense true error, mm, or None
     """
@@ -77,6 +78,7 @@ class VolumePairScene(Scene):
     displacement: Path | None = None
     mask: Path | None = None
     regions: tuple[tuple[str, Path], ...] = ()
+    labels: tuple[tuple[str, tuple[tuple[str, int], ...]], ...] = ()
     landmarks_fixed: Path | None = None
     landmarks_moving: Path | None = None
     error_true: Path | None = None
@@ -158,16 +160,24 @@ class VolumePairScene(Scene):
         second = block_means(usable(moved, inside, source), blocks)
         return joined(first, second, inside, grid, blocks)
 
-    def region_masks(self, grid: Grid) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-        """Yield the name and the mask of each region, (Z, Y, X) bool on the fixed volume's ``grid``; one is in memory.
+    def region_masks(self, name: str, grid: Grid) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+        """Yield the regions of one of the masks: its own name, or one for each label where there are several.
+
+        Parameters
+        ----------
+        name : of the mask, as in ``regions``
+        grid : the fixed volume's
+
+        Yields
+        ------
+        Name, and mask (Z, Y, X) bool; a label without a name in ``labels`` is ``NAME_LABEL``
 
         Raises
         ------
         InputError
-            A file that cannot be used, or another grid.
+            The file cannot be used, or has another grid.
         """
-        for name, file in self.regions:
-            yield name, self._read_like(file, grid) > 0
+        yield from label_masks(self._read_like(dict(self.regions)[name], grid), name, dict(self.labels).get(name, ()))
 
     def size(self, max_voxels: int | None = None) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
         """Return the fixed volume's grid, and shape and spacing (z, y, x) of what :meth:`load` gives, by its header."""
