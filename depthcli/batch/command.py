@@ -83,7 +83,7 @@ class Command(ABC):
             if option.type is bool:
                 words.append(option.flag)
                 continue
-            for each in value if option.repeatable else [value]:
+            for each in value if isinstance(value, list) else [value]:
                 words += [option.flag, str(each)]
         return shlex.join(words)
 

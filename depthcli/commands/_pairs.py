@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 PairConfigT = TypeVar("PairConfigT", bound="PairConfig")
 
 
+_RIGHT = Option("right", Path, "Right image, likewise; repeatable, with --baselines.", "FILE", repeatable=True,
+                group="Input")  # fmt: skip
+_BASELINES = Option("baselines", str, "Of several --right: 0.3,0.1. Their maps are fused.", "LENGTHS", group="Input")
 _AXIS = Option("axis", str, "vertical: --left is the upper view. Default: horizontal.", "AXIS", sets="axis")
 
 
@@ -41,7 +44,9 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
     @property
     def options(self) -> tuple[Option, ...]:
-        return (*super().options, UNIT, _AXIS)
+        given = [_RIGHT if option.name == "right" else option for option in super().options]
+        place = given.index(_RIGHT) + 1
+        return (*given[:place], _BASELINES, *given[place:], UNIT, _AXIS)
 
     def config(self, values: Values) -> PairConfigT:
         """Return the config, with the unit of its calibration where that is given."""
@@ -114,13 +119,21 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         return (0, int(Status.SMOOTHED), *reasons, *(bit | int(Status.FILLED) for bit in reasons))
 
     def run(self, values: Values, reporter: Reporter) -> int:
-        """Run as every such command; a calibration that cannot be read is an error before any scene is opened."""
-        from depthcli.api.rectification import read_rig
+        """Run as every such command; a calibration that cannot be read is an error before any scene is opened.
 
-        calibration = self.config(values).calibration
-        if calibration is not None:
-            read_rig(calibration)
-        return super().run(values, reporter)
+        With several right views, a run for each pair, and one of their maps, fused.
+        """
+        from depthcli.api.rectification import read_rig
+        from depthcli.commands._several_cameras import run_pairs
+
+        config, right = self.config(values), values["right"]
+        if isinstance(right, list) and len(right) > 1:
+            return run_pairs(self, config, right, values, reporter)
+        if values.get("baselines") is not None:
+            raise ConfigError("--baselines wants a --right for each of them")
+        if config.calibration is not None:
+            read_rig(config.calibration)
+        return super().run({**values, "right": right[0] if isinstance(right, list) and right else right}, reporter)
 
     def files(self, config: PairConfigT, scene: StereoScene) -> dict[str, Path]:
         """Return the files of the pair, the calibration that rectifies it, and the frames that give its range."""

@@ -77,6 +77,56 @@ def test_the_command_writes_the_same_map(shot: Trinocular, tmp_path: Path) -> No
     assert "far: 2.5" in (tmp_path / "out" / "run.yaml").read_text()
 
 
+@pytest.fixture
+def views(tmp_path: Path) -> list[str]:
+    (left, *rights), _ = photograph(3, 0.0, *BASELINES, -0.5)
+    for name, view in zip(("left", "far", "near", "other"), (left, *rights), strict=True):
+        write_png(tmp_path / f"{name}.png", view)
+    words = ["stereo", "fast", "--left", str(tmp_path / "left.png"), "--name", "room", "-q"]
+    return [*words, "--max-disparity", "14"]
+
+
+def rights(folder: Path, *names: str) -> list[str]:
+    return [word for name in names for word in ("--right", str(folder / f"{name}.png"))]
+
+
+@pytest.mark.slow
+def test_several_right_views_are_matched_and_fused(views: list[str], tmp_path: Path, capsys) -> None:
+    words = [*views, *rights(tmp_path, "near", "far", "other"), "--baselines", "1,2.5,-.5", "-o", str(tmp_path / "all")]
+    assert main(words) == 0
+    found = tmp_path / "all" / "room" / "disp_left.pfm"
+    for name, low, top in (("near", 0, 14), ("far", 0, 35), ("other", -7, 0)):
+        ends = ["--min-disparity", str(low), "--max-disparity", str(top), "-o", str(tmp_path / name), "--html"]
+        assert main([*views, *rights(tmp_path, name), *ends]) == 0
+    maps = [word for name in ("far", "near", "other") for word in ("--maps", str(tmp_path / name))]
+    alike = ["fuse", "maps", *views[2:-2], *rights(tmp_path, "far"), *maps, "--baselines", "2.5,1,-0.5", "-q"]
+    assert main([*alike, "--max-disparity", "35", "-o", str(tmp_path / "by_hand")]) == 0
+    assert found.read_bytes() == (tmp_path / "by_hand" / "room" / "disp_left.pfm").read_bytes()
+    before = found.stat().st_mtime_ns, (tmp_path / "all" / "pairs" / "right_2" / "report.json").read_bytes()
+    capsys.readouterr()
+    assert main([*words, "--json"]) == 0  # nothing is computed again, and one document is printed
+    assert '"maps": 3' in capsys.readouterr().out
+    assert before == (found.stat().st_mtime_ns, (tmp_path / "all" / "pairs" / "right_2" / "report.json").read_bytes())
+
+
+@pytest.mark.parametrize(
+    ("names", "words", "message"),
+    [
+        (("far", "near"), (), "give --baselines, such as"),
+        (("far",), ("--baselines", "1"), "wants a --right for each"),
+        (("far", "near"), ("--baselines", "1"), "one for each of the 2 views"),
+        (("far", "near"), ("--baselines", "1,x"), "want numbers"),
+        (("far", "near"), ("--baselines", "-1,2"), "the first one positive"),
+        (("far", "near"), ("--baselines", "2,1", "--axis", "vertical"), "--axis vertical wants one --right alone"),
+        (("far", "near"), ("--baselines", "2,1", "--shard", "1/2"), "--shard wants one --right alone"),
+        (("far", "nowhere"), ("--baselines", "2,1"), "nowhere.png"),
+    ],
+)
+def test_several_right_views_that_cannot_be_matched(views, tmp_path, names, words, message, capsys) -> None:
+    code = main([*views, *rights(tmp_path, *names), *words, "-o", str(tmp_path / "out")])
+    assert code in (2, 3) and message in capsys.readouterr().err
+
+
 def test_a_camera_on_the_left_has_a_negative_baseline() -> None:
     left = np.random.default_rng(0).integers(0, 256, (40, 80), np.uint8)
     right = np.roll(left, -6, axis=1)

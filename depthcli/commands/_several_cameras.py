@@ -1,0 +1,124 @@
+"""One left view matched with several others: a run for each pair, and their maps fused in inverse depth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from depthcli.batch.command import SOME_FAILED, Values
+from depthcli.batch.console import Reporter
+from depthcli.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from depthcli.commands._batch import ConfigCommand
+    from depthcli.data.scenes.stereo import StereoScene
+    from depthcli.methods.stereo.config import PairConfig
+
+PAIRS = "pairs"
+"""Folder in the output, with one run for each pair."""
+
+_ALONE = ("shard", "calibration", "evaluate", "list_scenes", "dry_run")  # options that go with one pair alone
+_NOT_OF_PAIRS: dict[str, Any] = {"html": False, "flag": [], "fail_flagged": False, "json": False, "keep": None}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A view beside the left one.
+
+    Attributes
+    ----------
+    number : its place among the views as they were given, from 1
+    right : image, pattern, folder or video
+    baseline : distance from the left camera, in any unit; negative: on its other side
+    """
+
+    number: int
+    right: Path
+    baseline: float
+
+    @property
+    def name(self) -> str:
+        """Name of its run."""
+        return f"right_{self.number}"
+
+
+def run_pairs(
+    command: ConfigCommand[Any, StereoScene],
+    config: PairConfig,
+    rights: Sequence[Path],
+    values: Values,
+    reporter: Reporter,
+) -> int:
+    """Match the left view with each of the others, then fuse the maps; return the exit code.
+
+    The runs of the pairs are ``OUTPUT/pairs/right_1`` and so on, and ``OUTPUT`` is a run of ``fuse maps``: the
+    disparities of the pair with the longest baseline on the first one's side.
+
+    Parameters
+    ----------
+    config : its search range is that of the first pair; the others' are in proportion to their baselines
+    rights : two or more views, in the order of ``--baselines``
+
+    Raises
+    ------
+    ConfigError
+        Not one baseline for each view, or options that go with one pair alone.
+    """
+    from depthcli.commands.fuse_maps import COMMAND as FUSE_MAPS
+
+    cameras = _cameras(rights, values["baselines"])
+    if given := [name for name in _ALONE if values.get(name)]:
+        raise ConfigError(f"--{given[0].replace('_', '-')} wants one --right alone")
+    if config.axis != "horizontal":
+        raise ConfigError("--axis vertical wants one --right alone: match each pair, then fuse maps --baselines")
+    for camera in cameras:  # a view that is not there is an error before anything is computed
+        command.find({**values, "right": camera.right}, reporter)
+    failed = False
+    for camera in cameras:
+        ends = _range(config.min_disparity, config.max_disparity, camera.baseline / cameras[0].baseline)
+        place = {"right": camera.right, "baselines": None, "output": values["output"] / PAIRS / camera.name}
+        reporter.info(f"pair {camera.number} of {len(cameras)}: {camera.right}")
+        code = command.run({**values, **_NOT_OF_PAIRS, **place, **ends, "quiet": True}, reporter)
+        if code not in (0, SOME_FAILED):
+            return code
+        failed |= code != 0
+    first, *others = sorted(cameras, key=lambda camera: -camera.baseline)
+    maps = [f"{each.name}={values['output'] / PAIRS / each.name}" for each in (first, *others)]
+    fused: dict[str, Any] = {option.name: option.default for option in FUSE_MAPS.options}
+    fused |= {name: value for name, value in values.items() if name in fused}
+    baselines = ",".join(repr(each.baseline) for each in (first, *others))
+    fused |= {"right": first.right, "maps": maps, "baselines": baselines}
+    top = _range(config.min_disparity, config.max_disparity, first.baseline / cameras[0].baseline)["max_disparity"]
+    fused |= {"max_disparity": top if str(top).isdigit() else None}
+    code = FUSE_MAPS.run({**values, **fused}, reporter)
+    return SOME_FAILED if failed and code == 0 else code
+
+
+def _cameras(rights: Sequence[Path], baselines: str | None) -> list[Camera]:
+    """The cameras, each with its baseline; ConfigError where there is not one for each, or the first is negative."""
+    from depthcli.api.judging import check_baselines
+
+    if baselines is None:
+        raise ConfigError(f"{len(rights)} views on the right: give --baselines, such as 0.3,0.1, one for each")
+    words = baselines.split(",")
+    try:
+        lengths = [float(word) for word in words]
+    except ValueError:
+        raise ConfigError(f"--baselines: want numbers such as 0.3,0.1 (got {baselines!r})") from None
+    if len(lengths) != len(rights):
+        raise ConfigError(f"--baselines: want one for each of the {len(rights)} views (got {baselines!r})")
+    check_baselines(lengths)
+    return [Camera(k, right, length) for k, (right, length) in enumerate(zip(rights, lengths, strict=True), 1)]
+
+
+def _range(low: int | str | None, top: int | str | None, ratio: float) -> Mapping[str, str | None]:
+    """The ends of the search range of a pair whose baseline is ``ratio`` of the first one's, as options give them."""
+    if isinstance(top, int) and not isinstance(low, str):
+        ends = sorted(((low or 0) * ratio, top * ratio))
+        return {"min_disparity": str(math.floor(ends[0])), "max_disparity": str(math.ceil(ends[1]))}
+    if ratio < 0:
+        return {"min_disparity": "auto", "max_disparity": "auto"}
+    return {name: None if end is None else str(end) for name, end in (("min_disparity", low), ("max_disparity", top))}
