@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from depthcli.core.result import Clock
 from depthcli.core.text import show_bytes
 from depthcli.data.formats.networks import network_path, read_network
 from depthcli.device import Device, DeviceError
-from depthcli.methods.fusion.config import FuseConfig, FusionWithVolumes
 from depthcli.methods.stereo.config import PairConfig, StereoConfig
 from depthcli.methods.stereo.matching import Limits, match
 from depthcli.methods.stereo.networks import networks_in
@@ -26,6 +25,9 @@ from depthcli.methods.stereo.networks.runtime import network_device
 from depthcli.methods.stereo.search_range import KeyPointRange, SearchRange, complete_range
 from depthcli.methods.stereo.stages import Matcher
 from depthcli.methods.stereo.volume import StereoResult
+
+if TYPE_CHECKING:
+    from depthcli.methods.fusion.config import FuseConfig
 
 ScalarT = TypeVar("ScalarT", bound=np.generic)
 PairConfigT = TypeVar("PairConfigT", bound=PairConfig)
@@ -59,6 +61,8 @@ def match_pair(
         vertical pair.
     """
     if axis == "vertical":
+        from depthcli.methods.fusion.config import FusionWithVolumes
+
         if isinstance(matcher, FusionWithVolumes):
             raise InputError("vertical pairs cannot be fused with volumes made elsewhere")
         return _turned_back(match_pair(matcher, pair.turned, ends, limits, clock, known), pair)

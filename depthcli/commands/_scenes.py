@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import NoScenesError, chosen_scenes, discover_scenes, matches_any, scenes_with_files
 
 _MAP = "disp_left.pfm"
+_MANY = 1000  # scenes, whose objects take long to look through
 
 
 def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Reporter) -> list[SceneT]:
@@ -68,7 +70,10 @@ def scenes_at(
     if storage.is_file(place) and place.suffix.lower() in TABLE_SUFFIXES:
         return _chosen(kinds[0].of_table(place), patterns, place)
     # Folders that cannot be read are among them as scenes with a ``problem``, which are reported and not computed.
-    return cast("list[SceneT]", discover_scenes(place, kinds, layout, patterns, reporter.info))
+    found = cast("list[SceneT]", discover_scenes(place, kinds, layout, patterns, reporter.info))
+    if len(found) >= _MANY:
+        gc.freeze()  # they stay to the end: no later search for garbage has to look at them
+    return found
 
 
 def _chosen(scenes: Sequence[SceneT], patterns: Sequence[str], place: Path | str) -> list[SceneT]:

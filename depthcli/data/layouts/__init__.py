@@ -37,7 +37,7 @@ class Folder:
         self.path, self.name, self.prefix, self.requested = path, name, prefix, requested
         try:
             with naming(path):
-                self.names = frozenset(name for name in storage.names(path) if not name.startswith("."))
+                self.names = frozenset([name for name in storage.names(path) if name[0] != "."])
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 

@@ -21,8 +21,11 @@ class Scenes(Layout):
 
     def scenes(self, folder: Folder) -> list[Scene]:
         left, right = (folder.one(stem, IMAGE_SUFFIXES) for stem in ("left", "right"))
-        truth = folder.one("disp_left", map_suffixes())
-        if (left is None and right is None) or folder.one("left_disp", (".png",)):  # the latter: of instereo2k
+        if left is None and right is None:
+            return []
+        suffixes = map_suffixes()
+        truth = folder.one("disp_left", suffixes)
+        if folder.one("left_disp", (".png",)):  # of instereo2k
             return []
         problem = ""
         if left is None or (right is None and truth is None):
@@ -37,8 +40,8 @@ class Scenes(Layout):
                 left=left or folder.path / "left.png",
                 right=right,
                 disparity_left=truth,
-                disparity_right=folder.one("disp_right", map_suffixes()),
-                disparity_noc=folder.one("disp_left_noc", map_suffixes()),
+                disparity_right=folder.one("disp_right", suffixes),
+                disparity_noc=folder.one("disp_left_noc", suffixes),
                 disparity_scale=meta.positive("disp_scale"),
                 masks={name: file for name, file in masks.items() if not name.endswith("_right")},
                 objects=folder.one("objects", IMAGE_SUFFIXES),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -272,9 +273,10 @@ def with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
     sequence in the order of their names.
     """
     ordered = sorted(scenes, key=lambda scene: scene.name)
-    frames: dict[tuple[Path, Path], list[StereoScene]] = {}
-    for scene in ordered:
-        if place := _place(scene):
+    frames: dict[tuple[str | Path, str | Path], list[StereoScene]] = {}
+    places = [_place(scene) for scene in ordered]
+    for scene, place in zip(ordered, places, strict=True):
+        if place is not None:
             assert isinstance(scene, StereoScene)
             frames.setdefault(place, []).append(scene)
     spread = {
@@ -283,17 +285,15 @@ def with_sequences(scenes: Sequence[Scene]) -> list[Scene]:
         if len(all_of_it) > 1
     }
     return [
-        replace(scene, sequence=spread[place])
-        if isinstance(scene, StereoScene) and (place := _place(scene)) in spread
-        else scene
-        for scene in ordered
+        replace(scene, sequence=spread[place]) if isinstance(scene, StereoScene) and place in spread else scene
+        for scene, place in zip(ordered, places, strict=True)
     ]
 
 
-def _place(scene: Scene) -> tuple[Path, Path] | None:
+def _place(scene: Scene) -> tuple[str | Path, str | Path] | None:
     """Return what the frames of one sequence have in common; None for scenes that are not frames."""
     if not isinstance(scene, StereoScene) or scene.right is None or scene.problem:
         return None
     if scene.frame_number is not None:
         return scene.left, scene.right
-    return scene.left.parent, scene.right.parent
+    return os.path.dirname(scene.left), os.path.dirname(scene.right)  # of thousands of pairs: parents take long

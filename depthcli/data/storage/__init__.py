@@ -151,6 +151,15 @@ def subfolders(path: Path) -> list[Path]:
     return [path / name for name in found.get(place.inside, ()) if name[:1] != "." and start + name in found]
 
 
+def subfolders_with(path: Path, name: str) -> list[Path]:
+    """Return the subfolders of a folder that hold a file of that name, sorted."""
+    place = None if os.path.isdir(path) else _place(path)
+    if place is None or not place.container:
+        return [each for each in subfolders(path) if is_file(each / name)]
+    files, start = _archive(place).listing.files, f"{place.inside}/" if place.inside else ""
+    return [each for each in subfolders(path) if f"{start}{each.name}/{name}" in files]
+
+
 def files_below(path: Path) -> Iterator[Path]:
     """Yield the files in a folder and in those below it, hidden ones left out; links to folders are not followed."""
     if is_plain(path):
@@ -220,11 +229,9 @@ def open_stored(path: Path | str) -> BinaryIO | None:
         key = (id(archive), place.inside)
         if (data := _kept.get(key)) is not None:
             return io.BytesIO(data)
-        file = archive.open(member)
         if member.size > LARGE_BYTES:
-            return SizedFile(file, member.size)
-        with file:
-            data = file.read(member.size + 1)
+            return SizedFile(archive.open(member), member.size)
+        data = archive.read(member)
         if len(data) != member.size:
             raise InputError(f"damaged in the archive: {len(data)} bytes, want {member.size}")
         _kept.add(key, data)
@@ -277,14 +284,14 @@ def close_all() -> None:
 
 def _archive(place: _Place) -> Archive:
     """The archive of a place, opened and listed by this process; a file that changed is opened again."""
-    from depthcli.data.storage.tars import Tar
-    from depthcli.data.storage.zips import Zip
-
     with _lock:
         key = (os.getpid(), place.container) if place.url else _state(place.container)
         if key in _open:
             _open.move_to_end(key)
             return _open[key]
+        from depthcli.data.storage.tars import Tar
+        from depthcli.data.storage.zips import Zip
+
         file = remote.open_file(place.url, False)[0] if place.url else open(place.container, "rb")  # noqa: SIM115
         name = place.container.lower()
         try:
