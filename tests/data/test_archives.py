@@ -368,3 +368,34 @@ def test_urls_without_the_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert main(["stereo", "fast", "-i", "https://127.0.0.1/x.zip", "-o", os.devnull]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "https://127.0.0.1/x.zip: " in line and "pip install 'depthcli[remote]'" in line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["zip", "tar.gz"])
+def test_volumes_and_transforms_in_an_archive_are_those_of_the_folder(tmp_path: Path, kind: str, capsys) -> None:
+    sitk = pytest.importorskip("SimpleITK", reason="no SimpleITK, which reads volumes")
+    assert main(["sample", "--registration", "-o", str(tmp_path / "in"), "-n", "2", "-q"]) == 0
+    pair = tmp_path / "in" / "pair_1"  # of files with values beside the header, and of a transform
+    sitk.WriteImage(sitk.ReadImage(str(pair / "moving_warped.nii.gz")), str(pair / "moving.mhd"))
+    sitk.WriteTransform(sitk.TranslationTransform(3, (1.5, 0, -0.5)), str(pair / "transform.h5"))
+    (pair / "moving_warped.nii.gz").unlink()
+    archive = Path(shutil.make_archive(str(tmp_path / "in"), "zip" if kind == "zip" else "gztar", tmp_path / "in"))
+    assert archive.name == f"in.{kind}"
+    words = ["register-confidence", "mind", "--set", "radius=2", "--set", "half_window=1", "-q"]
+    for place, run in ((tmp_path / "in", "folder"), (archive, "archive")):
+        assert main([*words, "-i", str(place), "-o", str(tmp_path / run)]) == 0
+    own = [path for path in _files(tmp_path / "folder") if path.parent.name.startswith("pair_")]
+    assert len(own) > 6
+    for path in own:
+        assert path.read_bytes() == (tmp_path / "archive" / path.relative_to(tmp_path / "folder")).read_bytes(), path
+
+
+def test_a_volume_that_is_cut_off_in_an_archive_is_one_line(tmp_path: Path, capsys) -> None:
+    pytest.importorskip("SimpleITK", reason="no SimpleITK, which reads volumes")
+    for name in ("fixed", "moving_warped"):
+        (tmp_path / "in" / "pair").mkdir(parents=True, exist_ok=True)
+        (tmp_path / "in" / "pair" / f"{name}.nii.gz").write_bytes(gzip.compress(b"\0" * 500)[:-9])
+    archive = _zip(tmp_path / "in", tmp_path / "in.zip")
+    assert main(["register-confidence", "mind", "-i", str(archive), "-o", str(tmp_path / "run"), "-q"]) in (2, 3)
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and "fixed.nii.gz" in err

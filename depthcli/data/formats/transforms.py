@@ -15,7 +15,7 @@ import numpy as np
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid
 from depthcli.data import storage
-from depthcli.data.formats.files import NEEDS_DISK, naming, open_regular, read_bytes
+from depthcli.data.formats.files import naming, open_regular, read_bytes
 from depthcli.data.formats.plain_text import numbers
 from depthcli.data.formats.volumes import library_errors, place, simple_itk, suffix_of
 from depthcli.data.storage.sized import size_of
@@ -47,9 +47,11 @@ def read_transform(path: Path) -> Any:
             if size_of(stream) > _MAX_BYTES:
                 raise InputError(f"larger than {_MAX_BYTES >> 20} MiB: no transform")
         with tempfile.TemporaryDirectory() as folder, library_errors():
-            if not storage.is_plain(path):
-                raise InputError(NEEDS_DISK)
-            return sitk.ReadTransform(str(_rewritten(path, Path(folder))))
+            if storage.is_plain(path):
+                return sitk.ReadTransform(str(_rewritten(path, Path(folder))))
+            copy = Path(folder) / f"stored{path.suffix}"  # HDF5 opens no file in memory
+            copy.write_bytes(read_bytes(path, _MAX_BYTES))
+            return sitk.ReadTransform(str(_rewritten(copy, Path(folder))))
 
 
 def _rewritten(path: Path, folder: Path) -> Path:

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, Volume
-from depthcli.data import storage
-from depthcli.data.formats.files import NEEDS_DISK, atomic_path, naming, read_bytes, shown
+from depthcli.data.formats.files import atomic_path, naming, read_bytes, shown
 from depthcli.data.formats.headers import image_size
 from depthcli.data.formats.images import IMAGE_SUFFIXES, read_grey
+from depthcli.data.formats.library_files import library_path
 from depthcli.data.formats.nifti import check_whole, encode_header, read_header
 from depthcli.data.formats.plain_text import json_object, numbers
 from depthcli.data.formats.volume_headers import META_SUFFIXES, NRRD_SUFFIXES, check_volume, files_behind
@@ -93,8 +93,7 @@ def read_grid(path: Path) -> Grid:
             return Grid((plane.width, plane.height, 1), (1.0, 1.0, 1.0))
         if suffix_of(path) == ".img":
             return _dirlab_grid(path)
-        reader = _reader(path)
-        with library_errors():
+        with _reader(path) as reader, library_errors():
             reader.ReadImageInformation()
         size, spacing = reader.GetSize()[:3], reader.GetSpacing()[:3]
         if not 2 <= reader.GetDimension() <= 4 or not all(1 / _MAX_SPACING <= s <= _MAX_SPACING for s in spacing):
@@ -105,8 +104,7 @@ def read_grid(path: Path) -> Grid:
 
 def read_image(path: Path) -> Any:
     """Return the SimpleITK image; InputError with the reason in one line."""
-    reader = _reader(path)
-    with library_errors():
+    with _reader(path) as reader, library_errors():
         return reader.Execute()
 
 
@@ -115,7 +113,8 @@ def files_read_with(path: Path) -> tuple[Path, ...]:
     return (path.with_name("meta.json"),) if suffix_of(path) == ".img" else files_behind(path)
 
 
-def _reader(path: Path) -> Any:
+@contextlib.contextmanager
+def _reader(path: Path) -> Iterator[Any]:
     """SimpleITK's reader of a file whose header was checked; it tries no other format than that of the ending."""
     kind = suffix_of(path)
     if kind not in _ITK_READERS:
@@ -128,12 +127,11 @@ def _reader(path: Path) -> Any:
         str(path).encode()
     except UnicodeEncodeError:
         raise InputError("SimpleITK reads only files whose path is text in UTF-8; rename it") from None
-    if not storage.is_plain(path):
-        raise InputError(NEEDS_DISK)
     reader = simple_itk().ImageFileReader()
     reader.SetImageIO(_ITK_READERS[kind])
-    reader.SetFileName(str(path))
-    return reader
+    with library_path(path, files_behind(path)) as there:
+        reader.SetFileName(str(there))
+        yield reader
 
 
 @contextlib.contextmanager
