@@ -136,14 +136,20 @@ def test_maps_of_other_programs_are_logged_without_a_config(tmp_path: Path, trut
     assert line["data_sets"]["set"]["missing"] == 1  # type: ignore[index]
 
 
-@pytest.mark.parametrize("content", ["run,value\n", "[1]\n", "\x00\x01", '{"cut": '])
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        *((content, "holds something else than JSON lines") for content in ("run,value\n", "[1]\n", "\x00\x01")),
+        ('{"cut": ', "its first line is cut off or damaged"),
+    ],
+)
 def test_a_log_that_holds_something_else_is_refused_and_kept(
-    content: str, tmp_path: Path, truth: Path, run: Path, capsys: pytest.CaptureFixture[str]
+    content: str, message: str, tmp_path: Path, truth: Path, run: Path, capsys: pytest.CaptureFixture[str]
 ):
     (tmp_path / "log").write_text(content)
     command = ["evaluate", str(run), "--truth", str(truth), "--output", str(tmp_path / "out")]
     assert main([*command, "--log", str(tmp_path / "log")]) == 2
-    assert "holds something else than JSON lines" in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert (tmp_path / "log").read_text() == content
     assert not (tmp_path / "out").exists()
 

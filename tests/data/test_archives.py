@@ -340,10 +340,13 @@ def test_urls(scenes: Path, server: str, tmp_path: Path, capsys: pytest.CaptureF
         memory.pipe(f"/store/scenes/{file.relative_to(scenes).as_posix()}", file.read_bytes())
     wanted = {k: read_bytes(f) for k, f in discover_scenes(scenes)[1].input_files.items()}
     for url in (f"{server}/a.zip", f"{server}/a.tar.gz", f"{server}/scenes", f"file://{scenes}",
+                f"{server}/a.zip?X-Signature=a%2Fb&X-Date=1", f"{server}/a.tar.gz?token=b.zip",
                 f"file://{scenes.parent}/a.tar.gz", "memory://store/a.zip", "memory://store/scenes"):  # fmt: skip
         found = discover_scenes(url)
         assert [scene.name for scene in found] == ["s0", "s1"], url
         assert {k: read_bytes(f) for k, f in found[1].input_files.items()} == wanted
+    signed = discover_scenes(f"{server}/a.zip?token=secret")[1].input_files["left"]
+    assert storage.location(signed) == f"{server}/a.zip/s1/left.png"
     for url, words in {
         f"{server}/none.zip": "no such file",
         f"{server}/broken.zip": "the server failed",

@@ -39,8 +39,10 @@ from depthcli.data.storage.sized import SizedFile
 ARCHIVE_SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz")
 """File name endings of archives."""
 
-_ENDING = re.compile(r"\.(?:zip|tar|tar\.gz|tgz)(?=/|$)", re.IGNORECASE)
-AT_END = re.compile(r"\.(?:zip|tar|tar\.gz|tgz)$", re.IGNORECASE)
+# A URL may have a query behind it, such as the signature of a store.
+_ENDING = re.compile(r"\.(?:zip|tar|tar\.gz|tgz)(?:\?[^/]*=[^/]*)?(?=/|$)", re.IGNORECASE)
+AT_END = re.compile(r"\.(?:zip|tar|tar\.gz|tgz)(?:\?[^/]*=[^/]*)?$", re.IGNORECASE)
+_QUERY = re.compile(r"\?[^/]*")
 
 _OTHER_ENDING = re.compile(r"\.(?:tar\.(?:bz2|xz|zst|lz4|Z)|tbz2?|txz|7z|rar)$", re.IGNORECASE)
 _MAX_OPEN = 8  # archives of a process
@@ -199,11 +201,12 @@ def is_other_archive(path: Path | str) -> bool:
 
 
 def location(path: Path) -> str:
-    """Return the absolute path, or the URL."""
+    """Return the absolute path, or the URL without its query, which may be a secret."""
     place = None if os.path.lexists(path) else _place(path)
     if place is None or not place.url:
         return str(path.absolute())
-    return f"{place.url}/{place.inside}" if place.inside else place.url
+    url = _QUERY.sub("", place.url)
+    return f"{url}/{place.inside}" if place.inside else url
 
 
 def open_stored(path: Path | str) -> BinaryIO | None:
@@ -293,7 +296,7 @@ def _archive(place: _Place) -> Archive:
         from depthcli.data.storage.zips import Zip
 
         file = remote.open_file(place.url, False)[0] if place.url else open(place.container, "rb")  # noqa: SIM115
-        name = place.container.lower()
+        name = _QUERY.sub("", place.container).lower() if place.url else place.container.lower()
         try:
             archive = Zip(file) if name.endswith(".zip") else Tar(file, packed=name.endswith("gz"))
         except BaseException:
