@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -193,3 +194,41 @@ def test_lines_of_several_processes_and_of_killed_ones(tmp_path: Path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "log"]
     assert link.is_symlink()
     assert file.stat().st_mode & 0o777 == 0o640
+
+
+_KILLED_AT_EACH_STEP = """
+import os, signal, sys
+from pathlib import Path
+from depthcli.batch.json_lines import add_lines
+
+file, old = Path(sys.argv[1]), '{"old": 1}\\n'
+for step in range(1, 200):
+    file.write_text(old)
+    child = os.fork()
+    if child == 0:
+        left = [step]
+        def count(event, arguments):
+            left[0] -= event.partition(".")[0] in ("open", "os", "fcntl", "shutil")
+            if left[0] == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+        sys.addaudithook(count)
+        add_lines(file, ['{"new": 2}'], print)
+        os._exit(0)
+    killed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) != 0
+    text = file.read_text()
+    assert text in (old, old + '{"new": 2}\\n') and (killed or text != old), (step, text)
+    add_lines(file, ['{"new": 2}'], print)  # the same command again
+    assert file.read_text() == old + '{"new": 2}\\n', step
+    assert os.listdir(file.parent) == [file.name], step
+    if not killed:
+        print(step)
+        break
+"""
+
+
+def test_a_process_killed_at_any_step_leaves_whole_lines(tmp_path: Path):
+    (tmp_path / "log").touch()
+    command = [sys.executable, "-c", _KILLED_AT_EACH_STEP, str(tmp_path / "log")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 5  # steps at which it was killed: opening, locking, writing, renaming
