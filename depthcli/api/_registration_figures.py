@@ -58,8 +58,8 @@ def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volume
 
     Returns
     -------
-    ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL; none of a region without
-    a voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
+    ``region_mean_NAME`` and ``region_95_NAME`` (quantile), mm, and ``region_volume_NAME``, mL; the volume alone
+    of a region without a voxel. ``region_error_NAME``: why a mask cannot be used; the others are measured all the same.
     """
     figures: dict[str, float | str] = {}
     error = _error_of_voxels(result, loaded) if scene.regions else np.zeros(0, np.float32)
@@ -67,13 +67,13 @@ def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volume
     for file, _ in scene.regions:
         try:
             for name, mask in scene.region_masks(file, loaded.grid):
-                if f"region_mean_{name}" in figures:
+                if f"region_volume_{name}" in figures:
                     raise InputError(f"{scene.folder}: two regions are called {name}: give one of them another name")
                 known = error[block_means(mask, loaded.blocks) >= 0.5 if max(loaded.blocks) > 1 else mask]
+                figures[f"region_volume_{name}"] = round(known.size * voxel, 4)
                 if known.size:
                     figures[f"region_mean_{name}"] = round(float(known.mean(dtype=np.float64)), 4)
                     figures[f"region_95_{name}"] = round(float(np.quantile(known, 0.95)), 4)
-                    figures[f"region_volume_{name}"] = round(known.size * voxel, 4)
         except InputError as problem:
             figures[f"{REGION_ERROR}{file}"] = str(problem)
     return figures

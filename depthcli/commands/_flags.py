@@ -43,6 +43,8 @@ def flags_of(conditions: Sequence[Condition], rows: Sequence[Row], reporter: Rep
     flags = flag_rows(conditions, rows)
     for line in flags.warnings:
         reporter.info(f"warning: {line}")
+    for line in flags.unanswered:
+        reporter.error(line)
     return flags
 
 
@@ -94,7 +96,7 @@ def flagged_table(flags: Flags) -> str:
 
 
 def exit_code(failed: bool, flags: Flags, values: Values) -> int:
-    """Return the exit code: something failed, or else a row is flagged and that counts, or 0."""
+    """Return the exit code: something failed, or else a row is flagged, or could not be, and that counts; or 0."""
     if failed:
         return SOME_FAILED
-    return FLAGGED if flags.flagged and values.get("fail_flagged") else 0
+    return FLAGGED if (flags.flagged or flags.unanswered) and values.get("fail_flagged") else 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,9 @@ from depthcli.data.scenes.volume_pair import VolumePairScene
 
 if TYPE_CHECKING:
     from depthcli.methods.registration.config import RegisterConfidenceConfig
+
+_VOLUME = "region_volume_"
+_NUMBERED = re.compile(r"(.+)_\d+")  # a label without a name
 
 
 class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", VolumePairScene]):
@@ -64,6 +68,20 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         """Return a line for each region whose mask could not be used."""
         found = ((row, value) for row in rows for key, value in row.items() if key.startswith(REGION_ERROR))
         return [f"{row['scene']}: left out, as a region: {value}" for row, value in found if value]
+
+    def notes(
+        self, config: RegisterConfidenceConfig, scenes: Sequence[VolumePairScene], rows: Sequence[Row]
+    ) -> list[str]:
+        """Return a line for each label map of which some pairs hold the first label alone, so that it has no number."""
+        own = {str(row["scene"]): {k.removeprefix(_VOLUME) for k in row if k.startswith(_VOLUME)} for row in rows}
+        numbered = {found[1] for names in own.values() for name in names if (found := _NUMBERED.fullmatch(name))}
+        lines = []
+        for name in sorted(numbered):
+            if alone := [scene for scene, names in own.items() if name in names]:
+                others = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
+                what = f"mask_{name} holds one label in {alone[0]}{others}"
+                lines.append(f"{what}: the region {name} there, not {name}_1; name its labels in meta.json")
+        return lines
 
     def columns(self) -> tuple[Column, ...]:
         """Return size, expected error in the mask or body, where it is large, and share of matches on the border."""

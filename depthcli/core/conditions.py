@@ -21,7 +21,7 @@ _OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "=": operator.eq, "!=": operator.ne,
 }  # fmt: skip
 _CONDITION = re.compile(
-    r"\s*(?:z\((?P<robust>[^()]+)\)|(?P<plain>[^<>=!]+?))\s*(?P<op><=|>=|!=|==|=|<|>)\s*(?P<value>\S+)\s*"
+    r"\s*(?:z\((?P<robust>[^()]+)\)|(?P<plain>[^<>=!]+?))\s*(?P<op><=|>=|!=|==|=|<|>)\s*(?P<value>[^\s<>=!]\S*)\s*"
 )
 _REGION = re.compile(r"(?P<figure>region_(?:mean|95|volume))(?:_(?P<region>.+))?")
 _PLAIN_NUMBER = re.compile(r"\d+\.?\d*|\.\d+")

@@ -44,7 +44,8 @@ class Verdict:
     ----------
     scene, run, region : what it is of; no run where there is one alone
     verdict : flagged; passed; or unknown, where no condition found a value
-    value : what the first condition compared; None: no value
+    value : what the first condition that holds compared, else the first one with a value; None: no value
+    reasons : the conditions that hold, with the row's values
     """
 
     scene: str
@@ -52,11 +53,13 @@ class Verdict:
     region: str
     verdict: str
     value: float | None
+    reasons: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON."""
         run = {"run": self.run} if self.run else {}
-        return {"scene": self.scene, **run, "region": self.region, "verdict": self.verdict, "value": self.value}
+        said = {"verdict": self.verdict, "value": self.value, "reasons": list(self.reasons)}
+        return {"scene": self.scene, **run, "region": self.region, **said}
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,8 @@ class Flags:
     verdicts : one for every scene and region, where a condition is on regions
     n_rows : number of rows
     conditions : as they were given; none: nobody asked
-    warnings : of conditions that say nothing here
+    warnings : of conditions that some rows have no value for
+    unanswered : of conditions that no row has a value for, though they are no z-scores of too few
     """
 
     flagged: tuple[Flagged, ...] = ()
@@ -77,6 +81,7 @@ class Flags:
     n_rows: int = 0
     conditions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    unanswered: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON: nothing without conditions, and no ``verdicts`` without one on regions."""
@@ -104,24 +109,32 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
     found, _, warnings = _asked(of_scenes, rows)
     in_regions, verdicts, more = _asked(of_regions, asked)
     worst_first = sorted([*found, *in_regions], key=lambda each: each[0])
-    texts = tuple(condition.text for condition in conditions)
-    return Flags(tuple(each for _, each in worst_first), tuple(verdicts), len(rows), texts, tuple(warnings + more))
+    lines = [*warnings, *more]
+    return Flags(
+        flagged=tuple(each for _, each in worst_first),
+        verdicts=tuple(verdicts),
+        n_rows=len(rows),
+        conditions=tuple(condition.text for condition in conditions),
+        warnings=tuple(line for line, answered in lines if answered),
+        unanswered=tuple(line for line, answered in lines if not answered),
+    )
 
 
 def _asked(
     conditions: Sequence[tuple[int, Condition]], rows: Sequence[Mapping[str, Any]]
-) -> tuple[list[tuple[tuple[float, ...], Flagged]], list[Verdict], list[str]]:
+) -> tuple[list[tuple[tuple[float, ...], Flagged]], list[Verdict], list[tuple[str, bool]]]:
     """Flagged rows with what sorts them, a verdict for every row, and warnings; conditions with their places."""
     reasons: list[list[str]] = [[] for _ in rows]
     beyond: list[list[tuple[int, float]]] = [[] for _ in rows]  # the condition's place, minus the distance
-    known: list[list[Any]] = [[] for _ in rows]
-    warnings = []
+    known: list[list[Any]] = [[] for _ in rows]  # those that conditions hold for come first
+    warnings: list[tuple[str, bool]] = []
     for place, condition in conditions:
         concerned = [k for k, row in enumerate(rows) if _concerns(condition, row)]
         values = condition.values([rows[k] for k in concerned])
         warnings += _warnings(condition, [rows[k] for k in concerned], values)
         for k, value in zip(concerned, values, strict=True):
-            known[k] += [] if value is None else [value]
+            if value is not None:
+                known[k].insert(len(reasons[k]) if condition.holds_for(value) else len(known[k]), value)
             if condition.holds_for(value):
                 reasons[k].append(condition.reason(value))
                 beyond[k].append((place, -condition.distance(value)))
@@ -135,21 +148,22 @@ def _asked(
             rank = (-len(reasons[k]), *beyond[k][0], float(k))
             flagged.append((rank, Flagged(scene, run, tuple(reasons[k]), region)))
         verdict = "flagged" if reasons[k] else "passed" if known[k] else "unknown"
-        verdicts.append(Verdict(scene, run, region, verdict, known[k][0] if known[k] else None))
+        verdicts.append(Verdict(scene, run, region, verdict, known[k][0] if known[k] else None, tuple(reasons[k])))
     return flagged, verdicts, warnings
 
 
-def _warnings(condition: Condition, rows: Sequence[Mapping[str, Any]], values: Sequence[Any]) -> list[str]:
-    """The line that says that a condition found no values, or not all of them; none where it found all."""
+def _warnings(condition: Condition, rows: Sequence[Mapping[str, Any]], values: Sequence[Any]) -> list[tuple[str, bool]]:
+    """The line that says that a condition found no values, or not all of them, and whether it is answered at all."""
     n_known, what = sum(value is not None for value in values), "row" if condition.of_region is None else "region"
-    if condition.of_region is not None and not rows:
-        return [f"condition {condition.text!r} flags nothing: there is no such region"]
+    start = f"condition {condition.text!r}"
+    if not rows and condition.of_region is not None:
+        return [(f"{start} flags nothing: there is no such region", False)]
     if not n_known:
-        few = condition.robust and any(replace(condition, robust=False).values(rows))
+        few = condition.robust and any(value is not None for value in replace(condition, robust=False).values(rows))
         why = f"fewer than {MIN_SCORED} values" if few else f"no {what} has a value there"
-        return [f"condition {condition.text!r} flags nothing: {why}"]
+        return [(f"{start} flags nothing: {why}", few)]
     if n_known < len(rows):
-        return [f"condition {condition.text!r}: {len(rows) - n_known} of {len(rows)} {what}s have no value there"]
+        return [(f"{start}: {len(rows) - n_known} of {len(rows)} {what}s have no value there", True)]
     return []
 
 

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from depthcli.core.volumes import Grid, RegisteredPair
 
 
+_NEAR = 1e-3  # of a whole number: what rounding leaves of a label
+
+
 @dataclass(frozen=True)
 class LoadedPair:
     """A registered pair in memory.
@@ -81,25 +84,39 @@ def label_masks(
 
     Parameters
     ----------
-    values : 0 is outside. Whole numbers of which several occur are labels, as is one other than 1 and 255; else the
-        mask is one region, where it is above 0
+    values : 0 is outside. Whole numbers of which several occur are labels, as is one other than 1 and 255. Fractions
+        up to 1 are probabilities, of which the region has at least 0.5
     name : of the mask
     regions : (name, label) of regions, where the map's labels have names; then whatever occurs is a label
 
     Yields
     ------
-    Name, and mask, bool; a label without a name is ``NAME_LABEL``
+    Name, and mask, bool; a label without a name is ``NAME_LABEL``. Regions with a name are given where none of their
+    voxels is set, too
+
+    Raises
+    ------
+    InputError
+        Fractions above 1, or of labels that have names: what a label map is after linear interpolation.
     """
     import numpy as np
 
-    present = sorted({float(label) for plane in values for label in np.unique(plane[plane > 0])})
-    names = {label: region for region, label in regions}
-    whole = all(label.is_integer() for label in present)
-    if not whole or (not names and present in ([], [1.0], [255.0])):
-        yield name, values > 0
+    values = np.where(np.isfinite(values), values, np.float32(0))
+    near = np.rint(values)
+    whole = all(np.allclose(plane, round_plane, atol=_NEAR) for plane, round_plane in zip(values, near, strict=True))
+    if not whole:
+        top = float(values.max())
+        if regions or top > 1:
+            raise InputError(f"values between whole numbers, up to {top:g}: resample labels by the nearest neighbor")
+        yield name, values >= 0.5
         return
-    for label in present:
-        yield names.get(int(label), f"{name}_{label:.0f}"), values == label
+    present = sorted({float(label) for plane in near for label in np.unique(plane[plane > 0])})
+    names = {float(label): region for region, label in regions}
+    if not names and present in ([], [1.0], [255.0]):
+        yield name, near > 0
+        return
+    for label in sorted({*present, *names}):
+        yield names.get(label, f"{name}_{label:.0f}"), near == label
 
 
 def spacing_of(grid: Grid, blocks: tuple[int, int, int]) -> tuple[float, float, float]:

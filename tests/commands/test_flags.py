@@ -155,7 +155,7 @@ def test_a_mask_that_cannot_be_used_is_left_out_and_said(pairs, capsys):
         ('{"labels": ["liver"]}', "labels: want the regions of each mask"),
         ('{"labels": {"organs": {"liver": 1.5}}}', "labels: want the regions of each mask"),
         ('{"labels": {"organs": {"a>b": 1}}}', "want a name without"),
-        ('{"labels": {"lungs": {"left": 1}}}', "there is no mask_lungs"),
+        ('{"labels": {"organs": {"liver": 1, "spleen": 1}}}', "two regions have one label"),
     ],
 )
 def test_wrong_names_of_labels_are_refused_in_one_line(tmp_path, capsys, text, message):
@@ -166,6 +166,14 @@ def test_wrong_names_of_labels_are_refused_in_one_line(tmp_path, capsys, text, m
     assert main(["register-confidence", "mind", "-i", str(tmp_path), "-o", str(tmp_path / "run"), "-q"]) in (2, 3)
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("condition", ["region_95_tumour>5", "bad 2 nonoc>1"])
+def test_a_condition_without_any_value_does_not_pass(scenes, tmp_path, capsys, condition):
+    command = ["stereo", "fast", "-i", str(scenes), "-o", str(tmp_path / "run"), "-q", "--flag", condition]
+    assert main(command) == 0
+    assert main([*command, "--fail-flagged"]) == 4
+    assert capsys.readouterr().err.count("flags nothing") == 2
 
 
 def test_counting_flags_wants_a_condition_and_wrong_ones_come_before_missing_folders(tmp_path, capsys):

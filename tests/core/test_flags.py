@@ -26,7 +26,7 @@ ROWS = [
 
 def flagged(*texts, rows=ROWS):
     flags = flag_rows(parse_conditions(texts, KNOWN), rows)
-    return [(each.scene, list(each.reasons)) for each in flags.flagged], list(flags.warnings)
+    return [(each.scene, list(each.reasons)) for each in flags.flagged], [*flags.warnings, *flags.unanswered]
 
 
 @pytest.mark.parametrize(
@@ -71,6 +71,9 @@ def test_rows_without_a_value_are_not_flagged_but_counted():
         ("measured<", "want COLUMN<NUMBER"),
         ("", "want COLUMN<NUMBER"),
         ("measured<much", "want a number behind <"),
+        ("measured=>0.5", "want COLUMN<NUMBER"),
+        ("status==<2", "want COLUMN<NUMBER"),
+        ("measured<>0.5", "want COLUMN<NUMBER"),
         ("z(measured)=word", "want a number"),
         ("measured<nan", "finite"),
         ("measurd<1", "did you mean 'measured'"),
@@ -151,12 +154,18 @@ def test_conditions_on_regions_give_a_verdict_for_every_scene_and_region():
     assert flags.to_dict()["flagged"][1] == {"scene": "b", "region": "liver", "reasons": ["region_95 7.5 > 5"]}
 
 
+def test_a_verdict_has_the_value_and_the_reason_that_flag_it():
+    rows = [{"scene": "a", "region_95_x": 2.0, "region_mean_x": 9.0}]
+    (found,) = flag_rows(parse_conditions(["region_95>5", "region_mean>5"], REGIONS), rows).verdicts
+    assert (found.verdict, found.value, found.reasons) == ("flagged", 9.0, ("region_mean 9 > 5",))
+
+
 def test_a_condition_may_name_its_region():
     flags = flag_rows(parse_conditions(["region_95_liver>5", "region_mean_liver>=1"], REGIONS), REGION_ROWS)
     assert [(each.scene, each.region) for each in flags.flagged] == [("b", "liver"), ("a", "liver")]
     assert {each.region for each in flags.verdicts} == {"liver"}
     none = flag_rows(parse_conditions(["region_95_lung>5"], REGIONS), REGION_ROWS)
-    assert none.warnings == ("condition 'region_95_lung>5' flags nothing: there is no such region",)
+    assert none.unanswered == ("condition 'region_95_lung>5' flags nothing: there is no such region",)
 
 
 def test_robust_scores_of_regions_are_those_among_the_same_region():

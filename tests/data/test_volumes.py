@@ -14,7 +14,7 @@ from depthcli.algorithms.resampling import block_means, trilinear
 from depthcli.core.errors import InputError
 from depthcli.core.volumes import Grid, RegisteredPair
 from depthcli.data.formats.volumes import read_volume, write_array, written_suffix
-from depthcli.data.registered_volumes import LoadedPair
+from depthcli.data.registered_volumes import LoadedPair, label_masks
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -210,3 +210,19 @@ def test_damaged_packed_values_leave_no_file_open(tmp_path):
     with pytest.raises(InputError, match="damaged values"):
         read_volume(tmp_path / "a.nhdr")
     assert len(os.listdir("/proc/self/fd")) == opened
+
+
+def labels_of(values, regions=()):
+    return {name: np.flatnonzero(mask).tolist() for name, mask in label_masks(np.float32([values]), "m", regions)}
+
+
+def test_labels_of_a_mask():
+    assert labels_of([0, 1, 1]) == {"m": [1, 2]} and labels_of([0, 255]) == {"m": [1]}
+    assert labels_of([0, 2, 2]) == {"m_2": [1, 2]} and labels_of([3, 0, 1]) == {"m_1": [2], "m_3": [0]}
+    assert labels_of([0, 1.0000001, 2]) == {"m_1": [1], "m_2": [2]}  # what is left of rounding
+    assert labels_of([0, 0.3, 0.5, np.nan]) == {"m": [2]}
+    assert labels_of([0, 1, 7], [("liver", 1), ("spleen", 2)]) == {"liver": [1], "spleen": [], "m_7": [2]}
+    assert labels_of([0, 0]) == {"m": []}
+    for values, regions in (([0, 1.4, 2], ()), ([0, 0.4, 1], [("liver", 1)])):
+        with pytest.raises(InputError, match="resample labels by the nearest neighbor"):
+            labels_of(values, regions)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from depthcli.core.errors import InputError
+from depthcli.data.formats.files import warn
 from depthcli.data.layouts import Folder, Layout
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import LEFT_OUT, VolumePairScene
@@ -76,14 +77,18 @@ def _labels(folder: Folder, maps: Sequence[str]) -> tuple[tuple[str, tuple[tuple
     wanted = 'the regions of each mask, such as {"organs": {"liver": 1, "spleen": 2}} of mask_organs.*'
     if not isinstance(given, dict):
         raise folder.meta.error("labels", wanted)
-    if unknown := [name for name in given if name not in maps]:
-        raise InputError(f"{folder.meta.path}: labels: there is no mask_{unknown[0]}.* beside it")
+    for name in given:
+        if name not in maps:  # one meta.json may be that of all pairs, of which some lack a mask
+            warn(f"{folder.meta.path}: labels: there is no mask_{name}.* beside it")
     for regions in given.values():
         if not isinstance(regions, dict) or any(type(label) is not int or label < 0 for label in regions.values()):
             raise folder.meta.error("labels", wanted)
         if wrong := [name for name in regions if not name.strip() or set(name) & set("<>=!()")]:
             raise InputError(f"{folder.meta.path}: labels: want a name without <>=!() (got {wrong[0]!r})")
-    return tuple((name, tuple((r, k) for r, k in regions.items() if k)) for name, regions in given.items())
+        if len(set(regions.values())) < len(regions):
+            raise InputError(f"{folder.meta.path}: labels: two regions have one label")
+    used = {name: tuple((region, k) for region, k in given[name].items() if k) for name in given if name in maps}
+    return tuple(used.items())
 
 
 def _one(folder: Folder, stem: str, suffixes: tuple[str, ...]) -> Path | None:

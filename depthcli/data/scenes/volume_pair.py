@@ -177,7 +177,12 @@ class VolumePairScene(Scene):
         InputError
             The file cannot be used, or has another grid.
         """
-        yield from label_masks(self._read_like(dict(self.regions)[name], grid), name, dict(self.labels).get(name, ()))
+        from depthcli.data.formats.files import naming
+
+        file = dict(self.regions)[name]
+        values = self._read_like(file, grid)
+        with naming(file):
+            yield from label_masks(values, name, dict(self.labels).get(name, ()))
 
     def size(self, max_voxels: int | None = None) -> tuple[Grid, tuple[int, int, int], tuple[float, float, float]]:
         """Return the fixed volume's grid, and shape and spacing (z, y, x) of what :meth:`load` gives, by its header."""
