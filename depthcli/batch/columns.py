@@ -53,7 +53,7 @@ DEPTH = (
     Column("registered", "where the depth was brought to the color image's pixels: by both cameras, or assumed: it was "
            "only scaled"),
     Column("sparse", "share of pixels with a sparse second measurement", "0 to 1"),
-    Column("kept", "share of pixels that keep the sensor's value", "0 to 1, printed %"),
+    Column("kept", "share of pixels that keep the sensor's value, smoothed or not", "0 to 1, printed %"),
     Column("filled", "share of pixels that had no value and got one", "0 to 1, printed %"),
     Column("corrected", "share of pixels whose value was judged wrong and replaced", "0 to 1, printed %",
            ("replaced",)),

@@ -177,8 +177,8 @@ def poses_of(
             inside = inside @ np.block([[turn.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
     poses = {}
     for frame in frames:
-        time = frame.time / 1e9
-        place = found.track.at(time) if found.track is not None else found.transforms.at(stream.frame, time)
+        of_topic = found.track
+        place = found.transforms.at(stream.frame, frame.time) if of_topic is None else of_topic.at(frame.time)
         if place is not None:
             poses[frame.number] = place @ inside
     if len(poses) < len(frames):

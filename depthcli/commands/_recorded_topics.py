@@ -80,6 +80,9 @@ def choose_topics(topics: Mapping[str, Topic], given: Mapping[str, str | None]) 
         if name:
             _check(topics, role, name, POSE_KINDS if role == "pose" else _IMAGES)
     images = {role: name for role in ("left", "right", "color", "depth") if (name := given[role])}
+    if len(set(images.values())) < len(images):
+        first, second = images
+        raise InputError(f"--{first}-topic and --{second}-topic are both {next(iter(images.values()))}")
     return FrameTopics(images or _only_pair(topics), given["pose"] or "")
 
 

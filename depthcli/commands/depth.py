@@ -30,9 +30,6 @@ if TYPE_CHECKING:
     from depthcli.core.cameras.triangulation import PairGeometry
     from depthcli.data.formats.pictures import Palette
 
-# Share of depths too large for the codes of depth.png above which a warning is shown.
-_MAX_SHARE_BEYOND_PNG = 0.01
-
 
 class DepthOptions(TypedDict):
     """Options of a run of ``depth``, as ``run.yaml`` holds them; None: not given."""
@@ -141,7 +138,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         from depthcli.api._save import save_metric_depth
         from depthcli.core.frames import color8
         from depthcli.core.result import Clock
-        from depthcli.data.formats.depth import MAX_DEPTH, MIN_DEPTH
+        from depthcli.data.formats.depth import MAX_DEPTH, MIN_DEPTH, beyond_png
         from depthcli.data.formats.images import read_image
         from depthcli.data.formats.pictures import read_status
 
@@ -167,7 +164,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         points = None if cloud is None else (geometry.left, cloud, in_cloud)
         save_metric_depth(depth, status, folder, config["depth_scale"], points)
         known = np.isfinite(depth)
-        beyond = float(np.mean(depth[known] * config["depth_scale"] >= 65535.5)) if known.any() else 0.0
+        beyond, beyond_warning = beyond_png(depth, config["depth_scale"])
         facts: Row = {
             "width": width,
             "height": height,
@@ -181,10 +178,7 @@ class DepthCommand(BatchCommand[DepthOptions, DisparityScene]):
         if cloud is not None:
             facts["points"] = int(np.count_nonzero(known & in_cloud))
         warnings = [] if cloud is None else empty_cloud(depth, in_cloud)
-        if beyond > _MAX_SHARE_BEYOND_PNG:
-            far = 65535 / config["depth_scale"]
-            warnings.append(f"{100 * beyond:.0f} % of the depths are beyond the {far:.4g} m that depth.png can hold: 0 "
-                            "there, depth.pfm has them; see --depth-scale")  # fmt: skip
+        warnings += [f"{beyond_warning}; see --depth-scale"] if beyond_warning else []
         median = facts["median_depth"]
         if median is not None and not MIN_DEPTH <= median <= MAX_DEPTH:
             warnings.append(

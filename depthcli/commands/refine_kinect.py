@@ -204,6 +204,7 @@ def _refine_frame(
     from depthcli.batch.resources import check_memory
     from depthcli.core.maps import DepthStatus
     from depthcli.core.result import Clock
+    from depthcli.data.formats.depth import beyond_png
 
     clock = Clock()
     clock.start("load")
@@ -236,6 +237,8 @@ def _refine_frame(
     if frame.interpolated or scene.depth_intrinsics is not None:
         facts["registered"] = "by both cameras" if scene.depth_intrinsics else "assumed"
     warnings = [] if scene.raw else _scale_warnings(scene, frame)
+    _, beyond = beyond_png(found.values, scene.depth_scale)
+    warnings += [f"{beyond}; see --depth-scale"] if beyond else []
     if found.cloud is not None:
         facts["intrinsics"] = "of the camera" if frame.intrinsics else "typical"
         warnings += empty_cloud(found.values, found.cloud)
@@ -246,13 +249,17 @@ def _scale_warnings(scene: RgbdScene, frame: RgbdFrame) -> list[str]:
     """Return a warning where no such sensor sees the depths, with the scale that would make them plausible."""
     import numpy as np
 
-    from depthcli.data.formats.depth import SENSOR, implausible_depth, read_codes
+    from depthcli.data.formats.depth import SENSOR, implausible_depth
+    from depthcli.data.formats.disparity import read_plane
     from depthcli.data.formats.images import IMAGE_SUFFIXES
 
     if not scene.rotated and scene.depth.suffix.lower() in IMAGE_SUFFIXES:
-        codes = read_codes(scene.depth)
-        if np.mean((codes[codes > 0] & 7) == 0) > 0.5:  # the three low bits are free where codes are rotated by 3
+        codes = read_plane(scene.depth)
+        # The three low bits are free where codes are rotated by 3.
+        if codes.dtype.kind in "iu" and np.mean((codes[codes > 0] & 7) == 0) > 0.5:
             return [f"{scene.depth}: most codes are multiples of 8, as in SUN RGB-D; if it is: --layout sun-rgbd"]
+    if implausible_depth(scene.depth, frame.depth, scene.depth_scale):  # said when it was read
+        return []
     text = implausible_depth(scene.depth, frame.depth, scene.depth_scale, SENSOR)
     return [f"{text}; see --depth-scale"] if text else []
 

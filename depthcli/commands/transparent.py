@@ -82,6 +82,7 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
         from depthcli.api.depth import completed_frame
         from depthcli.core.maps import DepthStatus
         from depthcli.core.result import Clock
+        from depthcli.data.formats.depth import beyond_png
 
         clock = Clock()
         clock.start("load")
@@ -103,7 +104,8 @@ class TransparentCommand(ConfigCommand["TransparentConfig", RgbdScene]):
             "density": round(found.density, 6),
             **{name: float(value) for name, value in found.details.figures.items()},
         }
-        return Outcome(facts, clock.seconds)
+        _, beyond = beyond_png(found.values, scene.depth_scale)
+        return Outcome(facts, clock.seconds, [f"{beyond}; see --depth-scale"] if beyond else [])
 
 
 def _load_frame(config: TransparentConfig, scene: RgbdScene, memory: int, clock: Clock) -> tuple[SparseFrame, Result]:

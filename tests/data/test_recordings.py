@@ -19,7 +19,7 @@ from depthcli.data.formats.images import decode_image, png_bytes
 from depthcli.data.formats.recordings import find_recordings, open_recording
 from depthcli.data.formats.ros_cameras import camera_info, rectified_geometry, write_raw_pair
 from depthcli.data.formats.ros_images import depth_of, image_of, stored_image
-from depthcli.data.formats.ros_poses import StampedPose, Transforms, poses_in
+from depthcli.data.formats.ros_poses import StampedPose, Track, Transforms, poses_in
 from tests.recordings import FORMATS, START, Messages, Record, write_recording
 
 ROS1 = Messages("bag")
@@ -215,7 +215,7 @@ def test_places_in_a_tree_of_frames():
     def edge(time: float, parent: str, child: str, *place: float) -> StampedPose:
         matrix = np.eye(4)
         matrix[:3, 3] = place
-        return StampedPose(time, parent, child, matrix)
+        return StampedPose(round(time * 1e9), parent, child, matrix)
 
     tree = Transforms()
     tree.add_fixed(
@@ -224,20 +224,42 @@ def test_places_in_a_tree_of_frames():
     tree.add([edge(1.0, "map", "base", 1, 0, 0), edge(1.1, "map", "base", 2, 0, 0), edge(9, "map", "base", 0, 0, 0)])
     fixed = tree.fixed("right", "left")
     assert fixed is not None and fixed[:3, 3] == pytest.approx([0.2, 0, 0])
-    at = tree.at("/left", 1.05)
+    at = tree.at("/left", 1_050_000_000)
     assert at is not None and at[:3, 3] == pytest.approx([1.6, 0, 1])
-    assert tree.at("left", 5.0) is None and tree.at("elsewhere", 1.0) is None
+    assert tree.at("left", 5 * 10**9) is None and tree.at("elsewhere", 10**9) is None
     assert tree.fixed("left", "elsewhere") is None
     with pytest.raises(InputError, match="two parents"):
         tree.add([edge(1.2, "odom", "base", 0, 0, 0)])
     tree.add_fixed([edge(0, "b", "a", 0, 0, 0), edge(0, "a", "b", 0, 0, 0)])  # a circle
-    assert tree.at("a", 1.0) is None and tree.fixed("a", "left") is None
+    assert tree.at("a", 10**9) is None and tree.fixed("a", "left") is None
+
+
+@pytest.mark.parametrize(
+    ("times", "time", "place"),
+    [
+        ((0, 100), 30, 0.3),
+        ((0, 200), 100, 1.0),  # both are 100 ms away
+        ((0, 210), 100, None),  # one is farther
+        ((0, 210), 20, 0.0),
+        ((0, 100), 120, 1.0),
+        ((0, 100), 121, None),
+    ],
+)
+def test_poses_between_and_beside_those_that_are_known(times, time, place):
+    track, start = Track("map"), START + 7  # in seconds since 1970, the last digits of it are lost
+    for k, each in enumerate(times):
+        matrix = np.eye(4)
+        matrix[0, 3] = k * times[1] / 100 if times[1] != 210 else k
+        track.times.append(start + each * 10**6)
+        track.matrices.append(matrix)
+    found = track.at(start + time * 10**6)
+    assert (None if found is None else found[0, 3]) == (None if place is None else pytest.approx(place, abs=1e-9))
 
 
 def test_a_pose_is_a_rotation():
     message = ROS1.pose_stamped(START, (1, 2, 3), (0, 0, np.sqrt(0.5), np.sqrt(0.5)))
     (pose,) = poses_in(message, "PoseStamped")
-    assert (pose.time, pose.parent, pose.child) == (START / 1e9, "world", "")
+    assert (pose.time, pose.parent, pose.child) == (START, "world", "")
     np.testing.assert_allclose(pose.matrix @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-12)
     with pytest.raises(InputError, match="no pose"):
         poses_in(ROS1.pose_stamped(START, (1, 2, 3), (0, 0, 0, 0)), "PoseStamped")

@@ -22,6 +22,8 @@ MILLIMETERS = 1000.0
 SENSOR = (0.35, 5.0)
 """Median depths that are plausible for an indoor depth sensor, such as the Kinect, meters."""
 
+_LARGEST_CODE = 65535
+_MAX_SHARE_BEYOND = 0.01  # of the depths that codes cannot hold, without a warning
 _MAX_SENSOR_DEPTH = 10.0  # meters, of 95 % of its pixels; the first Kinect's last code is at 9.7 m
 _ROOM = (0.2, 20.0)  # median depths that are plausible for a room, meters
 
@@ -74,6 +76,8 @@ def read_depth(path: Path | str, scale: float | None = None, rotate: int = 0) ->
         Not readable, damaged, not one channel, or 8-bit codes without a scale; one line that names the file.
     """
     values = read_plane(path)
+    if values.dtype.kind == "b":
+        raise InputError(f"{shown(path)}: true or false, want depths")
     if values.dtype.kind in "iu":
         if scale is None and values.dtype.itemsize == 1:
             raise InputError(f"{shown(path)}: 8-bit depth needs a scale (codes per meter)")
@@ -151,11 +155,23 @@ def write_depth_png(
     codes = np.zeros(depth.shape, np.uint16)
     with np.errstate(all="ignore"):
         exact = np.rint(depth.astype(np.float64) * scale)
-    known = (depth > 0) & (exact <= 65535)
+    known = (depth > 0) & (exact <= _LARGEST_CODE)
     codes[known] = np.maximum(exact[known], 1).astype(np.uint16)
     if rotate:
         codes = (codes << np.uint16(rotate)) | (codes >> np.uint16(16 - rotate))
     write_png(path, codes)
+
+
+def beyond_png(depth: NDArray[np.floating[Any]], scale: float) -> tuple[float, str]:
+    """Return the share of the depths (meters) that 16-bit codes cannot hold, and a warning where it is large."""
+    known = depth[np.isfinite(depth)]
+    share = float(np.mean(known * scale >= _LARGEST_CODE + 0.5)) if known.size else 0.0
+    if share <= _MAX_SHARE_BEYOND:
+        return share, ""
+    return share, (
+        f"{100 * share:.0f} % of the depths are beyond the {_LARGEST_CODE / scale:.4g} m that depth.png can hold: 0 "
+        "there, depth.pfm has them"
+    )
 
 
 def write_ply(

@@ -50,7 +50,7 @@ def read_disparity(
         if scale is None:
             raise InputError(
                 f"{shown(path)}: 8-bit disparities need a scale (codes per pixel); say it in meta.json: disp_scale "
-                "(of maps: evaluate --scale)"
+                "(of maps: evaluate --scale, confidence --scale)"
             )
     with np.errstate(all="ignore"):  # what becomes infinite is unknown, like what was
         if codes:

@@ -17,6 +17,7 @@ Pose = tuple[float, ...]
 """The 16 numbers of a (4, 4) matrix, row by row: from the camera's coordinates to the world's, meters."""
 
 _MAX_DELAY = 0.02  # seconds, as of the TUM RGB-D benchmark's associate.py
+_SAME = 1e-6  # seconds by which times differ that were rounded
 
 
 @dataclass(frozen=True)
@@ -35,18 +36,18 @@ class Poses:
     def at(self, time: float, max_delay: float = _MAX_DELAY) -> Pose | None:
         """Return the pose at a time, interpolated between the two beside it; None where none is near.
 
-        Of two poses of which one is more than ``max_delay`` (seconds) away, the nearer one counts as it is.
+        Where not both are at most ``max_delay`` (seconds) away, one that is at most 20 ms away counts as it is.
         """
         after = bisect.bisect_left(self.times, time)
         if after < len(self.times) and self.times[after] == time:
             return _flat(self.matrices[after])
         if 0 < after < len(self.times):
             start, end = self.times[after - 1], self.times[after]
-            if max(time - start, end - time) <= max_delay:
+            if max(time - start, end - time) <= max_delay + _SAME:
                 return _flat(_between(self.matrices[after - 1], self.matrices[after], (time - start) / (end - start)))
         near = [k for k in (after - 1, after) if 0 <= k < len(self.times)]
         nearest = min(near, key=lambda k: abs(self.times[k] - time), default=None)
-        if nearest is None or abs(self.times[nearest] - time) > max_delay:
+        if nearest is None or abs(self.times[nearest] - time) > min(max_delay, _MAX_DELAY) + _SAME:
             return None
         return _flat(self.matrices[nearest])
 

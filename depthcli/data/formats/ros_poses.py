@@ -16,7 +16,7 @@ POSE_KINDS = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "O
 """Types of messages that hold poses."""
 
 MAX_DELAY = 0.1
-"""Seconds that a pose may be away from an image; between two poses it is interpolated."""
+"""Seconds that the poses before and after an image may be away, between which its own is interpolated."""
 
 _MAX_DEPTH = 64  # transforms from a frame to the root of its tree
 _MAX_NORM_ERROR = 0.01  # of a quaternion
@@ -25,9 +25,9 @@ _MAX_PLACE = 1e9  # meters
 
 @dataclass(frozen=True)
 class StampedPose:
-    """The place of the frame ``child`` in ``parent`` at a time (seconds); ``child`` is empty where it is not said."""
+    """The place of the frame ``child`` in ``parent`` at a time (ns); ``child`` is empty where it is not said."""
 
-    time: float
+    time: int
     parent: str
     child: str
     matrix: NDArray[np.float64]
@@ -37,17 +37,12 @@ def poses_in(message: Any, kind: str) -> list[StampedPose]:
     """Return the poses that a message of a kind of ``POSE_KINDS`` holds; InputError for numbers that are no pose."""
     if kind.lower() == "tfmessage":
         return [pose for each in message.transforms for pose in poses_in(each, "TransformStamped")]
-    time = seconds(message.header.stamp)
+    time = nanoseconds(message.header.stamp)
     parent, child = _frame(message.header.frame_id), _frame(getattr(message, "child_frame_id", ""))
     if kind == "TransformStamped":
         return [StampedPose(time, parent, child, transform_matrix(message.transform))]
     pose = message.pose if kind == "PoseStamped" else message.pose.pose
     return [StampedPose(time, parent, child, _matrix(pose.position, pose.orientation))]
-
-
-def seconds(stamp: Any) -> float:
-    """Return a time of ROS 1 or 2 in seconds, to a quarter of a microsecond."""
-    return nanoseconds(stamp) / 1e9
 
 
 def nanoseconds(stamp: Any) -> int:
@@ -84,17 +79,21 @@ class Track:
     """The places of one frame in another, in time."""
 
     parent: str
-    times: list[float] = field(default_factory=list)
+    times: list[int] = field(default_factory=list)
     matrices: list[NDArray[np.float64]] = field(default_factory=list)
     _sorted: Poses | None = None
+    _start: int = 0
 
-    def at(self, time: float) -> NDArray[np.float64] | None:
-        """Return the place at a time, or None where none is near."""
+    def at(self, time: int) -> NDArray[np.float64] | None:
+        """Return the place at a time (ns), or None where none is near."""
         if self._sorted is None:
             first = {t: k for k, t in reversed(list(enumerate(self.times)))}  # of several of one time, the first
             order = sorted(first)
-            self._sorted = Poses(tuple(order), tuple(self.matrices[first[t]] for t in order))
-        pose = self._sorted.at(time, MAX_DELAY)
+            # Seconds since the first one: those since 1970 have 22 bits for the parts of a second.
+            self._start = order[0] if order else 0
+            seconds = tuple((t - self._start) / 1e9 for t in order)
+            self._sorted = Poses(seconds, tuple(self.matrices[first[t]] for t in order))
+        pose = self._sorted.at((time - self._start) / 1e9, MAX_DELAY)
         return None if pose is None else np.array(pose).reshape(4, 4)
 
 
@@ -124,8 +123,8 @@ class Transforms:
         common = next((name for name in to_root[0] if name in to_root[1]), None)
         return None if common is None else np.linalg.inv(to_root[1][common]) @ to_root[0][common]
 
-    def at(self, frame: str, time: float) -> NDArray[np.float64] | None:
-        """Return the place of ``frame`` in the root of its tree at a time (seconds).
+    def at(self, frame: str, time: int) -> NDArray[np.float64] | None:
+        """Return the place of ``frame`` in the root of its tree at a time (ns).
 
         None where no frame above it moves, or the place of one is not known at that time.
         """
