@@ -10,6 +10,7 @@ import contextlib
 import errno
 import inspect
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -25,7 +26,7 @@ from depthcli.batch.command import SOME_FAILED, Command
 from depthcli.batch.console import Reporter, silence_warnings
 from depthcli.cli.help_text import write_command_help, write_main_help
 from depthcli.commands import REGISTRY, command_names, find_command, help_of, load_command
-from depthcli.core.errors import DepthcliError, IncompleteError
+from depthcli.core.errors import ConfigError, DepthcliError, IncompleteError
 from depthcli.core.option import Option
 from depthcli.core.plugins import load_file
 
@@ -41,6 +42,7 @@ _COMMON = (
     Option("verbose", bool, "Print details on stderr.", default=False, short="-v", group="Run"),
     Option("quiet", bool, "Print only errors, and no table.", default=False, short="-q", group="Run"),
 )
+_URL = re.compile(r"[a-z][a-z0-9+.-]+:/", re.IGNORECASE)  # pathlib leaves one slash
 _QUIET = -1
 """Level of a :class:`Reporter` that prints errors only."""
 
@@ -118,6 +120,9 @@ def _callback(command: Command) -> Callable[..., int]:
     """Return the function that typer calls for a command; typer reads the options from its signature."""
 
     def callback(**values: Any) -> int:
+        output = values.get("output")
+        if isinstance(output, Path) and _URL.match(str(output)) and not os.path.lexists(output.parts[0]):
+            raise ConfigError(f"{output}: results are written to this machine, not to URLs; give a folder")
         return command.run(values, Reporter(_QUIET if values["quiet"] else int(values["verbose"])))
 
     parameters = [_parameter(argument, positional=True) for argument in command.arguments]

@@ -352,3 +352,11 @@ def test_every_file_of_a_result_is_looked_for_before_a_run(made_scenes: Path, tm
         known = {path for pattern in command.results for path in record.parent.glob(pattern)}
         assert files
         assert files <= known
+
+
+def test_results_are_not_written_to_urls(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for words in (["sample", "-o", "s3://bucket/out"], ["stereo", "fast", "-i", ".", "-o", "https://host/out"]):
+        assert main(words) == 2
+        assert "results are written to this machine, not to URLs" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
