@@ -63,7 +63,17 @@ class _Terminated(BaseException):
 
 
 class _Command(TyperCommand):
-    """One command, with the help of ``help_text``."""
+    """One command, with the help of ``help_text``; an input that is given twice is refused, not the last one taken."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        for option in load_command(self.name or "").options:
+            if option.group == "Input" and not option.repeatable and option.type is not bool:
+                names = tuple(filter(None, (option.flag, option.short)))
+                given = sum(word in names or word.startswith(f"{option.flag}=") for word in args)
+                if given > 1:
+                    raise ConfigError(f"{option.flag}: given {given} times, takes one value")
+        found: list[str] = super().parse_args(ctx, args)
+        return found
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         write_command_help(formatter, load_command(self.name or ""), _COMMON)

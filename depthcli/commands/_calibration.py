@@ -104,6 +104,11 @@ def calibrated(board: Board, photos: Sequence[Photos], fisheye: bool, reporter: 
     for side, found in enumerate(corners):
         if len(found) < MIN_PHOTOS:
             raise InputError(_photos_lacking(board, photos, side, n_cameras, len(found)))
+    if n_cameras == 2 and common[0] != common[1]:
+        left, right = (f"{size[0]} x {size[1]}" for size in common)
+        raise InputError(
+            f"the left camera's photos have {left} pixels, the right one's {right}: bring them to one size"
+        )
     cameras = [fit_camera(board, corners[k], common[k], fisheye) for k in range(n_cameras)]
     for side, fit in enumerate(cameras):
         for name in fit.outliers:

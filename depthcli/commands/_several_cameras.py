@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from depthcli.batch.command import SOME_FAILED, Values
+from depthcli.batch.command import FLAGGED, SOME_FAILED, Values
 from depthcli.batch.console import Reporter
 from depthcli.core.errors import ConfigError
 
@@ -85,6 +85,8 @@ def run_pairs(
         if code not in (0, SOME_FAILED):
             return code
         failed |= code != 0
+        if failed and values["fail_fast"]:
+            return SOME_FAILED
     first, *others = sorted(cameras, key=lambda camera: -camera.baseline)
     maps = [f"{each.name}={values['output'] / PAIRS / each.name}" for each in (first, *others)]
     fused: dict[str, Any] = {option.name: option.default for option in FUSE_MAPS.options}
@@ -94,7 +96,9 @@ def run_pairs(
     top = _range(config.min_disparity, config.max_disparity, first.baseline / cameras[0].baseline)["max_disparity"]
     fused |= {"max_disparity": top if str(top).isdigit() else None}
     code = FUSE_MAPS.run({**values, **fused}, reporter)
-    return SOME_FAILED if failed and code == 0 else code
+    if code in (0, SOME_FAILED, FLAGGED):
+        reporter.info(f"disparities in {values['output']} are those of the baseline {first.baseline:g}")
+    return SOME_FAILED if failed and code in (0, FLAGGED) else code
 
 
 def _cameras(rights: Sequence[Path], baselines: str | None) -> list[Camera]:

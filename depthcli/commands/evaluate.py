@@ -261,7 +261,7 @@ def _find_truth(
     from depthcli.data.walk import discover_scenes, scene_with_file
     from depthcli.evaluation.protocols import load
 
-    if storage.is_file(truth):
+    if storage.is_file(truth) and not storage.is_dir(truth):  # a server may give a folder as a file, too
         holding = scene_with_file(truth)
         if holding is None and scored_by is None:
             reporter.info(f"{truth}: in no scene's folder; scored as {_DEFAULT_PROTOCOL} unless --protocol is given")

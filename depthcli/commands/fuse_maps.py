@@ -6,8 +6,10 @@ corrected.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar, TypedDict
+from typing import TYPE_CHECKING, ClassVar, TypedDict
 
 from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
@@ -26,6 +28,12 @@ from depthcli.commands._options import DRY_RUN, EVALUATE, HTML_FLAG, INPUT, LAYO
 from depthcli.core.errors import ConfigError
 from depthcli.core.option import Option
 from depthcli.data.scenes.given_maps import MapsScene
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from depthcli.api.results import Disparity
 
 
 class FuseMapsOptions(TypedDict):
@@ -109,6 +117,8 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         clock.start("other")
         method = fusion_of(config["within"], config["surfaces"])
         found = fused(method, pair, maps, config["max_disparity"] or scene.max_disparity, memory, config["baselines"])
+        if config["baselines"] is not None:
+            found = _with_filled(found, [one.filled() for one in scene.maps])
         clock.include(found.seconds)
         clock.start("save")
         found.save(folder)
@@ -122,6 +132,21 @@ class FuseMapsCommand(MapsCommand[FuseMapsOptions]):
         }
         absent = [f"no map of {run}: fused without it" for run in scene.absent]
         return Outcome(columns, clock.seconds, [*absent, *found.warnings])
+
+
+def _with_filled(found: Disparity, filled: Sequence[NDArray[np.bool_] | None]) -> Disparity:
+    """Return the map, of which what all given maps have filled is filled, too, though they agree."""
+    import numpy as np
+
+    from depthcli.core.maps import DisparityMap, Status
+
+    known = [one for one in filled if one is not None and one.shape == found.status.shape]
+    if len(known) < len(filled):
+        return found
+    nowhere = np.logical_and.reduce(known) & ((found.status & Status.FILLED) == 0)
+    status = np.where(nowhere, found.status | np.uint8(Status.MISMATCH | Status.FILLED), found.status)
+    details = replace(found.details, disparity=DisparityMap(found.values, status))
+    return replace(found, status=status, details=details)
 
 
 def _baselines(values: Values) -> dict[str, float] | None:

@@ -140,6 +140,8 @@ def _near(name: str, known: Sequence[ColumnHelp]) -> str:
     spaced = plain_name(re.sub(r"(?<=[A-Za-z])[ _-]?(?=[\d.]+$)", " ", name))
     if find_column(known, spaced) is not None:
         return spaced
+    if find_column(known, spaced.lower()) is not None:
+        return spaced.lower()
     numbers = iter(re.findall(r"(?<= )[\d.]+", spaced))
     headings = [heading for column in known for each in (column.name, *column.also) for heading in each.split(", ")]
     near = difflib.get_close_matches(re.sub(r"(?<= )[\d.]+", "T", spaced), headings, 1)

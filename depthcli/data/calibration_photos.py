@@ -62,8 +62,10 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
             _keyed([(name, files[name]) for name, match in matches.items() if match and match[side]], word, place)
             for side in (1, 2)
         )
-        if left and right:
-            return _paired(left, right, place), [files[name] for name, match in matches.items() if match is None]
+        without = [files[name] for name, match in matches.items() if match is None]
+        few = word is _WORDS[1] and 2 * len(without) > len(files)  # img0, img1, img2, ...: numbers of photos
+        if left and right and not few:
+            return _paired(left, right, place), without
     return [Photos(name, file, None) for name, file in files.items()], []
 
 

@@ -10,8 +10,10 @@ import pytest
 
 import depthcli
 from depthcli.cli import main
+from depthcli.core.maps import Status
 from depthcli.data.formats.disparity import read_pfm, write_pfm
 from depthcli.data.formats.images import write_png
+from depthcli.data.formats.pictures import read_status
 from depthcli.data.generated.arrays.rendering import light_maps, render, trace
 from depthcli.data.generated.arrays.room import Room
 from depthcli.data.generated.arrays.stereo_kinds import FURNISH
@@ -102,6 +104,9 @@ def test_several_right_views_are_matched_and_fused(views: list[str], tmp_path: P
     alike = ["fuse", "maps", *views[2:-2], *rights(tmp_path, "far"), *maps, "--baselines", "2.5,1,-0.5", "-q"]
     assert main([*alike, "--max-disparity", "35", "-o", str(tmp_path / "by_hand")]) == 0
     assert found.read_bytes() == (tmp_path / "by_hand" / "room" / "disp_left.pfm").read_bytes()
+    status = [read_status(tmp_path / "all" / "pairs" / f"right_{k}" / "room" / "status.png") for k in (1, 2, 3)]
+    filled = np.logical_and.reduce([(each & Status.FILLED) != 0 for each in status])
+    assert filled.sum() > 20 and np.all(read_status(found.with_name("status.png"))[filled] & Status.FILLED)
     before = found.stat().st_mtime_ns, (tmp_path / "all" / "pairs" / "right_2" / "report.json").read_bytes()
     capsys.readouterr()
     assert main([*words, "--json"]) == 0  # nothing is computed again, and one document is printed
@@ -125,6 +130,15 @@ def test_several_right_views_are_matched_and_fused(views: list[str], tmp_path: P
 def test_several_right_views_that_cannot_be_matched(views, tmp_path, names, words, message, capsys) -> None:
     code = main([*views, *rights(tmp_path, *names), *words, "-o", str(tmp_path / "out")])
     assert code in (2, 3) and message in capsys.readouterr().err
+
+
+def test_maps_that_contradict_the_baselines_are_said() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (30, 80), np.uint8)
+    far, near = np.full((30, 80), 9.0, np.float32), np.full((30, 80), 3.0, np.float32)
+    right = depthcli.fuse_maps(image, np.roll(image, -9, 1), [far, near], baselines=(3, 1), max_disparity=12)
+    assert not any("baselines say" in line for line in right.warnings)
+    wrong = depthcli.fuse_maps(image, np.roll(image, -9, 1), [far, near], baselines=(1, 3), max_disparity=12)
+    assert any("0.333 times those of" in line and "baselines say 3" in line for line in wrong.warnings)
 
 
 def test_a_camera_on_the_left_has_a_negative_baseline() -> None:

@@ -212,3 +212,21 @@ def test_both_views_of_a_board_number_its_corners_alike(columns: int, rows: int,
         alike = board.alike(left, flipped)
         assert np.ptp(left.pixels[:, 0] - alike.pixels[:, 0]) < 40
         assert np.ptp(left.pixels[:, 1] - alike.pixels[:, 1]) < 40
+
+
+def test_numbers_of_photos_are_no_cameras(tmp_path: Path) -> None:
+    for number in range(6):
+        write_png(tmp_path / f"img{number}.png", np.zeros((4, 4), np.uint8))
+    photos, unnamed = find_photos([tmp_path])
+    assert len(photos) == 6 and not unnamed and all(each.right is None for each in photos)
+
+
+@pytest.mark.slow
+def test_cameras_of_two_sizes_are_refused(chess: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(chess, tmp_path / "photos")
+    for file in (tmp_path / "photos").rglob("*right*"):
+        image = read_image(file)
+        write_png(file, np.repeat(np.repeat(image, 2, 0), 2, 1))
+    command = ["calibrate", str(tmp_path / "photos"), "--board", "9x6", "--square", "25mm"]
+    assert main([*command, "-o", str(tmp_path / "stereo.yml")]) == 2
+    assert "bring" in capsys.readouterr().err and not (tmp_path / "stereo.yml").exists()

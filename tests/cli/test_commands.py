@@ -360,3 +360,10 @@ def test_results_are_not_written_to_urls(tmp_path, monkeypatch, capsys):
         assert main(words) == 2
         assert "results are written to this machine, not to URLs" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("words", [["fuse", "maps", "--maps", "m"], ["rectify"], ["confidence", "--maps", "m"]])
+def test_an_input_that_is_given_twice_is_refused(tmp_path, capsys, words):
+    files = ["--left", "l.png", "--right", "r.png", "--right=n.png", "-o", str(tmp_path / "out")]
+    assert main([*words, *files]) == 2
+    assert "--right: given 2 times, takes one value" in capsys.readouterr().err

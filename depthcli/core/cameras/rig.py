@@ -14,6 +14,8 @@ from depthcli.core.cameras.camera import Camera, Intrinsics, is_rotation
 from depthcli.core.cameras.triangulation import PairGeometry
 from depthcli.core.errors import InputError
 
+_MAX_SIZE_RATIO = 1.25  # of the widths of the two cameras' images
+
 
 @dataclass(frozen=True)
 class Rig:
@@ -74,6 +76,9 @@ class Rig:
             if camera.size is not None and camera.size != given:
                 raise InputError(f"calibrated for a {name} image of {camera.size[0]} x {camera.size[1]}, it has "
                                  f"{given[0]} x {given[1]}")  # fmt: skip
+        if max(size[0] / right_size[0], right_size[0] / size[0]) > _MAX_SIZE_RATIO:
+            raise InputError(f"images of {size[0]} x {size[1]} and {right_size[0]} x {right_size[1]} px; bring both "
+                             "to one size, and calibrate them so")  # fmt: skip
         cameras = (self.left.matrix, self.left.coefficients, self.right.matrix, self.right.coefficients, size)
         places = (self.rotation, self.translation[:, None])
         if self.left.fisheye:

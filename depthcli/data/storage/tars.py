@@ -56,8 +56,11 @@ class Tar(Archive):
 
     def _check_end(self, place: int) -> None:
         self._raw.seek(place)
-        if (block := self._raw.read(_BLOCK)) and block.strip(b"\0"):  # the module takes damage for the end
+        block = self._raw.read(_BLOCK)
+        if block.strip(b"\0"):  # the module takes damage for the end
             raise tarfile.ReadError(f"no header of a member at byte {place}")
+        if len(block) < _BLOCK:
+            raise tarfile.ReadError("the mark of its end is missing")
         while self._size is None and self._raw.read(1 << 20):  # to the checksum at the end
             pass
 
