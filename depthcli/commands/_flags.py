@@ -24,7 +24,7 @@ FLAGS = (
 
 
 def conditions_of(values: Values) -> tuple[Condition, ...]:
-    """Return the conditions that are given; ConfigError where one is wrong, or what counts them has none to count."""
+    """Return the conditions that are given; ConfigError where one is wrong, or none is there to count."""
     if not values.get("flag"):
         if values.get("fail_flagged"):
             raise ConfigError("nothing is flagged without a condition: give one, such as 'measured<0.6'")
@@ -96,7 +96,7 @@ def flagged_table(flags: Flags) -> str:
 
 
 def exit_code(failed: bool, flags: Flags, values: Values) -> int:
-    """Return the exit code: something failed, or else a row is flagged, or could not be, and that counts; or 0."""
+    """Return the exit code: something failed, or a row is flagged or a condition has no values."""
     if failed:
         return SOME_FAILED
     return FLAGGED if (flags.flagged or flags.unanswered) and values.get("fail_flagged") else 0

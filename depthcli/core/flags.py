@@ -73,7 +73,7 @@ class Flags:
     n_rows : number of rows
     conditions : as they were given; none: nobody asked
     warnings : of conditions that some rows have no value for
-    unanswered : of conditions that no row has a value for, though they are no z-scores of too few
+    unanswered : of conditions that no row has a value for; a z-score of too few values is a warning
     """
 
     flagged: tuple[Flagged, ...] = ()
@@ -123,7 +123,10 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
 def _asked(
     conditions: Sequence[tuple[int, Condition]], rows: Sequence[Mapping[str, Any]]
 ) -> tuple[list[tuple[tuple[float, ...], Flagged]], list[Verdict], list[tuple[str, bool]]]:
-    """Flagged rows with what sorts them, a verdict for every row, and warnings; conditions with their places."""
+    """Flagged rows, each with what sorts it; a verdict for every row; and lines, each with whether it is a warning.
+
+    Conditions come with their places among all, by which the first one counts most.
+    """
     reasons: list[list[str]] = [[] for _ in rows]
     beyond: list[list[tuple[int, float]]] = [[] for _ in rows]  # the condition's place, minus the distance
     known: list[list[Any]] = [[] for _ in rows]  # those that conditions hold for come first
