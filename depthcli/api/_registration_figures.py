@@ -11,7 +11,7 @@ from scipy import ndimage
 from depthcli.algorithms.body import body_of_volume
 from depthcli.algorithms.resampling import block_means, resample
 from depthcli.core.errors import InputError
-from depthcli.core.flags import REGION_ERROR
+from depthcli.core.region_columns import ERROR, MEAN, QUANTILE, VOLUME, region_column
 from depthcli.data.registered_volumes import LoadedPair
 from depthcli.data.scenes.volume_pair import VolumePairScene
 from depthcli.methods.registration.pipeline import RegistrationResult
@@ -67,15 +67,15 @@ def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volume
     for file, _ in scene.regions:
         try:
             for name, mask in scene.region_masks(file, loaded.grid):
-                if f"region_volume_{name}" in figures:
+                if region_column(VOLUME, name) in figures:
                     raise InputError(f"{scene.folder}: two regions are called {name}: give one of them another name")
                 known = error[block_means(mask, loaded.blocks) >= 0.5 if max(loaded.blocks) > 1 else mask]
-                figures[f"region_volume_{name}"] = round(known.size * voxel, 4)
+                figures[region_column(VOLUME, name)] = round(known.size * voxel, 4)
                 if known.size:
-                    figures[f"region_mean_{name}"] = round(float(known.mean(dtype=np.float64)), 4)
-                    figures[f"region_95_{name}"] = round(float(np.quantile(known, 0.95)), 4)
+                    figures[region_column(MEAN, name)] = round(float(known.mean(dtype=np.float64)), 4)
+                    figures[region_column(QUANTILE, name)] = round(float(np.quantile(known, 0.95)), 4)
         except InputError as problem:
-            figures[f"{REGION_ERROR}{file}"] = str(problem)
+            figures[region_column(ERROR, file)] = str(problem)
     return figures
 
 

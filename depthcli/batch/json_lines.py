@@ -31,9 +31,9 @@ def check_lines(path: Path) -> None:
         known = isinstance(json.loads(first), dict)
     except (ValueError, RecursionError):
         known = False
-    if not known and first.lstrip().startswith(b"{"):
-        raise ConfigError(f"{shown(path)}: its first line is cut off or damaged: repair it, or name another file")
     if not known:
+        if first.lstrip().startswith(b"{"):
+            raise ConfigError(f"{shown(path)}: its first line is cut off or damaged: repair it, or name another file")
         raise ConfigError(f"{shown(path)}: holds something else than JSON lines; name another file")
 
 

@@ -235,7 +235,8 @@ class ConfigCommand(BatchCommand[ModelT, SceneT]):
 
     def run(self, values: Values, reporter: Reporter) -> int:
         """Compute every scene, then evaluate where that is asked for; return the exit code."""
-        run_options(values), conditions_of(values)  # wrong ones are reported before any file is read
+        run_options(values)  # wrong ones are reported before any file is read
+        conditions_of(values)
         config = self.config(values)
         return self.run_on(config, self.find(values, reporter), values, reporter)
 

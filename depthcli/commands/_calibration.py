@@ -164,12 +164,12 @@ def _same_size(
     """Return the size of most photos of a camera; those of another size do not count."""
     if not sizes:
         return 0, 0
-    usual = Counter(sizes.values()).most_common(1)[0][0]
+    common_size = Counter(sizes.values()).most_common(1)[0][0]
     for name, size in sizes.items():
-        if size != usual:
-            reasons[name][side] = f"{size[0]} x {size[1]} pixels, not {usual[0]} x {usual[1]}"
+        if size != common_size:
+            reasons[name][side] = f"{size[0]} x {size[1]} pixels, not {common_size[0]} x {common_size[1]}"
             corners.pop(name, None)
-    return usual
+    return common_size
 
 
 def _photos_lacking(board: Board, photos: Sequence[Photos], side: int, n_cameras: int, n_found: int) -> str:

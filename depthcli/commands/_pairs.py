@@ -126,14 +126,15 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
         from depthcli.api.rectification import read_rig
         from depthcli.commands._several_cameras import run_pairs
 
-        config, right = self.config(values), values["right"]
-        if isinstance(right, list) and len(right) > 1:
-            return run_pairs(self, config, right, values, reporter)
+        config, given = self.config(values), values["right"]
+        rights = given if isinstance(given, list) else [given]  # a single one of a pair of several cameras
+        if len(rights) > 1:
+            return run_pairs(self, config, rights, values, reporter)
         if values.get("baselines") is not None:
             raise ConfigError("--baselines wants a --right for each of them")
         if config.calibration is not None:
             read_rig(config.calibration)
-        return super().run({**values, "right": right[0] if isinstance(right, list) and right else right}, reporter)
+        return super().run({**values, "right": rights[0] if rights else None}, reporter)
 
     def files(self, config: PairConfigT, scene: StereoScene) -> dict[str, Path]:
         """Return the files of the pair, the calibration that rectifies it, and the frames that give its range."""

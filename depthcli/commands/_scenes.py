@@ -21,7 +21,7 @@ from depthcli.data.scenes.stereo import StereoScene
 from depthcli.data.walk import NoScenesError, chosen_scenes, discover_scenes, matches_any, scenes_with_files
 
 _MAP = "disp_left.pfm"
-_MANY = 1000  # scenes, whose objects take long to look through
+_MIN_SCENES_TO_FREEZE = 1000  # scenes, whose objects take long to look through
 
 
 def find_scenes(kinds: tuple[type[SceneT], ...], values: Values, reporter: Reporter) -> list[SceneT]:
@@ -71,7 +71,7 @@ def scenes_at(
         return _chosen(kinds[0].of_table(place), patterns, place)
     # Folders that cannot be read are among them as scenes with a ``problem``, which are reported and not computed.
     found = cast("list[SceneT]", discover_scenes(place, kinds, layout, patterns, reporter.info))
-    if len(found) >= _MANY:
+    if len(found) >= _MIN_SCENES_TO_FREEZE:
         gc.freeze()  # they stay to the end: no later search for garbage has to look at them
     return found
 

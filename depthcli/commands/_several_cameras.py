@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from depthcli.batch.command import FLAGGED, SOME_FAILED, Values
 from depthcli.batch.console import Reporter
+from depthcli.commands._baselines import baselines_of
 from depthcli.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
 PAIRS = "pairs"
 """Folder in the output, with one run for each pair."""
 
-_ALONE = ("shard", "calibration", "evaluate", "list_scenes", "dry_run")  # options that go with one pair alone
-_NOT_OF_PAIRS: dict[str, Any] = {"html": False, "flag": [], "fail_flagged": False, "json": False, "keep": None}
+_ONE_PAIR_OPTIONS = ("shard", "calibration", "evaluate", "list_scenes", "dry_run")
+_PAIR_RUN_VALUES: dict[str, Any] = {"html": False, "flag": [], "fail_flagged": False, "json": False, "keep": None}
 
 
 @dataclass(frozen=True)
@@ -70,18 +71,19 @@ def run_pairs(
     from depthcli.commands.fuse_maps import COMMAND as FUSE_MAPS
 
     cameras = _cameras(rights, values["baselines"])
-    if given := [name for name in _ALONE if values.get(name)]:
+    if given := [name for name in _ONE_PAIR_OPTIONS if values.get(name)]:
         raise ConfigError(f"--{given[0].replace('_', '-')} wants one --right alone")
     if config.axis != "horizontal":
         raise ConfigError("--axis vertical wants one --right alone: match each pair, then fuse maps --baselines")
     for camera in cameras:  # a view that is not there is an error before anything is computed
         command.find({**values, "right": camera.right}, reporter)
+    own = cameras[0].baseline
+    ranges = {each.name: _range(config.min_disparity, config.max_disparity, each.baseline / own) for each in cameras}
     failed = False
     for camera in cameras:
-        ends = _range(config.min_disparity, config.max_disparity, camera.baseline / cameras[0].baseline)
         place = {"right": camera.right, "baselines": None, "output": values["output"] / PAIRS / camera.name}
         reporter.info(f"pair {camera.number} of {len(cameras)}: {camera.right}")
-        code = command.run({**values, **_NOT_OF_PAIRS, **place, **ends, "quiet": True}, reporter)
+        code = command.run({**values, **_PAIR_RUN_VALUES, **place, **ranges[camera.name], "quiet": True}, reporter)
         if code not in (0, SOME_FAILED):
             return code
         failed |= code != 0
@@ -93,7 +95,7 @@ def run_pairs(
     fused |= {name: value for name, value in values.items() if name in fused}
     baselines = ",".join(repr(each.baseline) for each in (first, *others))
     fused |= {"right": first.right, "maps": maps, "baselines": baselines}
-    top = _range(config.min_disparity, config.max_disparity, first.baseline / cameras[0].baseline)["max_disparity"]
+    top = ranges[first.name]["max_disparity"]
     fused |= {"max_disparity": top if str(top).isdigit() else None}
     code = FUSE_MAPS.run({**values, **fused}, reporter)
     if code in (0, SOME_FAILED, FLAGGED):
@@ -102,24 +104,15 @@ def run_pairs(
 
 
 def _cameras(rights: Sequence[Path], baselines: str | None) -> list[Camera]:
-    """The cameras, each with its baseline; ConfigError where there is not one for each, or the first is negative."""
-    from depthcli.api.judging import check_baselines
-
+    """Return the cameras; ConfigError where there is no baseline for each, or the first one is negative."""
     if baselines is None:
         raise ConfigError(f"{len(rights)} views on the right: give --baselines, such as 0.3,0.1, one for each")
-    words = baselines.split(",")
-    try:
-        lengths = [float(word) for word in words]
-    except ValueError:
-        raise ConfigError(f"--baselines: want numbers such as 0.3,0.1 (got {baselines!r})") from None
-    if len(lengths) != len(rights):
-        raise ConfigError(f"--baselines: want one for each of the {len(rights)} views (got {baselines!r})")
-    check_baselines(lengths)
+    lengths = baselines_of(baselines, len(rights), "views")
     return [Camera(k, right, length) for k, (right, length) in enumerate(zip(rights, lengths, strict=True), 1)]
 
 
 def _range(low: int | str | None, top: int | str | None, ratio: float) -> Mapping[str, str | None]:
-    """The ends of the search range of a pair whose baseline is ``ratio`` of the first one's, as options give them."""
+    """Return the ends of a pair's search range, as options give them; its baseline is ``ratio`` of the first one's."""
     if isinstance(top, int) and not isinstance(low, str):
         ends = sorted(((low or 0) * ratio, top * ratio))
         return {"min_disparity": str(math.floor(ends[0])), "max_disparity": str(math.ceil(ends[1]))}

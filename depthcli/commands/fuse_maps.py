@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, TypedDict
 
 from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import SIZE, Column, Reporter, percent
+from depthcli.commands._baselines import baselines_of
 from depthcli.commands._flags import FLAGS
 from depthcli.commands._given_maps import (
     CODING,
@@ -143,28 +144,20 @@ def _with_filled(found: Disparity, filled: Sequence[NDArray[np.bool_] | None]) -
     known = [one for one in filled if one is not None and one.shape == found.status.shape]
     if len(known) < len(filled):
         return found
-    nowhere = np.logical_and.reduce(known) & ((found.status & Status.FILLED) == 0)
-    status = np.where(nowhere, found.status | np.uint8(Status.MISMATCH | Status.FILLED), found.status)
+    all_filled = np.logical_and.reduce(known) & ((found.status & Status.FILLED) == 0)
+    status = np.where(all_filled, found.status | np.uint8(Status.MISMATCH | Status.FILLED), found.status)
     details = replace(found.details, disparity=DisparityMap(found.values, status))
     return replace(found, status=status, details=details)
 
 
 def _baselines(values: Values) -> dict[str, float] | None:
     """Return run -> baseline, or None where all maps are of one pair."""
-    from depthcli.api.judging import check_baselines
     from depthcli.commands._runs import find_runs
 
     if values["baselines"] is None:
         return None
-    runs, words = list(find_runs(values["maps"])), values["baselines"].split(",")
-    if len(runs) != len(words):
-        raise ConfigError(f"--baselines: want one for each of the {len(runs)} maps (got {values['baselines']!r})")
-    try:
-        found = dict(zip(runs, map(float, words), strict=True))
-    except ValueError:
-        raise ConfigError(f"--baselines: want numbers such as 0.1,0.3 (got {values['baselines']!r})") from None
-    check_baselines(list(found.values()))
-    return found
+    runs = list(find_runs(values["maps"]))
+    return dict(zip(runs, baselines_of(values["baselines"], len(runs), "maps"), strict=True))
 
 
 COMMAND = FuseMapsCommand()

@@ -12,15 +12,14 @@ from depthcli.batch.command import Outcome, Values
 from depthcli.batch.console import Column, Reporter, percent
 from depthcli.batch.json_csv import Row
 from depthcli.commands._batch import ConfigCommand
-from depthcli.core.flags import REGION_ERROR
 from depthcli.core.option import Option
+from depthcli.core.region_columns import ERROR, VOLUME, region_column
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.volume_pair import VolumePairScene
 
 if TYPE_CHECKING:
     from depthcli.methods.registration.config import RegisterConfidenceConfig
 
-_VOLUME = "region_volume_"
 _NUMBERED = re.compile(r"(.+)_\d+")  # a label without a name
 
 
@@ -66,14 +65,16 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
 
     def problems(self, rows: Sequence[Row]) -> list[str]:
         """Return a line for each region whose mask could not be used."""
-        found = ((row, value) for row in rows for key, value in row.items() if key.startswith(REGION_ERROR))
+        start = region_column(ERROR)
+        found = ((row, value) for row in rows for key, value in row.items() if key.startswith(start))
         return [f"{row['scene']}: left out, as a region: {value}" for row, value in found if value]
 
     def notes(
         self, config: RegisterConfidenceConfig, scenes: Sequence[VolumePairScene], rows: Sequence[Row]
     ) -> list[str]:
         """Return a line for each label map of which some pairs hold the first label alone, so that it has no number."""
-        own = {str(row["scene"]): {k.removeprefix(_VOLUME) for k in row if k.startswith(_VOLUME)} for row in rows}
+        start = region_column(VOLUME)
+        own = {str(row["scene"]): {key.removeprefix(start) for key in row if key.startswith(start)} for row in rows}
         numbered = {found[1] for names in own.values() for name in names if (found := _NUMBERED.fullmatch(name))}
         lines = []
         for name in sorted(numbered):

@@ -13,6 +13,7 @@ from typing import Any
 
 from depthcli.core.columns import ColumnHelp, find_column
 from depthcli.core.errors import ConfigError
+from depthcli.core.region_columns import figure_and_region
 
 MIN_SCORED = 5
 """Number of values below which no robust z-score is computed."""
@@ -23,7 +24,6 @@ _OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
 _CONDITION = re.compile(
     r"\s*(?:z\((?P<robust>[^()]+)\)|(?P<plain>[^<>=!]+?))\s*(?P<op><=|>=|!=|==|=|<|>)\s*(?P<value>[^\s<>=!]\S*)\s*"
 )
-_REGION = re.compile(r"(?P<figure>region_(?:mean|95|volume))(?:_(?P<region>.+))?")
 _PLAIN_NUMBER = re.compile(r"\d+\.?\d*|\.\d+")
 _MAD_SCALE, _MEAN_SCALE = 1.4826, 1.2533  # of a normal distribution: sigma / median, and / mean absolute deviation
 
@@ -52,8 +52,7 @@ class Condition:
     @property
     def of_region(self) -> tuple[str, str] | None:
         """The figure and the region that it is of, or empty for every region; None where it is of the whole scene."""
-        found = _REGION.fullmatch(self.column)
-        return (found["figure"], found["region"] or "") if found else None
+        return figure_and_region(self.column)
 
     def holds_for(self, value: Any) -> bool:
         """Return whether a value, as :meth:`values` returns them, meets the condition."""
@@ -136,7 +135,7 @@ def parse_conditions(texts: Iterable[str], known: Iterable[ColumnHelp]) -> tuple
 
 
 def _near(name: str, known: Sequence[ColumnHelp]) -> str:
-    """A heading that may be meant by a wrong one, with the numbers of the wrong one; empty where none is like it."""
+    """Return a heading that may be meant by a wrong one, with its numbers; empty where none is like it."""
     spaced = plain_name(re.sub(r"(?<=[A-Za-z])[ _-]?(?=[\d.]+$)", " ", name))
     if find_column(known, spaced) is not None:
         return spaced

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from depthcli.core.conditions import MIN_SCORED, Condition
-
-REGION_ERROR = "region_error_"
-"""Beginning of the columns that say why a region could not be measured; its name follows."""
-
-_FIGURES = ("region_mean", "region_95", "region_volume")
+from depthcli.core.region_columns import ERROR, FIGURES, region_column
 
 
 @dataclass(frozen=True)
@@ -102,82 +98,94 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
     ----------
     rows : column -> value; each has a ``scene``, and may have a ``run``
     """
-    by_region = _by_region(rows)
-    of_scenes = [(place, each) for place, each in enumerate(conditions) if each.of_region is None]
-    of_regions = [(place, each) for place, each in enumerate(conditions) if each.of_region is not None]
-    asked = [row for row in by_region if any(_concerns(condition, row) for _, condition in of_regions)]
-    found, _, warnings = _asked(of_scenes, rows)
-    in_regions, verdicts, more = _asked(of_regions, asked)
-    worst_first = sorted([*found, *in_regions], key=lambda each: each[0])
-    lines = [*warnings, *more]
+    placed = list(enumerate(conditions))
+    on_scenes = [(place, each) for place, each in placed if each.of_region is None]
+    on_regions = [(place, each) for place, each in placed if each.of_region is not None]
+    of_scenes = _evaluated(on_scenes, rows)
+    of_regions = _evaluated(
+        on_regions, [row for row in _rows_of_regions(rows) if any(_concerns(each, row) for _, each in on_regions)]
+    )
+    worst_first = sorted([*of_scenes.flagged, *of_regions.flagged], key=lambda each: each[0])
+    lines = [*of_scenes.lines, *of_regions.lines]
     return Flags(
         flagged=tuple(each for _, each in worst_first),
-        verdicts=tuple(verdicts),
+        verdicts=tuple(of_regions.verdicts),
         n_rows=len(rows),
         conditions=tuple(condition.text for condition in conditions),
-        warnings=tuple(line for line, answered in lines if answered),
-        unanswered=tuple(line for line, answered in lines if not answered),
+        warnings=tuple(line.text for line in lines if line.is_answered),
+        unanswered=tuple(line.text for line in lines if not line.is_answered),
     )
 
 
-def _asked(
-    conditions: Sequence[tuple[int, Condition]], rows: Sequence[Mapping[str, Any]]
-) -> tuple[list[tuple[tuple[float, ...], Flagged]], list[Verdict], list[tuple[str, bool]]]:
-    """Flagged rows, each with what sorts it; a verdict for every row; and lines, each with whether it is a warning.
+class _Line(NamedTuple):
+    """What is said of a condition that lacks values; it is answered where some row has one, or too few for z()."""
 
-    Conditions come with their places among all, by which the first one counts most.
-    """
+    text: str
+    is_answered: bool
+
+
+class _Evaluated(NamedTuple):
+    """Flagged rows, each with what sorts it; a verdict for every row; and what is said of the conditions."""
+
+    flagged: list[tuple[tuple[float, ...], Flagged]]
+    verdicts: list[Verdict]
+    lines: list[_Line]
+
+
+def _evaluated(conditions: Sequence[tuple[int, Condition]], rows: Sequence[Mapping[str, Any]]) -> _Evaluated:
+    """Return what conditions, each with its place among all, say of rows."""
     reasons: list[list[str]] = [[] for _ in rows]
     beyond: list[list[tuple[int, float]]] = [[] for _ in rows]  # the condition's place, minus the distance
-    known: list[list[Any]] = [[] for _ in rows]  # those that conditions hold for come first
-    warnings: list[tuple[str, bool]] = []
+    flagging: list[list[Any]] = [[] for _ in rows]  # values that a condition holds for
+    passing: list[list[Any]] = [[] for _ in rows]
+    found = _Evaluated([], [], [])
     for place, condition in conditions:
         concerned = [k for k, row in enumerate(rows) if _concerns(condition, row)]
         values = condition.values([rows[k] for k in concerned])
-        warnings += _warnings(condition, [rows[k] for k in concerned], values)
+        found.lines.extend(_lines(condition, [rows[k] for k in concerned], values))
         for k, value in zip(concerned, values, strict=True):
-            if value is not None:
-                known[k].insert(len(reasons[k]) if condition.holds_for(value) else len(known[k]), value)
             if condition.holds_for(value):
+                flagging[k].append(value)
                 reasons[k].append(condition.reason(value))
                 beyond[k].append((place, -condition.distance(value)))
-    flagged: list[tuple[tuple[float, ...], Flagged]] = []
-    verdicts = []
+            elif value is not None:
+                passing[k].append(value)
     for k, row in enumerate(rows):
         scene, run, region = str(row["scene"]), str(row.get("run", "")), str(row.get("region", ""))
         if error := row.get("error") if region else None:
             reasons[k], beyond[k] = [str(error)], [(-1, 0.0)]
         if reasons[k]:
             rank = (-len(reasons[k]), *beyond[k][0], float(k))
-            flagged.append((rank, Flagged(scene, run, tuple(reasons[k]), region)))
-        verdict = "flagged" if reasons[k] else "passed" if known[k] else "unknown"
-        verdicts.append(Verdict(scene, run, region, verdict, known[k][0] if known[k] else None, tuple(reasons[k])))
-    return flagged, verdicts, warnings
+            found.flagged.append((rank, Flagged(scene, run, tuple(reasons[k]), region)))
+        known = [*flagging[k], *passing[k]]
+        verdict = "flagged" if reasons[k] else "passed" if known else "unknown"
+        found.verdicts.append(Verdict(scene, run, region, verdict, known[0] if known else None, tuple(reasons[k])))
+    return found
 
 
-def _warnings(condition: Condition, rows: Sequence[Mapping[str, Any]], values: Sequence[Any]) -> list[tuple[str, bool]]:
-    """The line that says that a condition found no values, or not all of them, and whether it is answered at all."""
+def _lines(condition: Condition, rows: Sequence[Mapping[str, Any]], values: Sequence[Any]) -> list[_Line]:
+    """Return the line that says that a condition found no values, or not all of them; none where it found all."""
     n_known, what = sum(value is not None for value in values), "row" if condition.of_region is None else "region"
     start = f"condition {condition.text!r}"
     if not rows and condition.of_region is not None:
-        return [(f"{start} flags nothing: there is no such region", False)]
+        return [_Line(f"{start} flags nothing: there is no such region", False)]
     if not n_known:
-        few = condition.robust and any(value is not None for value in replace(condition, robust=False).values(rows))
-        why = f"fewer than {MIN_SCORED} values" if few else f"no {what} has a value there"
-        return [(f"{start} flags nothing: {why}", few)]
+        unscored = condition.robust and any(v is not None for v in replace(condition, robust=False).values(rows))
+        why = f"fewer than {MIN_SCORED} values" if unscored else f"no {what} has a value there"
+        return [_Line(f"{start} flags nothing: {why}", unscored)]
     if n_known < len(rows):
-        return [(f"{start}: {len(rows) - n_known} of {len(rows)} {what}s have no value there", True)]
+        return [_Line(f"{start}: {len(rows) - n_known} of {len(rows)} {what}s have no value there", True)]
     return []
 
 
 def _concerns(condition: Condition, row: Mapping[str, Any]) -> bool:
-    """Whether a row is of the region that a condition names, or the condition names none."""
+    """Return whether a row is of the region that a condition names, or the condition names none."""
     return condition.of_region is None or condition.of_region[1] in ("", row["region"])
 
 
-def _by_region(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A row for every scene and region: of all regions that a scene of the same run has, so that none is missed."""
-    starts = (*(f"{figure}_" for figure in _FIGURES), REGION_ERROR)
+def _rows_of_regions(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return a row for every scene and region, of all regions of the same run, so that none is missed."""
+    starts = [region_column(name) for name in (*FIGURES, ERROR)]
     regions: dict[Any, dict[str, None]] = {}
     for row in rows:
         names = (key.removeprefix(start) for key in row for start in starts if key.startswith(start))
@@ -185,7 +193,7 @@ def _by_region(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     made = []
     for row in rows:
         for region in regions[row.get("run")]:
-            of_region = {"scene": row["scene"], "region": region, "error": row.get(f"{REGION_ERROR}{region}")}
+            of_region = {"scene": row["scene"], "region": region, "error": row.get(region_column(ERROR, region))}
             of_region |= {"run": row["run"]} if "run" in row else {}
-            made.append(of_region | {figure: row.get(f"{figure}_{region}") for figure in _FIGURES})
+            made.append(of_region | {figure: row.get(region_column(figure, region)) for figure in FIGURES})
     return made

@@ -63,8 +63,9 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
             for side in (1, 2)
         )
         without = [files[name] for name, match in matches.items() if match is None]
-        few = word is _WORDS[1] and 2 * len(without) > len(files)  # img0, img1, img2, ...: numbers of photos
-        if left and right and not few:
+        # Of img0, img1, img2 and so on, the numbers are those of photos.
+        are_photo_numbers = word is _WORDS[1] and 2 * len(without) > len(files)
+        if left and right and not are_photo_numbers:
             return _paired(left, right, place), without
     return [Photos(name, file, None) for name, file in files.items()], []
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from depthcli.core.volumes import Grid, RegisteredPair
 
 
-_NEAR = 1e-3  # of a whole number: what rounding leaves of a label
+_LABEL_TOLERANCE = 1e-3  # of a whole number: what rounding leaves of a label
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def label_masks(
 
     values = np.where(np.isfinite(values), values, np.float32(0))
     near = np.rint(values)
-    whole = all(np.allclose(plane, round_plane, atol=_NEAR) for plane, round_plane in zip(values, near, strict=True))
+    whole = all(np.allclose(plane, near[z], atol=_LABEL_TOLERANCE) for z, plane in enumerate(values))
     if not whole:
         top = float(values.max())
         if regions or top > 1:

@@ -184,7 +184,7 @@ def _subfolders(folder: Path, warn: Callable[[str], None] = lambda line: None) -
     """Folders in a folder, but for those that hold results of runs."""
     try:
         found = storage.subfolders(folder)
-        runs = [child for child in storage.subfolders_with(folder, _RUN_FILE) if _holds_results(child)]
+        runs = [child for child in storage.holding(folder, found, _RUN_FILE) if _holds_results(child)]
     except (OSError, InputError):
         return []
     for run in runs:

@@ -257,7 +257,7 @@ def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
 
 
 def _verdict_table(flags: Flags) -> dict[str, Any] | None:
-    """The verdicts as a table, scenes with the most flagged regions first; None where there are none, or too many."""
+    """Return the verdicts as a table, scenes with the most flagged regions first; None for none, or too many."""
     regions = list(dict.fromkeys(each.region for each in flags.verdicts))
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     for each in flags.verdicts:

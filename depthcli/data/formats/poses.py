@@ -17,7 +17,7 @@ Pose = tuple[float, ...]
 """The 16 numbers of a (4, 4) matrix, row by row: from the camera's coordinates to the world's, meters."""
 
 _MAX_DELAY = 0.02  # seconds, as of the TUM RGB-D benchmark's associate.py
-_SAME = 1e-6  # seconds by which times differ that were rounded
+_TIME_TOLERANCE = 1e-6  # seconds by which times differ that were rounded
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class Poses:
             return _flat(self.matrices[after])
         if 0 < after < len(self.times):
             start, end = self.times[after - 1], self.times[after]
-            if max(time - start, end - time) <= max_delay + _SAME:
+            if max(time - start, end - time) <= max_delay + _TIME_TOLERANCE:
                 return _flat(_between(self.matrices[after - 1], self.matrices[after], (time - start) / (end - start)))
         near = [k for k in (after - 1, after) if 0 <= k < len(self.times)]
         nearest = min(near, key=lambda k: abs(self.times[k] - time), default=None)
-        if nearest is None or abs(self.times[nearest] - time) > min(max_delay, _MAX_DELAY) + _SAME:
+        if nearest is None or abs(self.times[nearest] - time) > min(max_delay, _MAX_DELAY) + _TIME_TOLERANCE:
             return None
         return _flat(self.matrices[nearest])
 

@@ -47,11 +47,11 @@ def read_transform(path: Path) -> Any:
             if size_of(stream) > _MAX_BYTES:
                 raise InputError(f"larger than {_MAX_BYTES >> 20} MiB: no transform")
         with tempfile.TemporaryDirectory() as folder, library_errors():
-            if storage.is_plain(path):
-                return sitk.ReadTransform(str(_rewritten(path, Path(folder))))
-            copy = Path(folder) / f"stored{path.suffix}"  # HDF5 opens no file in memory
-            copy.write_bytes(read_bytes(path, _MAX_BYTES))
-            return sitk.ReadTransform(str(_rewritten(copy, Path(folder))))
+            source = path
+            if not storage.is_plain(path):  # HDF5 opens no file in memory
+                source = Path(folder) / f"stored{path.suffix}"
+                source.write_bytes(read_bytes(path, _MAX_BYTES))
+            return sitk.ReadTransform(str(_rewritten(source, Path(folder))))
 
 
 def _rewritten(path: Path, folder: Path) -> Path:

@@ -115,7 +115,7 @@ def files_read_with(path: Path) -> tuple[Path, ...]:
 
 @contextlib.contextmanager
 def _reader(path: Path) -> Iterator[Any]:
-    """SimpleITK's reader of a file whose header was checked; it tries no other format than that of the ending."""
+    """Give SimpleITK's reader of a file whose header was checked; it tries no other format than that of the ending."""
     kind = suffix_of(path)
     if kind not in _ITK_READERS:
         raise InputError(f"no volume of a kind that is read; want {' '.join(VOLUME_SUFFIXES)}")

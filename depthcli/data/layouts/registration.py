@@ -72,7 +72,7 @@ def _regions(folder: Folder) -> tuple[tuple[str, Path], ...]:
 
 
 def _labels(folder: Folder, maps: Sequence[str]) -> tuple[tuple[str, tuple[tuple[str, int], ...]], ...]:
-    """The names of the labels of each label map, by ``labels`` of meta.json: map -> region -> label."""
+    """Return the names of the labels of each label map, by ``labels`` of meta.json: map -> region -> label."""
     given = folder.meta.fields.get("labels", {})
     wanted = 'the regions of each mask, such as {"organs": {"liver": 1, "spleen": 2}} of mask_organs.*'
     if not isinstance(given, dict):

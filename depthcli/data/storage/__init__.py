@@ -153,13 +153,13 @@ def subfolders(path: Path) -> list[Path]:
     return [path / name for name in found.get(place.inside, ()) if name[:1] != "." and start + name in found]
 
 
-def subfolders_with(path: Path, name: str) -> list[Path]:
-    """Return the subfolders of a folder that hold a file of that name, sorted."""
+def holding(path: Path, folders: list[Path], name: str) -> list[Path]:
+    """Return those of the subfolders of a folder that hold a file of that name."""
     place = None if os.path.isdir(path) else _place(path)
     if place is None or not place.container:
-        return [each for each in subfolders(path) if is_file(each / name)]
+        return [each for each in folders if is_file(each / name)]
     files, start = _archive(place).listing.files, f"{place.inside}/" if place.inside else ""
-    return [each for each in subfolders(path) if f"{start}{each.name}/{name}" in files]
+    return [each for each in folders if f"{start}{each.name}/{name}" in files]
 
 
 def files_below(path: Path) -> Iterator[Path]:

@@ -24,7 +24,7 @@ _SAMPLE = re.compile(r"((?:.*/)?[^/.]+)\.([^/]+)")
 _SHARD_FIELD = re.compile(r"(left|right|color|depth)\.[A-Za-z0-9]+")
 _FIELD_NAMES = {"json": "meta.json"}  # WebDataset's usual field of facts
 
-_USUAL = re.compile(r"[A-Za-z0-9_-][\w.-]{,99}(?:/[A-Za-z0-9_-][\w.-]{,99}){,9}", re.ASCII).fullmatch
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9_-][\w.-]{,99}(?:/[A-Za-z0-9_-][\w.-]{,99}){,9}", re.ASCII).fullmatch
 
 WhereT = TypeVar("WhereT")
 
@@ -98,7 +98,7 @@ def listing_of(
 
 def _inside(name: str) -> str | None:
     """Path within the archive; None where it could lead out of it or is none at all."""
-    if _USUAL(name):  # nearly all of a hundred thousand
+    if _PLAIN_NAME(name):  # nearly all of a hundred thousand
         return name
     parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
     if not parts or ".." in parts or name[:1] in "/\\" or parts[0][1:2] == ":" or "\0" in name or len(name) > _MAX_NAME:
