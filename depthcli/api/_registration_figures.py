@@ -63,20 +63,31 @@ def region_figures(result: RegistrationResult, loaded: LoadedPair, scene: Volume
     """
     figures: dict[str, float | str] = {}
     error = _error_of_voxels(result, loaded) if scene.regions else np.zeros(0, np.float32)
-    voxel = math.prod(loaded.pair.spacing) / 1000
+    voxel = math.prod(loaded.grid.spacing) / 1000
     for file, _ in scene.regions:
         try:
             for name, mask in scene.region_masks(file, loaded.grid):
                 if region_column(VOLUME, name) in figures:
-                    raise InputError(f"{scene.folder}: two regions are called {name}: give one of them another name")
-                known = error[block_means(mask, loaded.blocks) >= 0.5 if max(loaded.blocks) > 1 else mask]
-                figures[region_column(VOLUME, name)] = round(known.size * voxel, 4)
+                    twice = f"{scene.folder}: two regions are called {name}: give one of them another name"
+                    figures.setdefault(region_column(ERROR, file), twice)
+                    continue
+                known = error[_in_blocks(mask, loaded.blocks)]
+                figures[region_column(VOLUME, name)] = round(int(np.count_nonzero(mask)) * voxel, 4)
                 if known.size:
                     figures[region_column(MEAN, name)] = round(float(known.mean(dtype=np.float64)), 4)
                     figures[region_column(QUANTILE, name)] = round(float(np.quantile(known, 0.95)), 4)
         except InputError as problem:
             figures[region_column(ERROR, file)] = str(problem)
     return figures
+
+
+def _in_blocks(mask: NDArray[np.bool_], blocks: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """Return the blocks of which a mask holds half; of a mask that is too small for it, those that it holds most of."""
+    if max(blocks) == 1:
+        return mask
+    shares = block_means(mask, blocks)
+    largest = float(shares.max())
+    return shares >= min(0.5, largest) if largest > 0 else np.zeros(shares.shape, np.bool_)
 
 
 def _error_of_voxels(result: RegistrationResult, loaded: LoadedPair) -> NDArray[np.float32]:

@@ -96,7 +96,11 @@ def flagged_table(flags: Flags) -> str:
 
 
 def exit_code(failed: bool, flags: Flags, values: Values) -> int:
-    """Return the exit code: something failed, or a row is flagged or a condition has no values."""
+    """Return the exit code: something failed, or a row is flagged or a condition has no values.
+
+    Values that one shard lacks may be in the others.
+    """
     if failed:
         return SOME_FAILED
-    return FLAGGED if (flags.flagged or flags.unanswered) and values.get("fail_flagged") else 0
+    unanswered = bool(flags.unanswered) and not values.get("shard")
+    return FLAGGED if (flags.flagged or unanswered) and values.get("fail_flagged") else 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from depthcli.batch.command import FLAGGED, SOME_FAILED, Values
 from depthcli.batch.console import Reporter
 from depthcli.commands._baselines import baselines_of
+from depthcli.commands._flags import conditions_of
 from depthcli.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 PAIRS = "pairs"
 """Folder in the output, with one run for each pair."""
 
-_ONE_PAIR_OPTIONS = ("shard", "calibration", "evaluate", "list_scenes", "dry_run")
+_ONE_PAIR_OPTIONS = ("shard", "evaluate", "list_scenes", "dry_run")
 _PAIR_RUN_VALUES: dict[str, Any] = {"html": False, "flag": [], "fail_flagged": False, "json": False, "keep": None}
 
 
@@ -66,16 +67,24 @@ def run_pairs(
     Raises
     ------
     ConfigError
-        Not one baseline for each view, or options that go with one pair alone.
+        Not one baseline for each view, too many views, wrong conditions, or options that go with one pair alone.
     """
     from depthcli.commands.fuse_maps import COMMAND as FUSE_MAPS
+    from depthcli.methods.given_maps.fusion import MAX_MAPS
 
+    conditions_of(values)
+    if len(rights) > MAX_MAPS:
+        raise ConfigError(f"--right: at most {MAX_MAPS} views (got {len(rights)})")
     cameras = _cameras(rights, values["baselines"])
     if given := [name for name in _ONE_PAIR_OPTIONS if values.get(name)]:
         raise ConfigError(f"--{given[0].replace('_', '-')} wants one --right alone")
+    if config.calibration is not None:
+        raise ConfigError(
+            "calibration: wants one --right alone: each pair would be rectified to a left view of its own"
+        )
     if config.axis != "horizontal":
         raise ConfigError("--axis vertical wants one --right alone: match each pair, then fuse maps --baselines")
-    for camera in cameras:  # a view that is not there is an error before anything is computed
+    for camera in cameras:  # a pattern that fits nothing is an error before anything is computed
         command.find({**values, "right": camera.right}, reporter)
     own = cameras[0].baseline
     ranges = {each.name: _range(config.min_disparity, config.max_disparity, each.baseline / own) for each in cameras}
@@ -112,10 +121,14 @@ def _cameras(rights: Sequence[Path], baselines: str | None) -> list[Camera]:
 
 
 def _range(low: int | str | None, top: int | str | None, ratio: float) -> Mapping[str, str | None]:
-    """Return the ends of a pair's search range, as options give them; its baseline is ``ratio`` of the first one's."""
-    if isinstance(top, int) and not isinstance(low, str):
-        ends = sorted(((low or 0) * ratio, top * ratio))
-        return {"min_disparity": str(math.floor(ends[0])), "max_disparity": str(math.ceil(ends[1]))}
+    """Return the ends of a pair's search range, as options give them; its baseline is ``ratio`` of the first one's.
+
+    An end in pixels is in proportion; "auto" is by the pair's own key points. On the other side the ends change places.
+    """
+
+    def scaled(end: int | str | None, whole: Callable[[float], int]) -> str | None:
+        return str(whole(end * ratio)) if isinstance(end, int) else end
+
     if ratio < 0:
-        return {"min_disparity": "auto", "max_disparity": "auto"}
-    return {name: None if end is None else str(end) for name, end in (("min_disparity", low), ("max_disparity", top))}
+        low, top = "auto" if top is None else top, low or 0
+    return {"min_disparity": scaled(low, math.floor), "max_disparity": scaled(top, math.ceil)}

@@ -75,7 +75,13 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         """Return a line for each label map of which some pairs hold the first label alone, so that it has no number."""
         start = region_column(VOLUME)
         own = {str(row["scene"]): {key.removeprefix(start) for key in row if key.startswith(start)} for row in rows}
-        numbered = {found[1] for names in own.values() for name in names if (found := _NUMBERED.fullmatch(name))}
+        masks = {scene.name: dict(scene.regions) for scene in scenes if own.get(scene.name)}
+        numbered = {
+            found[1]
+            for scene, names in own.items()
+            for name in names - masks.get(scene, {}).keys()
+            if (found := _NUMBERED.fullmatch(name))
+        }
         lines = []
         for name in sorted(numbered):
             if alone := [scene for scene, names in own.items() if name in names]:

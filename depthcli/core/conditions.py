@@ -116,7 +116,7 @@ def parse_conditions(texts: Iterable[str], known: Iterable[ColumnHelp]) -> tuple
     Raises
     ------
     ConfigError
-        A text is no condition, or names a column that there is not.
+        A text is no condition, names a column that there is not, or compares figures of regions with a word.
     """
     known = tuple(known)
     conditions = []
@@ -130,6 +130,8 @@ def parse_conditions(texts: Iterable[str], known: Iterable[ColumnHelp]) -> tuple
             raise ConfigError(
                 f"condition {condition.text!r}: no column {condition.column!r}{meant}; depthcli help columns has them"
             )
+        if condition.of_region is not None and isinstance(condition.value, str):
+            raise ConfigError(f"condition {condition.text!r}: want a number (got {condition.value!r})")
         conditions.append(replace(condition, also=() if column.pattern else (column.name, *column.also)))
     return tuple(conditions)
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from depthcli.core.conditions import MIN_SCORED, Condition
+from depthcli.core.conditions import MIN_SCORED, Condition, plain_name
 from depthcli.core.region_columns import ERROR, FIGURES, region_column
 
 
@@ -92,7 +93,7 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
 
     Those with the most reasons come first; among as many, those that are farthest beyond the limit of the first
     condition that holds for them. A condition on a figure of regions, such as ``region_95>5``, is asked of every region
-    of every scene.
+    of every scene; a mask that cannot be used is flagged whatever regions they name, as nobody knows what it holds.
 
     Parameters
     ----------
@@ -103,7 +104,8 @@ def flag_rows(conditions: Sequence[Condition], rows: Sequence[Mapping[str, Any]]
     on_regions = [(place, each) for place, each in placed if each.of_region is not None]
     of_scenes = _evaluated(on_scenes, rows)
     of_regions = _evaluated(
-        on_regions, [row for row in _rows_of_regions(rows) if any(_concerns(each, row) for _, each in on_regions)]
+        on_regions,
+        [row for row in _rows_of_regions(rows) if row["error"] or any(_concerns(each, row) for _, each in on_regions)],
     )
     worst_first = sorted([*of_scenes.flagged, *of_regions.flagged], key=lambda each: each[0])
     lines = [*of_scenes.lines, *of_regions.lines]
@@ -172,7 +174,8 @@ def _lines(condition: Condition, rows: Sequence[Mapping[str, Any]], values: Sequ
     if not n_known:
         unscored = condition.robust and any(v is not None for v in replace(condition, robust=False).values(rows))
         why = f"fewer than {MIN_SCORED} values" if unscored else f"no {what} has a value there"
-        return [_Line(f"{start} flags nothing: {why}", unscored)]
+        near = "" if unscored or condition.of_region else _like(condition.column, rows)
+        return [_Line(f"{start} flags nothing: {why}{near}", unscored)]
     if n_known < len(rows):
         return [_Line(f"{start}: {len(rows) - n_known} of {len(rows)} {what}s have no value there", True)]
     return []
@@ -180,7 +183,14 @@ def _lines(condition: Condition, rows: Sequence[Mapping[str, Any]], values: Sequ
 
 def _concerns(condition: Condition, row: Mapping[str, Any]) -> bool:
     """Return whether a row is of the region that a condition names, or the condition names none."""
-    return condition.of_region is None or condition.of_region[1] in ("", row["region"])
+    return condition.of_region is None or condition.of_region[1] in ("", plain_name(row["region"]))
+
+
+def _like(heading: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the words that name a heading with values that is like one without; empty where there is none."""
+    known = dict.fromkeys(key for row in rows for key, value in row.items() if isinstance(value, int | float))
+    near = difflib.get_close_matches(heading, known, 1, 0.7)
+    return f"; there is {near[0]!r}" if near else ""
 
 
 def _rows_of_regions(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

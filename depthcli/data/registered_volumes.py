@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 
 _LABEL_TOLERANCE = 1e-3  # of a whole number: what rounding leaves of a label
+_MAX_LABELS = 2000  # more are the gray values of a scan; atlases have some hundreds
+_MAX_LABEL = 1 << 24  # whole numbers up to here are exact in float32
 
 
 @dataclass(frozen=True)
@@ -97,13 +99,14 @@ def label_masks(
     Raises
     ------
     InputError
-        Fractions above 1, or of labels that have names: what a label map is after linear interpolation.
+        Fractions above 1, or of labels that have names: what a label map is after linear interpolation; or more
+        labels than label maps have.
     """
     import numpy as np
 
     values = np.where(np.isfinite(values), values, np.float32(0))
     near = np.rint(values)
-    whole = all(np.allclose(plane, near[z], atol=_LABEL_TOLERANCE) for z, plane in enumerate(values))
+    whole = all(np.allclose(plane, near[z], rtol=0, atol=_LABEL_TOLERANCE) for z, plane in enumerate(values))
     if not whole:
         top = float(values.max())
         if regions or top > 1:
@@ -111,6 +114,10 @@ def label_masks(
         yield name, values >= 0.5
         return
     present = sorted({float(label) for plane in near for label in np.unique(plane[plane > 0])})
+    if present and (len(present) > _MAX_LABELS or present[-1] > _MAX_LABEL):
+        raise InputError(
+            f"{len(present)} values up to {present[-1]:g}, no labels: want at most {_MAX_LABELS} below 2^24"
+        )
     names = {float(label): region for region, label in regions}
     if not names and present in ([], [1.0], [255.0]):
         yield name, near > 0

@@ -10,6 +10,7 @@ import pytest
 
 import depthcli
 from depthcli.cli import main
+from depthcli.commands._several_cameras import _range as search_range
 from depthcli.core.maps import Status
 from depthcli.data.formats.disparity import read_pfm, write_pfm
 from depthcli.data.formats.images import write_png
@@ -124,12 +125,43 @@ def test_several_right_views_are_matched_and_fused(views: list[str], tmp_path: P
         (("far", "near"), ("--baselines", "-1,2"), "the first one positive"),
         (("far", "near"), ("--baselines", "2,1", "--axis", "vertical"), "--axis vertical wants one --right alone"),
         (("far", "near"), ("--baselines", "2,1", "--shard", "1/2"), "--shard wants one --right alone"),
-        (("far", "nowhere"), ("--baselines", "2,1"), "nowhere.png"),
+        (("far", "near"), ("--baselines", "2,1", "--calibration", "rig.yml"), "calibration: wants one --right alone"),
+        (("far", "near"), ("--baselines", "2,1", "--set", "calibration=rig.yml"), "calibration: wants one --right"),
+        (("far", "near"), ("--baselines", "2,1", "--flag", "nothing>1"), "no column 'nothing'"),
+        (("far", "near"), ("--baselines", "2,1", "--fail-flagged"), "nothing is flagged without a condition"),
+        (("far",) * 33, ("--baselines", ",".join(["1"] * 33)), "--right: at most"),
+        (("far", "nothing*"), ("--baselines", "2,1"), "nothing*.png"),
     ],
 )
 def test_several_right_views_that_cannot_be_matched(views, tmp_path, names, words, message, capsys) -> None:
     code = main([*views, *rights(tmp_path, *names), *words, "-o", str(tmp_path / "out")])
-    assert code in (2, 3) and message in capsys.readouterr().err
+    assert code == 2 and message in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_of_a_view_that_is_not_there_the_others_are_done(views: list[str], tmp_path: Path, capsys) -> None:
+    words = [*views, *rights(tmp_path, "far", "nowhere", "near"), "--baselines", "2,1.5,1", "-o", str(tmp_path / "out")]
+    assert main(words) == 3 and "nowhere.png: no such file" in capsys.readouterr().err
+    assert (tmp_path / "out" / "room" / "disp_left.pfm").exists()
+
+
+@pytest.mark.parametrize(
+    ("low", "top", "ratio", "ends"),
+    [
+        (None, 14, 2.5, (None, "35")),
+        (3, 15, 0.5, ("1", "8")),
+        (None, 14, -0.5, ("-7", "0")),
+        (3, 15, -0.5, ("-8", "-1")),
+        ("auto", 64, 5.0, ("auto", "320")),
+        (8, "auto", 2.0, ("16", "auto")),
+        (8, "auto", -2.0, ("auto", "-16")),
+        ("auto", 64, -0.5, ("-32", "auto")),
+        ("auto", "auto", -1.0, ("auto", "auto")),
+        (None, None, 3.0, (None, None)),
+        (None, None, -3.0, ("auto", "0")),
+    ],
+)
+def test_search_ranges_are_in_proportion_to_baselines(low, top, ratio: float, ends: tuple[str | None, ...]) -> None:
+    assert tuple(search_range(low, top, ratio).values()) == ends
 
 
 def test_maps_that_contradict_the_baselines_are_said() -> None:

@@ -60,7 +60,7 @@ def test_rows_without_a_value_are_not_flagged_but_counted():
     assert [scene for scene, _ in found] == ["a", "b"]
     assert warnings == [
         "condition 'measured<1': 1 of 3 rows have no value there",
-        "condition 'bad 2>0' flags nothing: no row has a value there",
+        "condition 'bad 2>0' flags nothing: no row has a value there; there is 'bad 1'",
     ]
 
 
@@ -162,10 +162,42 @@ def test_a_verdict_has_the_value_and_the_reason_that_flag_it():
 
 def test_a_condition_may_name_its_region():
     flags = flag_rows(parse_conditions(["region_95_liver>5", "region_mean_liver>=1"], REGIONS), REGION_ROWS)
-    assert [(each.scene, each.region) for each in flags.flagged] == [("b", "liver"), ("a", "liver")]
-    assert {each.region for each in flags.verdicts} == {"liver"}
+    assert [(each.scene, each.region) for each in flags.flagged] == [("b", "tumor"), ("b", "liver"), ("a", "liver")]
+    assert [each.scene for each in flags.verdicts if each.region == "tumor"] == ["b"]  # whose mask cannot be used
     none = flag_rows(parse_conditions(["region_95_lung>5"], REGIONS), REGION_ROWS)
     assert none.unanswered == ("condition 'region_95_lung>5' flags nothing: there is no such region",)
+
+
+def test_a_mask_that_cannot_be_used_is_flagged_whatever_region_is_named():
+    rows = [
+        {"scene": "a", "region_95_liver": 2.0, "region_mean_liver": 1.0},
+        {"scene": "b", "region_error_organs": "mask_organs.nii.gz: cut off"},
+    ]
+    flags = flag_rows(parse_conditions(["region_95_liver>5"], REGIONS), rows)
+    (found,) = flags.flagged
+    assert (found.scene, found.region, found.reasons) == ("b", "organs", ("mask_organs.nii.gz: cut off",))
+    verdicts = {(each.scene, each.region): each.verdict for each in flags.verdicts}
+    assert verdicts == {("a", "liver"): "passed", ("b", "liver"): "unknown", ("b", "organs"): "flagged"}
+    assert flags.warnings == ("condition 'region_95_liver>5': 1 of 2 regions have no value there",)
+
+
+@pytest.mark.parametrize("name", ["lobe 01", "left  lung", "V1.0 part", "a(1)"])
+def test_regions_of_any_name_can_be_named_in_conditions(name):
+    rows = [{"scene": "a", f"region_95_{name}": 6.0, "region_95_other": 7.0}]
+    (found,) = flag_rows(parse_conditions([f"region_95_{name}>5"], REGIONS), rows).flagged
+    assert found.region == name
+
+
+@pytest.mark.parametrize("text", ["region_95!=x", "region_95_liver=high"])
+def test_figures_of_regions_are_not_compared_with_words(text):
+    with pytest.raises(ConfigError, match="want a number"):
+        parse_conditions([text], REGIONS)
+
+
+def test_a_heading_like_one_without_values_is_named():
+    rows = [{"scene": "a", "totbad 2": 3.0, "measured": 0.5}]
+    _, (line,) = flagged("bad 2>1", rows=rows)
+    assert line == "condition 'bad 2>1' flags nothing: no row has a value there; there is 'totbad 2'"
 
 
 def test_robust_scores_of_regions_are_those_among_the_same_region():
