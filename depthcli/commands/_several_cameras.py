@@ -79,9 +79,7 @@ def run_pairs(
     if given := [name for name in _ONE_PAIR_OPTIONS if values.get(name)]:
         raise ConfigError(f"--{given[0].replace('_', '-')} wants one --right alone")
     if config.calibration is not None:
-        raise ConfigError(
-            "calibration: wants one --right alone: each pair would be rectified to a left view of its own"
-        )
+        raise ConfigError("calibration: wants one --right alone: each pair would have a left view of its own")
     if config.axis != "horizontal":
         raise ConfigError("--axis vertical wants one --right alone: match each pair, then fuse maps --baselines")
     for camera in cameras:  # a pattern that fits nothing is an error before anything is computed

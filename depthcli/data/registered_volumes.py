@@ -115,9 +115,7 @@ def label_masks(
         return
     present = sorted({float(label) for plane in near for label in np.unique(plane[plane > 0])})
     if present and (len(present) > _MAX_LABELS or present[-1] > _MAX_LABEL):
-        raise InputError(
-            f"{len(present)} values up to {present[-1]:g}, no labels: want at most {_MAX_LABELS} below 2^24"
-        )
+        raise InputError(f"{len(present)} values up to {present[-1]:g}: no label map, of at most {_MAX_LABELS} labels")
     names = {float(label): region for region, label in regions}
     if not names and present in ([], [1.0], [255.0]):
         yield name, near > 0
