@@ -158,6 +158,7 @@ def poses_of(
     """Return number of a frame -> where the camera of the first topic was, of those where it is known; and warnings."""
     import numpy as np
 
+    from depthcli.data.formats.poses import MAX_SINGLE_DELAY
     from depthcli.data.formats.ros_poses import MAX_DELAY
 
     role, name = next(iter(topics.images.items()))
@@ -182,8 +183,8 @@ def poses_of(
         if place is not None:
             poses[frame.number] = place @ inside
     if len(poses) < len(frames):
-        near = f"{MAX_DELAY * 1000:g} ms"
-        notes.append(f"{len(frames) - len(poses)} of {len(frames)} frames have no pose of {topics.pose} within {near}")
+        near = f"within {MAX_DELAY * 1000:g} ms on both sides, nor one within {MAX_SINGLE_DELAY * 1000:g} ms"
+        notes.append(f"{len(frames) - len(poses)} of {len(frames)} frames have no poses of {topics.pose} {near}")
     return poses, notes
 
 

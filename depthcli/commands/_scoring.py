@@ -14,6 +14,7 @@ from depthcli.batch.json_csv import Row, to_csv
 from depthcli.batch.reports import read_report
 from depthcli.commands._runs import names_in_run, recognized
 from depthcli.core.errors import DepthcliError, InputError
+from depthcli.core.text import without_secrets
 from depthcli.data import storage
 from depthcli.data.formats.files import collected_warnings, write_text
 from depthcli.data.formats.images import write_png
@@ -117,7 +118,7 @@ class Scoring:
     def results(self, scene: Scene, unique: bool) -> list[MapResult]:
         """Return the results of one scene for every run; ``unique``: no other scene has its short name."""
         folder, names = scene.name.rpartition("/")[0], self._names(scene, unique)
-        start = MapResult("", scene.name, folder or self.truth.resolve().name, "")
+        start = MapResult("", scene.name, folder or Path(without_secrets(str(self.truth))).resolve().name, "")
         try:
             protocol = self._protocol_of(scene)
             start = replace(start, protocol=protocol.name)

@@ -25,6 +25,7 @@ from depthcli.core.errors import ConfigError, DepthcliError, InputError
 from depthcli.core.option import Option
 from depthcli.core.plugins import Plugin
 from depthcli.core.registry import plugin_of, versions_here
+from depthcli.core.text import without_secrets
 
 if TYPE_CHECKING:
     from depthcli.commands._scoring import Scoring
@@ -210,7 +211,8 @@ def _scored(
                 reporter.info(f"--{name} makes no difference to {', '.join(scoring.protocols)}")
         hints = (*scoring.hints, *scoring.misfits)
         plugins = versions_here(_plugins(scoring, scenes))
-        report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, scoring.truth, hints, plugins)
+        shown_truth = without_secrets(str(scoring.truth))
+        report = EvaluationReport(tuple(scoring.runs), tuple(results), scoring.protocols, shown_truth, hints, plugins)
         if conditions:
             own = {run: _report_of(place, scenes) if rows is None else rows for run, place in scoring.runs.items()}
             report = replace(report, flags=flags_of_scores(conditions, report, own, reporter))

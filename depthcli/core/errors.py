@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import re
-
-from depthcli.core.text import printable
-
-_URL_AS_PATH = re.compile(r"\b(https?|s3|gs|ftp|memory):/(?=[^/\s])")  # paths have one slash of the two
+from depthcli.core.text import printable, without_secrets
 
 
 class DepthcliError(Exception):
-    """Base of the errors a command reports without a traceback. The message can always be printed and encoded."""
+    """Base of the errors a command reports without a traceback. The message can always be printed and encoded.
+
+    Queries and passwords of URLs stay out of it, as reports hold it.
+    """
 
     def __str__(self) -> str:
-        return _URL_AS_PATH.sub(r"\1://", printable(super().__str__()))
+        return without_secrets(printable(super().__str__()))
 
 
 class InputError(DepthcliError):

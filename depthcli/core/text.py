@@ -6,6 +6,9 @@ import re
 from collections.abc import Iterable
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
+_URL_AS_PATH = re.compile(r"\b(https?|s3|gs|ftp|memory):/(?=[^/\s])")  # paths have one slash of the two
+_PASSWORD = re.compile(r"(\b[a-z][a-z0-9+.-]+:/{1,2})[^/\s@]+@", re.IGNORECASE)
+_QUERY = re.compile(r"""(\b[a-z][a-z0-9+.-]+:/[^\s?'"]*)\?[^\s/'"]*?(?=[/'"]|[:;,)]*(?:\s|$))""", re.IGNORECASE)
 _FORMULA_STARTS = ("=", "+", "-", "@")  # cells that begin so are computed by spreadsheets (OWASP, CSV injection)
 
 
@@ -29,6 +32,16 @@ def _escape(character: str) -> str:
 def one_line(text: str) -> str:
     """Return ``text`` on one line, with escapes for line breaks and for what cannot be shown."""
     return printable(text).replace("\n", "\\n")
+
+
+def without_secrets(text: str) -> str:
+    """Return ``text`` with URLs as they are written, but without queries and passwords, such as signatures of a store.
+
+    Paths hold URLs with one slash, ``https:/host/a.zip``.
+    """
+    if ":/" not in text:
+        return text
+    return _URL_AS_PATH.sub(r"\1://", _QUERY.sub(r"\1", _PASSWORD.sub(r"\1", text)))
 
 
 def csv_cell(value: object) -> object:

@@ -60,7 +60,8 @@ def match_patterns(left: Path, right: Path, suffixes: Iterable[str]) -> list[Nam
     matches = [_matching(pattern, suffixes) for pattern in (left, right)]
     for pattern, files in zip((left, right), matches, strict=True):
         if not files:
-            raise ConfigError(f"{pattern}: matches no image")
+            query = "; a query behind its URL is read of archives alone" if ":/" in str(pattern) else ""
+            raise ConfigError(f"{pattern}: matches no image{query}")
     keys: tuple[Callable[[_Match], str], ...] = (
         lambda file: _without_side(file.captured),
         lambda file: _without_side(file.name),

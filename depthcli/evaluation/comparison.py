@@ -207,7 +207,7 @@ class EvaluationReport:
     runs : names of the runs
     results : one for every scene and run
     protocols : name -> protocol, of all that the results name
-    truth : folder or file of the ground truth
+    truth : folder or file of the ground truth, as people may see it
     hints : what was assumed of runs and scenes, and what looks wrong with the way they are scored, one line each
     plugins : package -> version, of the plug-ins that found, read and scored the scenes
     flags : what a person should look at, by conditions on columns
@@ -216,7 +216,7 @@ class EvaluationReport:
     runs: tuple[str, ...]
     results: tuple[MapResult, ...]
     protocols: dict[str, AnyProtocol]
-    truth: Path
+    truth: str
     hints: tuple[str, ...] = ()
     plugins: dict[str, str] = field(default_factory=dict)
     flags: Flags = field(default_factory=Flags)
@@ -262,7 +262,7 @@ class EvaluationReport:
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values; NaN where there is no number."""
         return {
-            "truth": str(self.truth),
+            "truth": self.truth,
             "runs": list(self.runs),
             "plugins": self.plugins,
             "results": [result.to_dict() for result in self.results],

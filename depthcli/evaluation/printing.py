@@ -109,7 +109,7 @@ def choose(tables: Sequence[Table], names: Sequence[str]) -> list[Table]:
 def report_markdown(report: EvaluationReport) -> str:
     """Return ``report.md``: all tables and warnings, with links to error pictures and plots."""
     runs = ", ".join(map(markdown_code, report.runs))
-    out = ["# Evaluation", "", f"Ground truth: {markdown_code(str(report.truth))}. Runs: {runs}.", ""]
+    out = ["# Evaluation", "", f"Ground truth: {markdown_code(report.truth)}. Runs: {runs}.", ""]
     if report.plugins:
         used = ", ".join(f"{package} {version}" for package, version in report.plugins.items())
         out += [f"Plug-ins: {markdown_code(used)}.", ""]

@@ -14,6 +14,7 @@ from typing import Any
 
 from depthcli.core.errors import ConfigError, InputError, OutputError
 from depthcli.core.flags import Flags
+from depthcli.core.text import without_secrets
 from depthcli.data.formats.files import write_text
 from depthcli.data.scenes import Scene
 from depthcli.evaluation import tables
@@ -133,7 +134,7 @@ class Page:
         kinds = dict.fromkeys(saved.view.protocol.presentation.pixel_kind_names for saved in scored)
         text = _template().render(
             style=_file("page.css"), scripts=[_file("page.js"), _file("viewer.js")],
-            report=report, command=self.command,
+            report=report, command=without_secrets(self.command),
             configs={run: text[:_MAX_CONFIG] for run, text in configs.items()}, factor=factor, assets=ASSETS,
             sections=[_section_data(section) for section in report.sections] if report else [],
             overview=tables.overview(report) if report else [], others=tables.further_tables(report) if report else [],

@@ -292,7 +292,10 @@ def test_frames_without_a_pose_are_said(tmp_path: Path, capsys: pytest.CaptureFi
     bag = write_recording(tmp_path / "rec.bag", [*color_and_depth("bag"), pose])
     assert run("extract", bag, "-o", tmp_path / "out", "--pose-topic", "/where", "-q") == 0
     run("extract", bag, "-o", tmp_path / "again", "--pose-topic", "/where")
-    assert "3 of 4 frames have no pose of /where within 100 ms" in capsys.readouterr().err
+    assert (
+        "3 of 4 frames have no poses of /where within 100 ms on both sides, nor one within 20 ms"
+        in capsys.readouterr().err
+    )
     assert len(read_poses(tmp_path / "out" / "rec" / "poses.txt").times) == 1
 
 

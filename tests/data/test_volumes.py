@@ -223,10 +223,10 @@ def test_labels_of_a_mask():
     assert labels_of([0, 0.3, 0.5, np.nan]) == {"m": [2]}
     assert labels_of([0, 1, 7], [("liver", 1), ("spleen", 2)]) == {"liver": [1], "spleen": [], "m_7": [2]}
     assert labels_of([0, 0]) == {"m": []}
-    with pytest.raises(InputError, match="2001 values up to 2001, no label map"):
+    with pytest.raises(InputError, match="2001 values up to 2001: no label map"):
         labels_of(range(2002))  # a scan
     assert len(labels_of(range(2001))) == 2000
-    with pytest.raises(InputError, match=r"values up to 1.67772e\+07, no label map"):
+    with pytest.raises(InputError, match=r"values up to 1.67772e\+07: no label map"):
         labels_of([1, 2**24 + 2])
     with pytest.raises(InputError, match="nearest neighbor"):
         labels_of([0, 1, 14172.01])  # blurred, though but little in proportion

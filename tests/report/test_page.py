@@ -278,7 +278,7 @@ def test_volumes_show_slices_of_their_errors(tmp_path: Path):
     page.begin_scene(judge, scene, judge.truth(scene))
     result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(volume, judge.truth(scene))))
     page.add_map(result, tmp_path / "box", volume, judge.truth(scene), {})
-    page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})
+    page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, "truth"), "{}", {})
     data = json.loads(read(tmp_path).scripts["data-0"])
     planes = [*volume, *volume.swapaxes(0, 1), *np.moveaxis(volume, 2, 0)]
     names = [f"{k + 1} of {n}" for n in (4, 6, 8) for k in range(n)]
@@ -328,7 +328,7 @@ def test_points_show_where_they_lie_on_a_grid(tmp_path: Path, on_grid: bool):
     result = MapResult("run", "box", "set", judge.name, scores=tuple(judge.scores(points, truth)))
     page.begin_scene(judge, scene, truth)
     page.add_map(result, tmp_path / "box", points, truth, {"c": points})
-    page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, tmp_path), "{}", {})
+    page.write(EvaluationReport(("run",), (result,), {judge.name: judge}, "truth"), "{}", {})
     reader = read(tmp_path)
     assert ("data-0" in reader.scripts) == on_grid
     assert "1 run, 1 scene of" in reader.text

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from depthcli.core.errors import InputError, OutputError
-from depthcli.core.text import one_line
+from depthcli.core.text import one_line, without_secrets
 from depthcli.data import storage
 from depthcli.data.storage.sized import size_of
 
@@ -45,7 +45,7 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 
 def shown(path: Path | str) -> str:
     """``path`` on one line for a message, whatever bytes it holds; very long ones lose their middle."""
-    text = one_line(str(path))
+    text = without_secrets(one_line(str(path)))
     return text if len(text) <= _MAX_SHOWN else f"{text[: _MAX_SHOWN // 2]}...{text[-_MAX_SHOWN // 2 :]}"
 
 
@@ -69,7 +69,7 @@ _collected: ContextVar[list[str] | None] = ContextVar("collected", default=None)
 
 def warn(text: str) -> None:
     """Say of a file, whose name ``text`` begins with, that it is read though something looks wrong with it."""
-    lines = _collected.get()
+    lines, text = _collected.get(), without_secrets(text)
     if lines is None:
         logging.getLogger("depthcli").warning("warning: %s", text)
     elif text not in lines:

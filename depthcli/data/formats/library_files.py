@@ -40,7 +40,7 @@ def library_path(path: Path, beside: Sequence[Path] = ()) -> Iterator[Path]:
         if away := [each for each in beside if not each.is_relative_to(path.parent) or ".." in each.parts]:
             raise InputError(f"names {away[0].name}, which does not lie beside it")
         for each in (path, *beside):
-            copy = stack.enter_context(os.fdopen(os.memfd_create(each.name[:200]), "wb"))
+            copy = stack.enter_context(os.fdopen(os.memfd_create("depthcli"), "wb"))
             with open_regular(each) as stream:
                 shutil.copyfileobj(stream, copy, 1 << 20)
             copy.flush()

@@ -16,7 +16,7 @@ from depthcli.data.formats.files import read_bytes
 Pose = tuple[float, ...]
 """The 16 numbers of a (4, 4) matrix, row by row: from the camera's coordinates to the world's, meters."""
 
-_MAX_DELAY = 0.02  # seconds, as of the TUM RGB-D benchmark's associate.py
+MAX_SINGLE_DELAY = 0.02  # seconds, as of the TUM RGB-D benchmark's associate.py
 _TIME_TOLERANCE = 1e-6  # seconds by which times differ that were rounded
 
 
@@ -33,7 +33,7 @@ class Poses:
     times: tuple[float, ...]
     matrices: tuple[NDArray[np.float64], ...]
 
-    def at(self, time: float, max_delay: float = _MAX_DELAY) -> Pose | None:
+    def at(self, time: float, max_delay: float = MAX_SINGLE_DELAY) -> Pose | None:
         """Return the pose at a time, interpolated between the two beside it; None where none is near.
 
         Where not both are at most ``max_delay`` (seconds) away, one that is at most 20 ms away counts as it is.
@@ -47,7 +47,7 @@ class Poses:
                 return _flat(_between(self.matrices[after - 1], self.matrices[after], (time - start) / (end - start)))
         near = [k for k in (after - 1, after) if 0 <= k < len(self.times)]
         nearest = min(near, key=lambda k: abs(self.times[k] - time), default=None)
-        if nearest is None or abs(self.times[nearest] - time) > min(max_delay, _MAX_DELAY) + _TIME_TOLERANCE:
+        if nearest is None or abs(self.times[nearest] - time) > min(max_delay, MAX_SINGLE_DELAY) + _TIME_TOLERANCE:
             return None
         return _flat(self.matrices[nearest])
 

@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from depthcli.core.errors import InputError
+from depthcli.core.text import without_secrets
 from depthcli.data.storage import remote
 from depthcli.data.storage.archive import LARGE_BYTES, Archive
 from depthcli.data.storage.kept import KeptBytes
@@ -42,7 +43,6 @@ ARCHIVE_SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz")
 # A URL may have a query behind it, such as the signature of a store.
 _ENDING = re.compile(r"\.(?:zip|tar|tar\.gz|tgz)(?:\?[^/]*=[^/]*)?(?=/|$)", re.IGNORECASE)
 AT_END = re.compile(r"\.(?:zip|tar|tar\.gz|tgz)(?:\?[^/]*=[^/]*)?$", re.IGNORECASE)
-_QUERY = re.compile(r"\?[^/]*")
 
 _OTHER_ENDING = re.compile(r"\.(?:tar\.(?:bz2|xz|zst|lz4|Z)|tbz2?|txz|7z|rar)$", re.IGNORECASE)
 _MAX_OPEN = 8  # archives of a process
@@ -201,11 +201,11 @@ def is_other_archive(path: Path | str) -> bool:
 
 
 def location(path: Path) -> str:
-    """Return the absolute path, or the URL without its query, which may be a secret."""
+    """Return the absolute path, or the URL without what may be a secret: its query, and a password."""
     place = None if os.path.lexists(path) else _place(path)
     if place is None or not place.url:
         return str(path.absolute())
-    url = _QUERY.sub("", place.url)
+    url = without_secrets(place.url)
     return f"{url}/{place.inside}" if place.inside else url
 
 
@@ -296,9 +296,10 @@ def _archive(place: _Place) -> Archive:
         from depthcli.data.storage.zips import Zip
 
         file = remote.open_file(place.url, False)[0] if place.url else open(place.container, "rb")  # noqa: SIM115
-        name = _QUERY.sub("", place.container).lower() if place.url else place.container.lower()
+        found = AT_END.search(place.container)
+        ending = found[0].partition("?")[0].lower() if found else ""
         try:
-            archive = Zip(file) if name.endswith(".zip") else Tar(file, packed=name.endswith("gz"))
+            archive = Zip(file) if ending == ".zip" else Tar(file, packed=ending.endswith("gz"))
         except BaseException:
             file.close()
             raise
