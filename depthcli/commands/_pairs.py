@@ -123,16 +123,17 @@ class PairCommand(ConfigCommand[PairConfigT, StereoScene]):
 
         With several right views, a run for each pair, and one of their maps, fused.
         """
-        from depthcli.api.rectification import read_rig
-        from depthcli.commands._several_cameras import run_pairs
-
         config, given = self.config(values), values["right"]
         rights = given if isinstance(given, list) else [given]  # a single one of a pair of several cameras
         if len(rights) > 1:
+            from depthcli.commands._several_cameras import run_pairs
+
             return run_pairs(self, config, rights, values, reporter)
         if values.get("baselines") is not None:
             raise ConfigError("--baselines wants a --right for each of them")
         if config.calibration is not None:
+            from depthcli.api.rectification import read_rig
+
             read_rig(config.calibration)
         return super().run({**values, "right": rights[0] if rights else None}, reporter)
 

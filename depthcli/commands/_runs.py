@@ -11,7 +11,7 @@ from depthcli.batch.command import Values
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.data import storage
 from depthcli.data.formats.files import shown
-from depthcli.data.storage.patterns import top_folder
+from depthcli.data.storage.patterns import stem, top_folder
 from depthcli.evaluation.comparison import run_names
 from depthcli.evaluation.map_files import MapOptions, found_patterns, map_paths
 from depthcli.evaluation.protocols import AnyProtocol
@@ -39,7 +39,8 @@ def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
     if absent := [place for _, place in given if not (storage.is_dir(place) or storage.is_file(place))]:
         raise InputError(f"{shown(absent[0])}: no such folder")
     given = [(name, (top_folder(place) if storage.is_archive(place) else None) or place) for name, place in given]
-    unnamed = iter(run_names(places) if (places := [place for name, place in given if not name]) else [])
+    places = [place.with_name(stem(place)) if storage.is_archive(place) else place for name, place in given if not name]
+    unnamed = iter(run_names(places) if places else [])
     names = [name or next(unnamed) for name, _ in given]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"two runs are called {twice[0]}: give one of them another name, NAME=DIR")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -18,6 +18,7 @@ from depthcli.data.pairs import TABLE_SUFFIXES
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.disparity_map import DisparityScene
 from depthcli.data.scenes.stereo import StereoScene
+from depthcli.data.storage.patterns import top_folder
 from depthcli.data.walk import NoScenesError, chosen_scenes, discover_scenes, matches_any, scenes_with_files
 
 _MAP = "disp_left.pfm"
@@ -97,6 +98,8 @@ def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
                 name=run.stem, folder=run.parent, disparity=run, left=values["left"], calibration=values["calibration"]
             )
         ]
+    if storage.is_archive(run):
+        run = top_folder(run) or run
     rows = read_report(run)
     names = _names_of_maps(run, [name for name in rows if is_inside(name)], values["scenes"] or ["*"])
     done = {name for name, row in rows.items() if row.get("status") == "done" and is_inside(name)}
@@ -123,11 +126,18 @@ def _names_of_maps(run: Path, reported: Sequence[str], patterns: Sequence[str]) 
     if not storage.is_dir(run):
         raise InputError(f"{run}: no such run folder or map")
     names = {name for name in reported if storage.is_file(run / name / _MAP)}
-    names |= {path.parent.relative_to(run).as_posix() for depth in ("*", "*/*") for path in run.glob(f"{depth}/{_MAP}")}
+    found = (file.parent.relative_to(run) for file in _maps_in(run))
+    names |= {place.as_posix() for place in found if 1 <= len(place.parts) <= 2}
     chosen = sorted(name for name in names if not name.startswith(".") and matches_any(name, patterns))
     if not chosen:
         raise InputError(f"{run}: no {'scene matches' if names else 'disparity maps there'} (SCENE/{_MAP})")
     return chosen
+
+
+def _maps_in(run: Path) -> Iterator[Path]:
+    if run.is_dir():
+        return (file for depth in ("*", "*/*") for file in run.glob(f"{depth}/{_MAP}"))
+    return (file for file in storage.files_below(run) if file.name == _MAP)
 
 
 def _map_of(folder: Path, name: str, pair: Scene | None, source: Path | None, values: Values) -> DisparityScene:

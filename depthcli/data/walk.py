@@ -16,7 +16,7 @@ from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.layouts import Folder, Layout, layouts, own_layouts
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import with_sequences
-from depthcli.data.storage.patterns import archives_in, matching, stem, top_folder
+from depthcli.data.storage.patterns import archives_in, is_pattern, matching, stem, top_folder
 
 _RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.batch.run_folder
 _MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
@@ -72,8 +72,7 @@ def discover_scenes(
     if not storage.is_dir(folder):
         archives = matching(folder)
         if not archives:
-            no_archive = "want a .zip, .tar, .tar.gz or .tgz file" if storage.is_other_archive(folder) else ""
-            raise InputError(f"{folder}: {no_archive or 'no such folder'}")
+            raise InputError(f"{folder}: {_why_no_folder(folder)}")
     fitting = tuple(kinds) if kinds is not None else (Scene,)
     wanted = _wanted(own_layouts(), fitting, layout)
     found = _find(folder, archives, wanted, layout, warn) if wanted else []
@@ -88,8 +87,19 @@ def discover_scenes(
         looked_for = f"{names}: {wanted[0].wants.replace('`', '').partition(';')[0]}"
         if len(wanted) > 1:
             looked_for = f"files of the layouts {names}; depthcli help layouts names them"
-        raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {looked_for})")
+        inside = archives_in(top_folder(folder) or folder) if storage.is_archive(folder) else []
+        nested = f"; it holds archives, such as {inside[0].name}: unpack it" if inside else ""
+        raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {looked_for}){nested}")
     return chosen_scenes(found, patterns, folder)
+
+
+def _why_no_folder(path: Path) -> str:
+    kinds = "a .zip, .tar, .tar.gz or .tgz file"
+    if storage.is_other_archive(path):
+        return f"want {kinds}"
+    if storage.is_file(path):
+        return f"a file, want a folder, or {kinds}"
+    return "no archive has such a name" if is_pattern(path) else "no such folder"
 
 
 def _wanted(known: Iterable[Layout], kinds: tuple[type[Scene], ...], layout: str | None) -> tuple[Layout, ...]:
@@ -117,9 +127,12 @@ def _find(
         found += _scenes_or_problem(child, child.name, wanted, requested) or _scenes_below(
             child, child.name, wanted, requested, warn
         )
-    if not found and storage.is_plain(folder):  # beside scenes they are what these were unpacked from
-        for each in archives_in(folder):
-            found += _scenes_in_archive(each, wanted, requested, warn)
+    beside = archives_in(folder) if folder.is_dir() else []
+    if found and beside:  # what these were unpacked from, perhaps
+        more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
+        warn(f"{folder}: {beside[0].name}{more} beside the scenes not read; to use it, give it as --input")
+    for each in () if found else beside:
+        found += _scenes_in_archive(each, wanted, requested, warn)
     return [*found, *damaged]
 
 

@@ -158,7 +158,7 @@ def found_patterns(folder: Path, scenes: Mapping[str, Sequence[str]], suffixes: 
 
 def map_paths(folder: Path, suffixes: Sequence[str]) -> Iterator[str]:
     """Yield the paths of the files with these endings in a folder, relative to it, with ``/``, sorted."""
-    if not storage.is_plain(folder):
+    if not os.path.isdir(folder):  # in an archive
         below = sorted(path.relative_to(folder).as_posix() for path in storage.files_below(folder))
         yield from (path for path in below if path.lower().endswith(tuple(suffixes)))
         return

@@ -10,6 +10,7 @@ import re
 import shutil
 import tarfile
 import threading
+import time
 import zipfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -20,11 +21,13 @@ import numpy as np
 import pytest
 
 from depthcli.cli import main
+from depthcli.core.errors import InputError
 from depthcli.core.text import without_secrets
 from depthcli.data import storage
 from depthcli.data.formats.files import open_regular, read_bytes
 from depthcli.data.formats.images import write_png
 from depthcli.data.formats.library_files import library_path
+from depthcli.data.storage import remote
 from depthcli.data.storage.sized import size_of
 from depthcli.data.storage.unpacking import UnpackedGzip
 from depthcli.data.walk import discover_scenes
@@ -305,10 +308,13 @@ class _Server(SimpleHTTPRequestHandler):
 
     def do_GET(self) -> None:
         self.path = re.sub(r"/get\?.*", "/a.zip", self.path)
+        self.path = self.path.replace("/lost/", "/") if not self.headers.get("Range") else self.path
         path, wanted = Path(self.translate_path(self.path)), self.headers.get("Range", "")
         found = re.match(r"bytes=(\d+)-(\d*)", wanted) if self.ranges and path.is_file() else None
-        if self.path.startswith("/broken"):
+        if self.path.startswith("/broken") or (self.path.startswith("/lost") and wanted not in ("", "bytes=1-1")):
             self.send_error(500)
+        elif self.path.startswith("/silent"):
+            time.sleep(3)
         elif found is None:
             with contextlib.suppress(OSError):
                 super().do_GET()
@@ -365,6 +371,64 @@ def test_urls(scenes: Path, server: str, tmp_path: Path, capsys: pytest.CaptureF
         assert url.partition("?")[0][-8:] in line and words in line
 
 
+def test_archives_that_are_not_read_are_said(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(scenes, tmp_path / "in")
+    _zip(scenes, tmp_path / "in" / "more.zip")
+    _zip(scenes, tmp_path / "in" / "others.zip")
+    lines: list[str] = []
+    assert len(discover_scenes(tmp_path / "in", warn=lines.append)) == 2
+    assert len(lines) == 1 and "more.zip and 1 more beside the scenes not read" in lines[0]
+    (tmp_path / "nest").mkdir()
+    _zip(scenes, tmp_path / "nest" / "inner.zip")
+    for start in ("", "top/"):
+        with pytest.raises(InputError, match=r"it holds archives, such as inner\.zip: unpack it"):
+            discover_scenes(_zip(tmp_path / "nest", tmp_path / "outer.zip", start))
+    for name, words in (
+        ("file.txt", "a file, want a folder, or a .zip"), ("*.zip", "no archive has such a name"),
+        ("none", "no such folder"), ("a.rar", "want a .zip"),
+    ):  # fmt: skip
+        (tmp_path / "words").mkdir(exist_ok=True)
+        if "." in name and "*" not in name:
+            (tmp_path / "words" / name).write_bytes(b"x")
+        with pytest.raises(InputError, match=words):
+            discover_scenes(tmp_path / "words" / name)
+
+
+@pytest.mark.slow
+def test_depth_of_a_run_in_an_archive(scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stereo", "fast", "-i", str(scenes), "-o", str(tmp_path / "run"), "-q"]) == 0
+    words = ["--focal", "30", "--baseline", "0.1", "-q", "-o"]
+    assert main(["depth", str(tmp_path / "run"), *words, str(tmp_path / "one")]) == 0
+    for name, start in (("two", ""), ("three", "runs/")):
+        archive = _zip(tmp_path / "run", tmp_path / f"{name}.zip", start)
+        assert main(["depth", str(archive), *words, str(tmp_path / name)]) == 0
+        for scene in ("s0", "s1"):
+            first, second = ((tmp_path / run / scene / "depth.pfm").read_bytes() for run in ("one", name))
+            assert first == second
+
+
+@pytest.mark.slow
+def test_a_server_that_does_not_answer_is_waited_for_once(
+    server: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("fsspec")
+    monkeypatch.setattr(remote, "_READ_SECONDS", 0.5)
+    monkeypatch.setattr(remote, "_NEXT_SECONDS", 0.2)
+    monkeypatch.setattr(remote, "_silent", set())
+    for longest in (5, 1.5):
+        start = time.monotonic()
+        with pytest.raises(InputError, match="did not answer in time"):
+            remote.open_file(f"{server}/silent/a.zip", False)
+        assert time.monotonic() - start < longest
+
+
+@pytest.mark.slow
+def test_a_server_that_fails_in_the_middle_is_said(server: str) -> None:
+    pytest.importorskip("fsspec")
+    with pytest.raises(InputError, match=r"the server failed|did not answer"):
+        discover_scenes(f"{server}/lost/a.zip")
+
+
 @pytest.mark.slow
 def test_signatures_of_urls_stay_out_of_all_that_is_written(scenes: Path, server: str, tmp_path: Path, capsys) -> None:
     pytest.importorskip("fsspec")
@@ -374,8 +438,10 @@ def test_signatures_of_urls_stay_out_of_all_that_is_written(scenes: Path, server
     _zip(broken, scenes.parent / "signed.zip")
     url, run = f"{server}/signed.zip?X-Token=SECRET&b=1", tmp_path / "run"
     assert main(["stereo", "fast", "-i", url, "-o", str(run), "--html", "--evaluate"]) == 3
+    _zip(run, scenes.parent / "run.zip")
     words = ["--truth", url, "-o", str(tmp_path / "scores"), "--html", "--log", str(tmp_path / "log.jsonl")]
-    assert main(["evaluate", str(run), *words]) == 3
+    assert main(["evaluate", str(run), f"{server}/run.zip?X-Token=SECRET", "--maps", "zip={scene}.pfm", *words]) == 2
+    assert main(["evaluate", f"own={run}", f"{server}/run.zip?X-Token=SECRET", *words]) == 3
     assert "signed.zip/s0/left.png: truncated PNG" in (run / "report.csv").read_text()
     assert f"{server}/signed.zip" in (tmp_path / "scores" / "scores.json").read_text()
     files = [file for file in tmp_path.rglob("*") if file.is_file()]

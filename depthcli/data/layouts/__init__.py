@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar
@@ -66,13 +66,7 @@ class Folder:
 
     @cached_property
     def _by_stem(self) -> dict[str, list[tuple[str, str]]]:
-        # Stem -> (ending, name), as pathlib divides names; by hand, since folders of thousands of scenes are listed.
-        by_stem: dict[str, list[tuple[str, str]]] = {}
-        for name in sorted(self.names):
-            dot = name.rfind(".")
-            dot = dot if 0 < dot < len(name) - 1 else len(name)
-            by_stem.setdefault(name[:dot], []).append((name[dot:].lower(), name))
-        return by_stem
+        return _by_stem(self.names)
 
     @cached_property
     def meta(self) -> Meta:
@@ -84,6 +78,17 @@ class Folder:
         with naming(path):
             fields = json_object(data)
         return Meta(path, {key: value for key, value in fields.items() if value is not None})
+
+
+@lru_cache(maxsize=8)  # folders of thousands of scenes have the same names in them
+def _by_stem(names: frozenset[str]) -> dict[str, list[tuple[str, str]]]:
+    """Return stem -> (ending in lower case, name), sorted; stems and endings are as pathlib divides names."""
+    by_stem: dict[str, list[tuple[str, str]]] = {}
+    for name in sorted(names):
+        dot = name.rfind(".")
+        dot = dot if 0 < dot < len(name) - 1 else len(name)
+        by_stem.setdefault(name[:dot], []).append((name[dot:].lower(), name))
+    return by_stem
 
 
 class Meta:

@@ -164,7 +164,7 @@ def holding(path: Path, folders: list[Path], name: str) -> list[Path]:
 
 def files_below(path: Path) -> Iterator[Path]:
     """Yield the files in a folder and in those below it, hidden ones left out; links to folders are not followed."""
-    if is_plain(path):
+    if os.path.isdir(path):
         yield from (each for each in path.rglob("[!.]*") if os.path.isfile(each))
         return
     folders = {folder.name for folder in subfolders(path)}

@@ -7,7 +7,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import BinaryIO, Generic, TypeVar
+from typing import BinaryIO, Generic, NamedTuple, TypeVar
 
 from depthcli.core.errors import InputError
 
@@ -29,8 +29,7 @@ _PLAIN_NAME = re.compile(r"[A-Za-z0-9_-][\w.-]{,99}(?:/[A-Za-z0-9_-][\w.-]{,99})
 WhereT = TypeVar("WhereT")
 
 
-@dataclass(frozen=True)
-class Member(Generic[WhereT]):
+class Member(NamedTuple, Generic[WhereT]):
     """A file in an archive.
 
     Attributes

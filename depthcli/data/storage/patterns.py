@@ -27,6 +27,11 @@ def matching(pattern: Path) -> list[Path]:
     return sorted(named) if str(pattern) not in map(str, named) else []
 
 
+def is_pattern(path: Path) -> bool:
+    """Return whether a path is a pattern of several."""
+    return bool(_WILD.search(str(path)) or _BRACES.search(str(path)))
+
+
 def archives_in(folder: Path) -> list[Path]:
     """Return the archives in a folder, sorted."""
     return [folder / name for name in storage.names(folder) if name[:1] != "." and AT_END.search(name)]

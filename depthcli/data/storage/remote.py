@@ -18,8 +18,12 @@ from depthcli.data.storage.sized import RawFile
 _URL = re.compile(r"(?:^|/)([a-z][a-z0-9+.-]+):/+(.+)", re.IGNORECASE)
 _BLOCK_BYTES = 1 << 20  # that are fetched at a time
 _CONNECT_SECONDS, _READ_SECONDS = 15, 60  # without an answer
+_NEXT_SECONDS = 5  # of a server that did not answer before
 _MAX_FOLDERS = 4096  # whose listings are kept
 _MAX_WORDS = 160  # characters of what a server or library says
+
+_silent: set[str] = set()
+"""Servers that did not answer this process in time; each of a thousand scenes would wait as long for them."""
 
 _listed: OrderedDict[str, dict[str, bool]] = OrderedDict()
 """URL of a folder -> name -> whether it is a folder, of the folders that this process listed last."""
@@ -50,7 +54,7 @@ def is_file(url: str) -> bool:
     try:
         return bool(system.isfile(place))
     except Exception as error:
-        raise _failure(error) from error
+        raise _failure(error, url) from error
 
 
 def names(url: str) -> list[str]:
@@ -88,9 +92,9 @@ def open_file(url: str, whole: bool) -> tuple[BinaryIO, int]:
             file.seek(1)
             file.read(1)
             file.seek(0)
-        return io.BufferedReader(_Blocks(file), _BLOCK_BYTES >> 3), int(size)
+        return io.BufferedReader(_Blocks(file, url), _BLOCK_BYTES >> 3), int(size)
     except Exception as error:
-        raise _failure(error) from error
+        raise _failure(error, url) from error
 
 
 def _entries(url: str) -> dict[str, bool]:
@@ -104,7 +108,7 @@ def _entries(url: str) -> dict[str, bool]:
     except NotADirectoryError:
         raise FileNotFoundError(errno.ENOENT, "no such folder") from None
     except Exception as error:
-        raise _failure(error) from error
+        raise _failure(error, url) from error
     own = system._strip_protocol(url).rstrip("/")
     entries = {}
     for each in found:
@@ -133,7 +137,8 @@ def _system(url: str) -> tuple[Any, str]:
         if url.startswith("http"):
             import aiohttp
 
-            limits = aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_SECONDS, sock_read=_READ_SECONDS)
+            waits = (_NEXT_SECONDS, _NEXT_SECONDS) if _server(url) in _silent else (_CONNECT_SECONDS, _READ_SECONDS)
+            limits = aiohttp.ClientTimeout(total=None, sock_connect=waits[0], sock_read=waits[1])
             options = {"client_kwargs": {"timeout": limits}}
         system, place = fsspec.core.url_to_fs(url, **options)
     except ImportError as error:
@@ -146,14 +151,18 @@ def _system(url: str) -> tuple[Any, str]:
 class _Blocks(RawFile):
     """A file behind a URL; whatever goes wrong on the way is an OSError."""
 
+    def __init__(self, file: Any, url: str) -> None:
+        super().__init__(file)
+        self._url = url
+
     def _next(self, size: int) -> bytes:
         try:
             return super()._next(size)
         except Exception as error:
-            raise OSError(errno.EIO, str(_failure(error))) from error
+            raise OSError(errno.EIO, str(_failure(error, self._url))) from error
 
 
-def _failure(error: Exception) -> Exception:
+def _failure(error: Exception, url: str) -> Exception:
     if isinstance(error, InputError):
         return error
     if isinstance(error, FileNotFoundError):  # the library says this of any failure to ask for a file
@@ -165,8 +174,13 @@ def _failure(error: Exception) -> Exception:
     if isinstance(error, ValueError) and ("range" in words.lower() or "seek" in words.lower()):
         return InputError("the server gives no parts of files (HTTP ranges), which archives and large files need")
     if "timeout" in type(error).__name__.lower() or isinstance(error, TimeoutError):
+        _silent.add(_server(url))
         return InputError("the server did not answer in time; try again")
     return InputError(f"the server failed ({words})")
+
+
+def _server(url: str) -> str:
+    return url.partition("://")[2].partition("/")[0]
 
 
 def _words(error: Exception) -> str:

@@ -27,6 +27,8 @@ class Zip(Archive):
         try:
             self._zip = zipfile.ZipFile(file)
         except _DAMAGE as error:
+            if isinstance(error.__context__, OSError):  # the library calls whatever cannot be read no zip file
+                raise error.__context__ from None
             raise InputError(f"not a zip file, or cut short ({str(error)[:100]})") from error
         self.listing: Listing[Any] = listing_of(self._members())
 
