@@ -130,7 +130,7 @@ def _find(
     beside = archives_in(folder) if folder.is_dir() else []
     if found and beside:  # what these were unpacked from, perhaps
         more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
-        warn(f"{folder}: {beside[0].name}{more} beside the scenes not read; to use it, give it as --input")
+        warn(f"{folder}: {beside[0].name}{more} beside the scenes not read; to use it, name it itself")
     for each in () if found else beside:
         found += _scenes_in_archive(each, wanted, requested, warn)
     return [*found, *damaged]
