@@ -45,11 +45,13 @@ def find_photos(folders: Sequence[Path]) -> tuple[list[Photos], list[Path]]:
     Raises
     ------
     InputError
-        No such folder, no photo, two photos of one name, or names of two cameras of which none agree.
+        No such folder, one for both cameras, no photo, two of one name, or names of two cameras of which none agree.
     """
     found = [_images(folder) for folder in folders]
     place = " and ".join(map(shown, folders))
     if len(folders) == 2:
+        if os.path.samefile(*folders):
+            raise InputError(f"{shown(folders[0])}: given for both cameras; give one of each, left first")
         for word in (None, *_WORDS):  # the folders may hold left01.png and right01.png
             left, right = (_keyed(files.items(), word, place) for files in found)
             if set(left) & set(right):

@@ -230,3 +230,10 @@ def test_cameras_of_two_sizes_are_refused(chess: Path, tmp_path: Path, capsys: p
     command = ["calibrate", str(tmp_path / "photos"), "--board", "9x6", "--square", "25mm"]
     assert main([*command, "-o", str(tmp_path / "stereo.yml")]) == 2
     assert "bring" in capsys.readouterr().err and not (tmp_path / "stereo.yml").exists()
+
+
+def test_one_folder_for_both_cameras_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_png(tmp_path / "a.png", np.zeros((4, 4), np.uint8))
+    command = ["calibrate", str(tmp_path), f"{tmp_path}/.", "--board", "9x6", "--square", "25mm"]
+    assert main([*command, "-o", str(tmp_path / "stereo.yml")]) == 2
+    assert "given for both cameras" in capsys.readouterr().err
