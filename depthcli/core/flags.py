@@ -183,7 +183,7 @@ def _lines(condition: Condition, rows: Sequence[Mapping[str, Any]], values: Sequ
 
 def _concerns(condition: Condition, row: Mapping[str, Any]) -> bool:
     """Return whether a row is of the region that a condition names, or the condition names none."""
-    return condition.of_region is None or condition.of_region[1] in ("", plain_name(row["region"]))
+    return condition.of_region is None or plain_name(condition.of_region[1]) in ("", plain_name(row["region"]))
 
 
 def _like(heading: str, rows: Sequence[Mapping[str, Any]]) -> str:

@@ -181,7 +181,7 @@ def test_a_mask_that_cannot_be_used_is_flagged_whatever_region_is_named():
     assert flags.warnings == ("condition 'region_95_liver>5': 1 of 2 regions have no value there",)
 
 
-@pytest.mark.parametrize("name", ["lobe 01", "left  lung", "V1.0 part", "a(1)"])
+@pytest.mark.parametrize("name", ["lobe 01", "01 lobe", "left  lung", "V1.0 part", "a(1)"])
 def test_regions_of_any_name_can_be_named_in_conditions(name):
     rows = [{"scene": "a", f"region_95_{name}": 6.0, "region_95_other": 7.0}]
     (found,) = flag_rows(parse_conditions([f"region_95_{name}>5"], REGIONS), rows).flagged
