@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from depthcli.core.conditions import Condition
     from depthcli.core.flags import Flags
     from depthcli.evaluation.comparison import EvaluationReport
+
+_IN_BRACKETS = re.compile(r" \([\d.]+\)$")
 
 FLAGS = (
     Option("flag", str, "Rows to look at: 'measured<0.6', 'z(bad 2)>3'.", "CONDITION", repeatable=True,
@@ -53,7 +56,8 @@ def flags_of_scores(
 ) -> Flags:
     """Return what the conditions flag in an evaluation: by its scores, and by what the reports of the runs say.
 
-    A metric is that of the region behind its name, or else of the protocol's main region.
+    A metric is that of the region behind its name, or else of the protocol's main region; ``bad 2 (0.5)``, whose
+    threshold in pixels of a smaller image stands in brackets, is ``bad 2``, too.
 
     Parameters
     ----------
@@ -69,6 +73,7 @@ def flags_of_scores(
             scores: Row = {}
             for region in reversed(section.regions):
                 here = {score.metric.heading: score.value for score in result.scores if score.region == region}
+                here = {_IN_BRACKETS.sub("", heading): value for heading, value in here.items()} | here
                 scores |= {plain_name(f"{heading} {region}"): value for heading, value in here.items()}
                 scores |= {plain_name(heading): value for heading, value in here.items()}
             status = {"status": "failed"} if result.error else {}

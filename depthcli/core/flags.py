@@ -80,6 +80,14 @@ class Flags:
     warnings: tuple[str, ...] = ()
     unanswered: tuple[str, ...] = ()
 
+    @property
+    def regions(self) -> list[str]:
+        """Names of the regions with verdicts: first those flagged in some scene, then those with a value."""
+        ranks: dict[str, int] = {}
+        for each in self.verdicts:
+            ranks[each.region] = min(ranks.get(each.region, 2), ("flagged", "passed", "unknown").index(each.verdict))
+        return sorted(ranks, key=ranks.__getitem__)
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for JSON: nothing without conditions, and no ``verdicts`` without one on regions."""
         if not self.conditions:

@@ -259,7 +259,7 @@ def _scene_data(report: EvaluationReport, view: SceneView) -> dict[str, Any]:
 
 def _verdict_table(flags: Flags) -> dict[str, Any] | None:
     """Return the verdicts as a table, scenes with the most flagged regions first; None for none, or too many."""
-    regions = list(dict.fromkeys(each.region for each in flags.verdicts))
+    regions = flags.regions
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     for each in flags.verdicts:
         rows.setdefault((each.scene, each.run), {})[each.region] = each

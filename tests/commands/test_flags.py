@@ -10,6 +10,7 @@ import pytest
 
 from depthcli.cli import main
 from depthcli.core.volumes import Grid
+from depthcli.data.formats.disparity import write_pfm
 from depthcli.data.formats.volumes import read_volume, write_array
 
 
@@ -53,6 +54,26 @@ def test_scores_flag_scenes_in_tables_json_and_page(scenes, tmp_path, capsys):
     capsys.readouterr()
     assert main([*command[:-4], "--json"]) == 0
     assert "flagged" not in json.loads(capsys.readouterr().out)
+
+
+def test_thresholds_of_smaller_images_are_named_by_those_of_the_full_size(scenes, tmp_path, capsys):
+    truth = tmp_path / "truth"
+    camera = "[100 0 60; 0 100 45; 0 0 1]"
+    calibration = f"cam0={camera}\ncam1={camera}\ndoffs=0\nbaseline=100\nwidth=120\nheight=90\nndisp=16\n"
+    for scene in ("planes_0", "foreground_0"):
+        (truth / scene).mkdir(parents=True)
+        write_pfm(truth / scene / "disp0GT.pfm", np.full((90, 120), 4, np.float32))
+        for name, file in (("im0.png", "left.png"), ("im1.png", "right.png")):
+            (truth / scene / name).write_bytes((scenes / scene / file).read_bytes())
+        (truth / scene / "calib.txt").write_text(calibration)
+        write_pfm(tmp_path / "run" / f"{scene}.pfm", np.full((90, 120), 4 if scene == "planes_0" else 9, np.float32))
+    command = ["evaluate", str(tmp_path / "run"), "--truth", str(truth), "-o", str(tmp_path / "out")]
+    assert (
+        main([*command, "--flag", "bad 2 all>10", "--flag", "totbad 2>10", "--resolution", "H", "--fail-flagged"]) == 4
+    )
+    out = capsys.readouterr().out
+    assert re.search(r"foreground_0 +run +bad 2 all 100 > 10; totbad 2 100 > 10", out)
+    assert "bad 2 (1)" in (tmp_path / "out" / "report.md").read_text()
 
 
 @pytest.mark.parametrize("text", ["bda 1>2", "measured", "measured<much"])

@@ -151,6 +151,11 @@ def test_conditions_on_regions_give_a_verdict_for_every_scene_and_region():
         "condition 'status=failed': 2 of 3 rows have no value there",
         "condition 'region_95>5': 3 of 6 regions have no value there",
     )
+    assert flags.regions == ["liver", "tumor"]
+    named = flag_rows(parse_conditions(["region_95_tumor>5"], REGIONS), [{"region_95_liver": 1.0, **REGION_ROWS[0]}])
+    assert named.regions == ["tumor"]
+    rows = [{"scene": "a", "region_volume_a": 1.0, "region_95_b": 2.0, "region_95_c": 9.0}]
+    assert flag_rows(parse_conditions(["region_95>5"], REGIONS), rows).regions == ["c", "b", "a"]
     assert flags.to_dict()["flagged"][1] == {"scene": "b", "region": "liver", "reasons": ["region_95 7.5 > 5"]}
 
 
