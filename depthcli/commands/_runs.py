@@ -11,7 +11,7 @@ from depthcli.batch.command import Values
 from depthcli.core.errors import ConfigError, InputError
 from depthcli.data import storage
 from depthcli.data.formats.files import shown
-from depthcli.data.storage.patterns import stem, top_folder
+from depthcli.data.storage.patterns import entered, stem
 from depthcli.evaluation.comparison import run_names
 from depthcli.evaluation.map_files import MapOptions, found_patterns, map_paths
 from depthcli.evaluation.protocols import AnyProtocol
@@ -38,7 +38,7 @@ def find_runs(runs: Sequence[Path | str]) -> dict[str, Path]:
         raise InputError("no run to evaluate")
     if absent := [place for _, place in given if not (storage.is_dir(place) or storage.is_file(place))]:
         raise InputError(f"{shown(absent[0])}: no such folder")
-    given = [(name, (top_folder(place) if storage.is_archive(place) else None) or place) for name, place in given]
+    given = [(name, entered(place)) for name, place in given]
     places = [place.with_name(stem(place)) if storage.is_archive(place) else place for name, place in given if not name]
     unnamed = iter(run_names(places) if places else [])
     names = [name or next(unnamed) for name, _ in given]

@@ -18,7 +18,7 @@ from depthcli.data.pairs import TABLE_SUFFIXES
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.disparity_map import DisparityScene
 from depthcli.data.scenes.stereo import StereoScene
-from depthcli.data.storage.patterns import top_folder
+from depthcli.data.storage.patterns import entered
 from depthcli.data.walk import NoScenesError, chosen_scenes, discover_scenes, matches_any, scenes_with_files
 
 _MAP = "disp_left.pfm"
@@ -98,8 +98,7 @@ def find_maps(values: Values, reporter: Reporter) -> list[DisparityScene]:
                 name=run.stem, folder=run.parent, disparity=run, left=values["left"], calibration=values["calibration"]
             )
         ]
-    if storage.is_archive(run):
-        run = top_folder(run) or run
+    run = entered(run)
     rows = read_report(run)
     names = _names_of_maps(run, [name for name in rows if is_inside(name)], values["scenes"] or ["*"])
     done = {name for name, row in rows.items() if row.get("status") == "done" and is_inside(name)}

@@ -74,6 +74,11 @@ class Scoring:
         """Small pictures of the first scenes."""
         return ContactSheet(list(self.runs))
 
+    @cached_property
+    def _data_set(self) -> str:
+        """Name of the data set of scenes that lie in the folder of the truth itself."""
+        return Path(without_secrets(str(self.truth))).resolve().name
+
     def recognize_maps(self, scenes: Sequence[Scene]) -> None:
         """Find the pattern of the maps of every run that holds none under a usual name.
 
@@ -118,7 +123,7 @@ class Scoring:
     def results(self, scene: Scene, unique: bool) -> list[MapResult]:
         """Return the results of one scene for every run; ``unique``: no other scene has its short name."""
         folder, names = scene.name.rpartition("/")[0], self._names(scene, unique)
-        start = MapResult("", scene.name, folder or Path(without_secrets(str(self.truth))).resolve().name, "")
+        start = MapResult("", scene.name, folder or self._data_set, "")
         try:
             protocol = self._protocol_of(scene)
             start = replace(start, protocol=protocol.name)

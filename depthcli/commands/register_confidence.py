@@ -75,11 +75,11 @@ class RegisterConfidenceCommand(ConfigCommand["RegisterConfidenceConfig", Volume
         """Return a line for each label map of which some pairs hold the first label alone, so that it has no number."""
         start = region_column(VOLUME)
         own = {str(row["scene"]): {key.removeprefix(start) for key in row if key.startswith(start)} for row in rows}
-        masks = {scene.name: dict(scene.regions) for scene in scenes if own.get(scene.name)}
+        masks = {scene.name: {name for name, _ in scene.regions} for scene in scenes if own.get(scene.name)}
         numbered = {
             found[1]
             for scene, names in own.items()
-            for name in names - masks.get(scene, {}).keys()
+            for name in names - masks.get(scene, set())
             if (found := _NUMBERED.fullmatch(name))
         }
         lines = []

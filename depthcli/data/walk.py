@@ -16,7 +16,7 @@ from depthcli.data.formats.files import naming, read_bytes
 from depthcli.data.layouts import Folder, Layout, layouts, own_layouts
 from depthcli.data.scenes import Scene
 from depthcli.data.scenes.stereo import with_sequences
-from depthcli.data.storage.patterns import archives_in, is_pattern, matching, stem, top_folder
+from depthcli.data.storage.patterns import archives_in, entered, is_pattern, matching, stem, top_folder
 
 _RUN_FILE = "run.yaml"  # in the folder of a run, see depthcli.batch.run_folder
 _MAX_ABOVE = 6  # folders above a file that its layout is looked for in: Driving, of the Scene Flow datasets, is deepest
@@ -87,7 +87,7 @@ def discover_scenes(
         looked_for = f"{names}: {wanted[0].wants.replace('`', '').partition(';')[0]}"
         if len(wanted) > 1:
             looked_for = f"files of the layouts {names}; depthcli help layouts names them"
-        inside = archives_in(top_folder(folder) or folder) if storage.is_archive(folder) else []
+        inside = archives_in(entered(folder)) if storage.is_archive(folder) else []
         nested = f"; it holds archives, such as {inside[0].name}: unpack it" if inside else ""
         raise NoScenesError(f"{folder}: no scenes found in it or two levels below (looked for {looked_for}){nested}")
     return chosen_scenes(found, patterns, folder)

@@ -45,7 +45,7 @@ _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 
 def shown(path: Path | str) -> str:
     """``path`` on one line for a message, whatever bytes it holds; very long ones lose their middle."""
-    text = without_secrets(one_line(str(path)))
+    text = without_secrets(one_line(str(path)))  # before it is cut, which would part a query from its URL
     return text if len(text) <= _MAX_SHOWN else f"{text[: _MAX_SHOWN // 2]}...{text[-_MAX_SHOWN // 2 :]}"
 
 

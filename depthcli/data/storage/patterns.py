@@ -44,6 +44,11 @@ def top_folder(archive: Path) -> Path | None:
     return folders[0] if len(inside) == 1 == len(folders) else None
 
 
+def entered(path: Path) -> Path:
+    """Return the single folder that holds all of an archive; for all other paths the path itself."""
+    return (top_folder(path) if storage.is_archive(path) else None) or path
+
+
 def stem(path: Path) -> str:
     """Return the name of an archive without its ending."""
     return AT_END.sub("", path.name) or path.name
